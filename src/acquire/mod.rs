@@ -1,0 +1,1 @@
+//! Making environments: merging imported triangles into convex polygons.

@@ -1,0 +1,56 @@
+//! Materials: how a surface appears to each class of sensor.
+
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// How a material appears to a sensor class.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Appearance {
+    /// Seen, and hides what is behind.
+    #[default]
+    Opaque,
+    /// No range and no occlusion, but its features stay.
+    Transparent,
+    /// Absent: no range, no occlusion, no features.
+    Invisible,
+}
+
+/// A surface material (paper section 2.1).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// Name in the source file.
+    pub name: String,
+    /// Reflection factor, 0..=1.
+    pub reflection: f64,
+    /// Seen from the side of its normal only. Off for everything unless the material says otherwise.
+    pub one_sided: bool,
+    /// Linear RGB for pictures.
+    pub color: [f32; 3],
+    /// Appearance by sensor class; classes not named see it opaque.
+    pub appearance: BTreeMap<String, Appearance>,
+}
+
+impl Material {
+    /// Opaque to everybody, two-sided, reflection factor 1.
+    pub fn named(name: impl Into<String>) -> Self {
+        Self { name: name.into(), reflection: 1.0, one_sided: false, color: [0.8; 3], appearance: BTreeMap::new() }
+    }
+
+    /// How a sensor class sees it.
+    pub fn appearance(&self, class: &str) -> Appearance {
+        self.appearance.get(class).copied().unwrap_or_default()
+    }
+
+    pub(crate) fn check(&self) -> Result<()> {
+        if (0.0..=1.0).contains(&self.reflection) {
+            return Ok(());
+        }
+        Err(Error::invalid(
+            format!("reflection factor {} is outside 0..=1", self.reflection),
+            "give the share of power that comes back",
+        )
+        .at(format!("material {:?}", self.name)))
+    }
+}

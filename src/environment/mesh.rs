@@ -1,0 +1,324 @@
+//! Meshes: convex polygons over shared vertices, in their own frame, stored once for all instances.
+
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, Plane, plane_of_polygon};
+use crate::limits;
+use glam::{DVec3, Vec3};
+
+/// A planar convex polygon as [`Mesh::new`] takes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polygon {
+    /// Vertex indices in winding order, at least 3.
+    pub corners: Vec<u32>,
+    /// Index of the material in the environment.
+    pub material: u16,
+    /// Number of the (first) source triangle within the object.
+    pub source: u32,
+}
+
+impl Polygon {
+    /// A polygon that is its own source.
+    pub fn new(corners: Vec<u32>, material: u16) -> Self {
+        Self { corners, material, source: 0 }
+    }
+}
+
+/// In which order a mesh keeps its polygons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PolygonOrder {
+    /// Neighbours together, so that clusters are small boxes. The choice for everything but comparisons.
+    Spatial,
+    /// As given, so that slots rise with source numbers.
+    Given,
+}
+
+/// A stored polygon: where its corners are, and its attributes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct PolygonRecord {
+    pub first_corner: u32,
+    pub source: u32,
+    pub material: u16,
+    pub corner_count: u8,
+}
+
+/// A contiguous run of a mesh's polygons with its box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cluster {
+    /// First polygon.
+    pub first: u32,
+    /// Number of polygons, at most [`limits::CLUSTER_POLYGONS`].
+    pub count: u32,
+    /// Bounds in the mesh frame.
+    pub bounds: Aabb,
+}
+
+/// Polygons over shared f32 vertices in the mesh's own frame, metres.
+///
+/// The f32 positions *are* the model: every engine starts from the same bits.
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    name: String,
+    vertices: Vec<Vec3>,
+    corners: Vec<u32>,
+    polygons: Vec<PolygonRecord>,
+    planes: Vec<Plane>,
+    clusters: Vec<Cluster>,
+    bounds: Aabb,
+    material_end: u16,
+}
+
+/// How far off its plane a vertex may be, relative to the polygon's largest coordinate extent; what f32 vertices of
+/// a planar polygon can need, and what merging may leave.
+const PLANARITY: f64 = 4e-6;
+
+impl Mesh {
+    /// Checks and stores polygons.
+    ///
+    /// ```
+    /// use presight::{Mesh, Polygon, PolygonOrder};
+    /// use glam::Vec3;
+    /// let square = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+    /// let mesh = Mesh::new("tile", square, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial)?;
+    /// assert_eq!(mesh.polygon_count(), 1);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the polygon: fewer than 3 or over 64 corners, an index out of range,
+    /// NaN or infinity, no area, not planar, not convex.
+    pub fn new(
+        name: impl Into<String>,
+        vertices: Vec<Vec3>,
+        polygons: Vec<Polygon>,
+        order: PolygonOrder,
+    ) -> Result<Self> {
+        let name = name.into();
+        check_vertices(&vertices).map_err(|e| e.at(format!("mesh {name:?}")))?;
+        let extent = Aabb::of(vertices.iter().map(|v| v.as_dvec3())).size();
+        let mut planes = Vec::with_capacity(polygons.len());
+        for (i, polygon) in polygons.iter().enumerate() {
+            let plane = check_polygon(polygon, &vertices, extent)
+                .map_err(|e| e.at(format!("polygon {i}")).at(format!("mesh {name:?}")))?;
+            planes.push(plane);
+        }
+        Ok(Self::assemble(name, vertices, &polygons, &planes, order))
+    }
+
+    fn assemble(
+        name: String,
+        vertices: Vec<Vec3>,
+        polygons: &[Polygon],
+        planes: &[Plane],
+        order: PolygonOrder,
+    ) -> Self {
+        let boxes: Vec<Aabb> =
+            polygons.iter().map(|p| Aabb::of(p.corners.iter().map(|&c| vertices[c as usize].as_dvec3()))).collect();
+        let mut sequence: Vec<u32> = (0..polygons.len() as u32).collect();
+        let mut cuts = Vec::new();
+        match order {
+            PolygonOrder::Spatial => split_spatially(&mut sequence, 0, &boxes, &mut cuts),
+            PolygonOrder::Given => cuts.extend((0..polygons.len()).step_by(limits::CLUSTER_POLYGONS)),
+        }
+        let mut mesh = Self {
+            name,
+            vertices,
+            corners: Vec::with_capacity(polygons.iter().map(|p| p.corners.len()).sum()),
+            polygons: Vec::with_capacity(polygons.len()),
+            planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
+            clusters: Vec::with_capacity(cuts.len()),
+            bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
+            material_end: polygons.iter().map(|p| p.material + 1).max().unwrap_or(0),
+        };
+        for &i in &sequence {
+            let polygon = &polygons[i as usize];
+            mesh.polygons.push(PolygonRecord {
+                first_corner: mesh.corners.len() as u32,
+                source: polygon.source,
+                material: polygon.material,
+                corner_count: polygon.corners.len() as u8,
+            });
+            mesh.corners.extend_from_slice(&polygon.corners);
+        }
+        cuts.push(sequence.len());
+        for pair in cuts.windows(2) {
+            let bounds = sequence[pair[0]..pair[1]].iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
+            mesh.clusters.push(Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds });
+        }
+        mesh
+    }
+
+    /// Name in the source file; need not be unique.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Positions, metres, mesh frame.
+    pub fn vertices(&self) -> &[Vec3] {
+        &self.vertices
+    }
+
+    /// Number of polygons.
+    pub fn polygon_count(&self) -> usize {
+        self.polygons.len()
+    }
+
+    /// Vertex indices of a polygon, in winding order.
+    pub fn corner_indices(&self, polygon: u32) -> &[u32] {
+        let record = &self.polygons[polygon as usize];
+        let first = record.first_corner as usize;
+        &self.corners[first..first + usize::from(record.corner_count)]
+    }
+
+    /// Corner positions of a polygon, in winding order, f64.
+    pub fn corners_of(&self, polygon: u32) -> impl ExactSizeIterator<Item = DVec3> + '_ {
+        self.corner_indices(polygon).iter().map(|&c| self.vertices[c as usize].as_dvec3())
+    }
+
+    /// The plane of a polygon in the mesh frame.
+    pub fn plane(&self, polygon: u32) -> Plane {
+        self.planes[polygon as usize]
+    }
+
+    /// Material index of a polygon.
+    pub fn material(&self, polygon: u32) -> u16 {
+        self.polygons[polygon as usize].material
+    }
+
+    /// Number of the polygon's first source triangle within the object.
+    pub fn source(&self, polygon: u32) -> u32 {
+        self.polygons[polygon as usize].source
+    }
+
+    /// Runs of neighbouring polygons, in order, together all of them.
+    pub fn clusters(&self) -> &[Cluster] {
+        &self.clusters
+    }
+
+    /// Bounds of all polygons in the mesh frame.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    pub(crate) fn polygons(&self) -> &[PolygonRecord] {
+        &self.polygons
+    }
+
+    pub(crate) fn all_corners(&self) -> &[u32] {
+        &self.corners
+    }
+
+    pub(crate) fn planes(&self) -> &[Plane] {
+        &self.planes
+    }
+
+    /// One past the highest material index used.
+    pub(crate) fn material_end(&self) -> u16 {
+        self.material_end
+    }
+}
+
+fn check_vertices(vertices: &[Vec3]) -> Result<()> {
+    let bad = vertices.iter().position(|v| !v.is_finite() || f64::from(v.abs().max_element()) > limits::MAX_COORDINATE);
+    match bad {
+        None => Ok(()),
+        Some(i) => Err(Error::invalid(
+            format!("vertex {i} is {}, not a finite position", vertices[i]),
+            "repair the model and export it again",
+        )),
+    }
+}
+
+fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Plane> {
+    let n = polygon.corners.len();
+    if !(3..=limits::MAX_CORNERS).contains(&n) {
+        return Err(Error::invalid(
+            format!("{n} corners, where 3 to {} are possible", limits::MAX_CORNERS),
+            "split the polygon",
+        ));
+    }
+    if let Some(c) = polygon.corners.iter().find(|&&c| c as usize >= vertices.len()) {
+        return Err(Error::invalid(
+            format!("vertex index {c} is out of range, there are {} vertices", vertices.len()),
+            "repair the model and export it again",
+        ));
+    }
+    let points: Vec<DVec3> = polygon.corners.iter().map(|&c| vertices[c as usize].as_dvec3()).collect();
+    let plane = canonical_plane(&points)
+        .ok_or_else(|| Error::invalid("the polygon has no area", "drop it or give it distinct vertices"))?;
+    if n > 3 {
+        check_shape(&points, plane, extent)?;
+    }
+    Ok(plane)
+}
+
+/// The plane computed from the loop turned and reversed to a canonical start, so that coincident faces of either
+/// winding get the same bits up to the sign and their ties go to the lower id.
+fn canonical_plane(points: &[DVec3]) -> Option<Plane> {
+    let n = points.len();
+    let key = |i: usize| points[i % n].to_array();
+    let start = (0..n).min_by(|&i, &j| key(i).partial_cmp(&key(j)).unwrap_or(std::cmp::Ordering::Equal))?;
+    let reversed = key(start + n - 1) < key(start + 1);
+    let turned: Vec<DVec3> =
+        (0..n).map(|k| if reversed { points[(start + n - k) % n] } else { points[(start + k) % n] }).collect();
+    let plane = plane_of_polygon(&turned)?;
+    Some(if reversed { Plane { normal: -plane.normal, offset: -plane.offset } } else { plane })
+}
+
+fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
+    let n = points.len();
+    let size = Aabb::of(points.iter().copied()).size();
+    let reach = points.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
+    let tolerance = PLANARITY * size.max(extent).max(reach);
+    for k in 0..n {
+        let off = (plane.normal.dot(points[k]) - plane.offset).abs();
+        if off > tolerance {
+            return Err(Error::invalid(
+                format!("corner {k} is {off:.3e} m off the plane, {tolerance:.3e} is allowed"),
+                "split the polygon into planar ones",
+            ));
+        }
+        let before = points[k] - points[(k + n - 1) % n];
+        let after = points[(k + 1) % n] - points[k];
+        let turn = before.cross(after).dot(plane.normal);
+        if turn < -tolerance * before.length().max(after.length()) {
+            return Err(Error::invalid(
+                format!("corner {k} turns inwards: the polygon is not convex"),
+                "split the polygon into convex ones",
+            ));
+        }
+    }
+    // Locally convex all round but turning more than once: a star.
+    let turning: f64 = (0..n)
+        .map(|k| {
+            let a = points[(k + 1) % n] - points[k];
+            let b = points[(k + 2) % n] - points[(k + 1) % n];
+            plane.normal.dot(a.cross(b)).atan2(a.dot(b))
+        })
+        .sum();
+    if (turning - std::f64::consts::TAU).abs() > 1.0 {
+        return Err(Error::invalid("the outline winds more than once", "split the polygon into convex ones"));
+    }
+    Ok(())
+}
+
+/// Halves `sequence` at the middle centroid along the longest axis until runs fit a cluster.
+fn split_spatially(sequence: &mut [u32], start: usize, boxes: &[Aabb], cuts: &mut Vec<usize>) {
+    if sequence.len() <= limits::CLUSTER_POLYGONS {
+        if !sequence.is_empty() {
+            sequence.sort_unstable();
+            cuts.push(start);
+        }
+        return;
+    }
+    let spread = Aabb::of(sequence.iter().map(|&i| boxes[i as usize].center()));
+    let extent = spread.max - spread.min;
+    let axis = (0..3).fold(0, |best, a| if extent[a] > extent[best] { a } else { best });
+    let middle = sequence.len() / 2;
+    sequence.select_nth_unstable_by(middle, |&i, &j| {
+        let key = |i: u32| boxes[i as usize].center()[axis];
+        key(i).total_cmp(&key(j)).then(i.cmp(&j))
+    });
+    let (left, right) = sequence.split_at_mut(middle);
+    split_spatially(left, start, boxes, cuts);
+    split_spatially(right, start + middle, boxes, cuts);
+}

@@ -1,0 +1,258 @@
+//! The environment: objects, meshes and materials; the thing that is stored and kept true (paper section 2.1).
+
+mod material;
+mod mesh;
+
+pub use material::{Appearance, Material};
+pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
+
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, Pose};
+use crate::limits;
+use glam::{DAffine3, DMat3, DVec3};
+use std::sync::Arc;
+
+/// A named rigid thing with a pose in the world and a mesh in its own frame.
+#[derive(Clone, Debug)]
+pub struct Object {
+    /// Full path, unique in the environment.
+    pub name: String,
+    /// The rigid pose: what moves when the object moves.
+    pub world_from_object: Pose,
+    /// Scale, mirror and shear of this instance; identity for most.
+    pub object_from_mesh: DAffine3,
+    /// Shared by all instances.
+    pub mesh: Arc<Mesh>,
+    /// Slot of the mesh's polygon 0; polygon i has slot `first_slot + i` and `model` id one more.
+    pub first_slot: u32,
+    /// Number of the object's first triangle in the source file (`source` ids).
+    pub first_source: u32,
+}
+
+impl Object {
+    /// The whole transform of the mesh, f64.
+    pub fn world_from_mesh(&self) -> DAffine3 {
+        self.world_from_object.to_affine() * self.object_from_mesh
+    }
+
+    /// Bounds in the world, conservative.
+    pub fn world_bounds(&self) -> Aabb {
+        self.mesh.bounds().transformed(&self.world_from_mesh())
+    }
+}
+
+/// What [`Environment::insert`] takes.
+#[derive(Clone, Debug)]
+pub struct NewObject {
+    /// Wanted name; `#2` and so on is appended to repeats.
+    pub name: String,
+    /// See [`Object::world_from_object`].
+    pub world_from_object: Pose,
+    /// See [`Object::object_from_mesh`].
+    pub object_from_mesh: DAffine3,
+    /// See [`Object::mesh`].
+    pub mesh: Arc<Mesh>,
+    /// See [`Object::first_source`].
+    pub first_source: u32,
+}
+
+impl NewObject {
+    /// An object whose mesh needs no further scale.
+    pub fn new(name: impl Into<String>, world_from_object: Pose, mesh: Arc<Mesh>) -> Self {
+        Self { name: name.into(), world_from_object, object_from_mesh: DAffine3::IDENTITY, mesh, first_source: 0 }
+    }
+
+    /// Splits a node's transform into a rigid pose and what remains of it (scale, mirror, shear).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if the matrix is not finite or flattens the mesh.
+    pub fn from_affine(name: impl Into<String>, world_from_mesh: DAffine3, mesh: Arc<Mesh>) -> Result<Self> {
+        let m = world_from_mesh.matrix3;
+        let lengths = [m.x_axis.length(), m.y_axis.length(), m.z_axis.length()];
+        let volume = m.determinant().abs();
+        let sound = world_from_mesh.is_finite()
+            && world_from_mesh.translation.abs().max_element() <= limits::MAX_COORDINATE
+            && volume > 1e-12 * lengths.iter().product::<f64>()
+            && lengths.iter().all(|l| (1e-9..=1e9).contains(l));
+        if !sound {
+            return Err(Error::invalid(
+                format!("transform with scale {lengths:?} and volume {volume:e} is not finite or flattens the object"),
+                "give every axis a finite scale other than zero",
+            ));
+        }
+        // Gram-Schmidt on the axes, right-handed; a mirror stays in the remainder.
+        let x = m.x_axis.normalize();
+        let y = (m.y_axis - x * x.dot(m.y_axis)).normalize();
+        let rotation = DMat3::from_cols(x, y, x.cross(y));
+        let quat = glam::DQuat::from_mat3(&rotation).normalize();
+        let rotation = DMat3::from_quat(quat);
+        let mut rest = rotation.transpose() * m;
+        // A plain rotation leaves an identity with rounding in it: make it exact.
+        if (rest - DMat3::IDENTITY).to_cols_array().iter().all(|d| d.abs() < 1e-15) {
+            rest = DMat3::IDENTITY;
+        }
+        Ok(Self {
+            object_from_mesh: DAffine3::from_mat3(rest),
+            ..Self::new(name, Pose { rotation: quat, translation: world_from_mesh.translation }, mesh)
+        })
+    }
+}
+
+/// Objects and materials. Polygons live in slots; a slot is never used again.
+#[derive(Clone, Debug, Default)]
+pub struct Environment {
+    objects: Vec<Object>,
+    materials: Vec<Material>,
+    names: std::collections::HashMap<String, u32>,
+    next_slot: u32,
+}
+
+impl Environment {
+    /// Holds nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a material; the answer is its index, for [`Polygon::material`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if the reflection factor is outside 0..=1 or there are over 65,535 materials.
+    pub fn add_material(&mut self, material: Material) -> Result<u16> {
+        material.check()?;
+        let index = u16::try_from(self.materials.len())
+            .map_err(|_| Error::invalid("over 65,535 materials", "merge equal materials"))?;
+        self.materials.push(material);
+        Ok(index)
+    }
+
+    /// Adds an object; the answer is its index. Its `object_id` in images is one more.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if the mesh names a material the environment lacks, or a limit is passed.
+    pub fn insert(&mut self, new: NewObject) -> Result<u32> {
+        let place = || format!("object {:?}", new.name);
+        if usize::from(new.mesh.material_end()) > self.materials.len() {
+            return Err(Error::invalid(
+                format!("material {} does not exist", new.mesh.material_end() - 1),
+                "add the materials before the objects",
+            )
+            .at(place()));
+        }
+        let polygons = new.mesh.polygons().len() as u64;
+        if u64::from(self.next_slot) + polygons > limits::MAX_POLYGONS || self.objects.len() >= limits::MAX_OBJECTS {
+            return Err(Error::invalid(
+                format!("over {} polygons or {} objects", limits::MAX_POLYGONS, limits::MAX_OBJECTS),
+                "split the environment",
+            )
+            .at(place()));
+        }
+        let index = self.objects.len() as u32;
+        let name = self.unique_name(&new.name);
+        self.names.insert(name.clone(), index);
+        self.objects.push(Object {
+            name,
+            world_from_object: new.world_from_object,
+            object_from_mesh: new.object_from_mesh,
+            mesh: new.mesh,
+            first_slot: self.next_slot,
+            first_source: new.first_source,
+        });
+        self.next_slot += polygons as u32;
+        Ok(index)
+    }
+
+    fn unique_name(&self, wanted: &str) -> String {
+        if !self.names.contains_key(wanted) {
+            return wanted.to_owned();
+        }
+        (2u32..).map(|n| format!("{wanted}#{n}")).find(|name| !self.names.contains_key(name)).unwrap_or_default()
+    }
+
+    /// All objects, by index.
+    pub fn objects(&self) -> &[Object] {
+        &self.objects
+    }
+
+    /// The object of that full path.
+    pub fn object(&self, name: &str) -> Option<&Object> {
+        self.names.get(name).map(|&i| &self.objects[i as usize])
+    }
+
+    /// All materials, by index.
+    pub fn materials(&self) -> &[Material] {
+        &self.materials
+    }
+
+    /// Slots used so far; every slot is below.
+    pub fn slot_count(&self) -> u32 {
+        self.next_slot
+    }
+
+    /// Object index and polygon index of a slot.
+    pub fn locate(&self, slot: u32) -> Option<(u32, u32)> {
+        if slot >= self.next_slot {
+            return None;
+        }
+        let after = self.objects.partition_point(|o| o.first_slot <= slot);
+        let object = after.checked_sub(1)?;
+        Some((object as u32, slot - self.objects[object].first_slot))
+    }
+
+    /// The world vertices of the polygon in a slot, in winding order.
+    pub fn polygon_in_world(&self, slot: u32) -> Option<Vec<DVec3>> {
+        let (object, polygon) = self.locate(slot)?;
+        let object = &self.objects[object as usize];
+        let world_from_mesh = object.world_from_mesh();
+        Some(object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p)).collect())
+    }
+
+    /// Bounds of everything, in the world.
+    pub fn bounds(&self) -> Aabb {
+        self.objects.iter().fold(Aabb::EMPTY, |b, o| b.union(o.world_bounds()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DQuat, Vec3};
+
+    fn triangle() -> Arc<Mesh> {
+        let polygon = vec![0, 1, 2];
+        Arc::new(
+            Mesh::new("t", vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![Polygon::new(polygon, 0)], PolygonOrder::Spatial)
+                .unwrap(),
+        )
+    }
+
+    #[test]
+    fn names_stay_unique_and_slots_are_found() {
+        let mut env = Environment::new();
+        env.add_material(Material::named("m")).unwrap();
+        for _ in 0..3 {
+            env.insert(NewObject::new("a", Pose::IDENTITY, triangle())).unwrap();
+        }
+        let names: Vec<_> = env.objects().iter().map(|o| o.name.as_str()).collect();
+        assert_eq!(names, ["a", "a#2", "a#3"]);
+        assert_eq!(env.locate(2), Some((2, 0)));
+        assert_eq!(env.locate(3), None);
+    }
+
+    #[test]
+    fn unknown_material_is_an_error() {
+        let mut env = Environment::new();
+        assert!(env.insert(NewObject::new("a", Pose::IDENTITY, triangle())).is_err());
+    }
+
+    #[test]
+    fn mirror_and_scale_survive_the_split() {
+        let m = DMat3::from_quat(DQuat::from_rotation_z(0.4)) * DMat3::from_diagonal(DVec3::new(2.0, -3.0, 0.5));
+        let whole = DAffine3::from_mat3_translation(m, DVec3::new(5e6, 1.0, 2.0));
+        let new = NewObject::from_affine("a", whole, triangle()).unwrap();
+        let again = new.world_from_object.to_affine() * new.object_from_mesh;
+        let apart = again.matrix3 - whole.matrix3;
+        assert!(apart.to_cols_array().iter().all(|d| d.abs() < 1e-14));
+        assert_eq!(again.translation, whole.translation);
+        assert!(NewObject::from_affine("a", DAffine3::from_scale(DVec3::new(1.0, 0.0, 1.0)), triangle()).is_err());
+    }
+}

@@ -1,0 +1,172 @@
+//! The one error type: whose fault, which file, which place, what, and what to do about it.
+
+use std::error::Error as StdError;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Whose fault an error is. The command turns it into its exit status.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// A file or a value handed to the API does not hold what it must. Exit status 1.
+    Invalid,
+    /// A file uses something presight knows of but does not support. Exit status 1.
+    Unsupported,
+    /// Wrong usage: a flag, an unknown preset, a pose with NaN. Exit status 2.
+    Usage,
+    /// No device for the asked backend. Exit status 3.
+    NoDevice,
+    /// The device was lost while at work. Exit status 3.
+    DeviceLost,
+    /// The device has too little memory. Exit status 3.
+    DeviceMemory,
+    /// The operating system refused: disk full, locked, permission. Exit status 4.
+    System,
+}
+
+impl ErrorKind {
+    /// The exit status of the command for this kind of error.
+    pub fn exit_status(self) -> u8 {
+        match self {
+            Self::Invalid | Self::Unsupported => 1,
+            Self::Usage => 2,
+            Self::NoDevice | Self::DeviceLost | Self::DeviceMemory => 3,
+            Self::System => 4,
+        }
+    }
+}
+
+/// An error with file, place and remedy; its `Display` is one line.
+///
+/// ```
+/// use presight::{Error, ErrorKind};
+/// let e = Error::invalid("vertex 7 is NaN", "repair the model and export it again")
+///     .at("mesh \"door\", primitive 0")
+///     .in_file("hall.glb");
+/// assert_eq!(e.kind(), ErrorKind::Invalid);
+/// assert_eq!(
+///     e.to_string(),
+///     "hall.glb: mesh \"door\", primitive 0: vertex 7 is NaN; repair the model and export it again"
+/// );
+/// ```
+#[derive(Debug)]
+pub struct Error(Box<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    kind: ErrorKind,
+    file: Option<PathBuf>,
+    place: Option<String>,
+    what: String,
+    remedy: String,
+    source: Option<Box<dyn StdError + Send + Sync>>,
+}
+
+/// The result of everything in presight that can fail.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    /// An error of `kind`: `what` is wrong, and the `remedy` for it (may be empty).
+    pub fn new(kind: ErrorKind, what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self(Box::new(Inner { kind, file: None, place: None, what: what.into(), remedy: remedy.into(), source: None }))
+    }
+
+    /// An [`ErrorKind::Invalid`] error.
+    pub fn invalid(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Invalid, what, remedy)
+    }
+
+    /// An [`ErrorKind::Usage`] error.
+    pub fn usage(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Usage, what, remedy)
+    }
+
+    /// An input/output error on `file`. A missing input is the file's fault, everything else the system's.
+    pub fn io(file: impl AsRef<Path>, doing: &str, source: std::io::Error) -> Self {
+        use std::io::ErrorKind as Io;
+        let (kind, remedy) = match source.kind() {
+            Io::NotFound => (ErrorKind::Invalid, "check the path"),
+            Io::UnexpectedEof => (ErrorKind::Invalid, "the file is truncated; fetch it again"),
+            Io::PermissionDenied => (ErrorKind::System, "check the permissions"),
+            Io::StorageFull => (ErrorKind::System, "free some disk space"),
+            _ => (ErrorKind::System, "see the system's message"),
+        };
+        let mut e = Self::new(kind, format!("cannot {doing}: {source}"), remedy).in_file(file);
+        e.0.source = Some(Box::new(source));
+        e
+    }
+
+    /// Names the file at fault, unless one is named already.
+    #[must_use]
+    pub fn in_file(mut self, file: impl AsRef<Path>) -> Self {
+        self.0.file.get_or_insert_with(|| file.as_ref().to_owned());
+        self
+    }
+
+    /// Puts an outer place in front of the one known so far ("object 3" before "polygon 7").
+    #[must_use]
+    pub fn at(mut self, place: impl fmt::Display) -> Self {
+        self.0.place = Some(match self.0.place.take() {
+            Some(inner) => format!("{place}: {inner}"),
+            None => place.to_string(),
+        });
+        self
+    }
+
+    /// Keeps the error that caused this one.
+    #[must_use]
+    pub fn caused_by(mut self, source: impl StdError + Send + Sync + 'static) -> Self {
+        self.0.source = Some(Box::new(source));
+        self
+    }
+
+    /// Whose fault it is.
+    pub fn kind(&self) -> ErrorKind {
+        self.0.kind
+    }
+
+    /// The file at fault, where there is one.
+    pub fn file(&self) -> Option<&Path> {
+        self.0.file.as_deref()
+    }
+
+    /// The place inside the file or value, where there is one.
+    pub fn place(&self) -> Option<&str> {
+        self.0.place.as_deref()
+    }
+
+    /// What to do about it; may be empty.
+    pub fn remedy(&self) -> &str {
+        &self.0.remedy
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let e = &self.0;
+        if let Some(file) = &e.file {
+            write!(f, "{}: ", file.display())?;
+        }
+        if let Some(place) = &e.place {
+            write!(f, "{place}: ")?;
+        }
+        // Messages of other crates may span lines; ours is one line.
+        let mut words = e.what.split_whitespace();
+        if let Some(first) = words.next() {
+            f.write_str(first)?;
+        }
+        for word in words {
+            write!(f, " {word}")?;
+        }
+        if !e.remedy.is_empty() {
+            write!(f, "; {}", e.remedy)?;
+        }
+        Ok(())
+    }
+}
+
+impl StdError for Error {
+    fn source(&self) -> Option<&(dyn StdError + 'static)> {
+        self.0.source.as_deref().map(|e| e as _)
+    }
+}

@@ -1,0 +1,134 @@
+//! Rigid transforms in f64.
+
+use crate::error::{Error, Result};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+
+/// A rigid transform `a_from_b`: rotation, then translation in metres.
+///
+/// ```
+/// use presight::Pose;
+/// use glam::DVec3;
+/// let world_from_robot = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 0.0), 0.0, 0.0, 90f64.to_radians());
+/// let p_in_world = world_from_robot.transform_point(DVec3::X);
+/// assert!((p_in_world - DVec3::new(1.0, 3.0, 0.0)).length() < 1e-15);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Unit quaternion.
+    pub rotation: DQuat,
+    /// Metres.
+    pub translation: DVec3,
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}
+
+impl Pose {
+    /// No motion.
+    pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
+
+    /// From a translation and a rotation; the quaternion is normalized.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] on NaN, infinity, or a quaternion without length.
+    pub fn new(translation: DVec3, rotation: DQuat) -> Result<Self> {
+        let length = rotation.length();
+        let sound = translation.is_finite() && rotation.is_finite() && length > 1e-6;
+        if !sound {
+            return Err(Error::usage(
+                "a pose must be finite and its quaternion must have a length",
+                "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw",
+            ));
+        }
+        Ok(Self { rotation: rotation.normalize(), translation })
+    }
+
+    /// From a translation in metres and roll, pitch, yaw in radians about fixed axes:
+    /// Rz(yaw) Ry(pitch) Rx(roll), positive pitch looks down (REP-103).
+    pub fn from_xyz_rpy(translation: DVec3, roll: f64, pitch: f64, yaw: f64) -> Self {
+        let rotation = DQuat::from_rotation_z(yaw) * DQuat::from_rotation_y(pitch) * DQuat::from_rotation_x(roll);
+        Self { rotation, translation }
+    }
+
+    /// The transform the other way.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.conjugate();
+        Self { rotation, translation: -(rotation * self.translation) }
+    }
+
+    /// `a_from_c` of `a_from_b` and `b_from_c`.
+    #[must_use]
+    pub fn then(&self, b_from_c: &Self) -> Self {
+        Self {
+            rotation: (self.rotation * b_from_c.rotation).normalize(),
+            translation: self.transform_point(b_from_c.translation),
+        }
+    }
+
+    /// The point in frame a of a point in frame b.
+    pub fn transform_point(&self, p_in_b: DVec3) -> DVec3 {
+        self.rotation * p_in_b + self.translation
+    }
+
+    /// The rotation as a matrix.
+    pub fn rotation_matrix(&self) -> DMat3 {
+        DMat3::from_quat(self.rotation)
+    }
+
+    /// The same transform as a 3 x 4 matrix.
+    pub fn to_affine(&self) -> DAffine3 {
+        DAffine3::from_rotation_translation(self.rotation, self.translation)
+    }
+
+    /// Roll, pitch, yaw in radians, the inverse of [`Pose::from_xyz_rpy`]; pitch in -pi/2..pi/2.
+    pub fn rpy(&self) -> (f64, f64, f64) {
+        let m = self.rotation_matrix();
+        let pitch = (-m.x_axis.z).clamp(-1.0, 1.0).asin();
+        if m.x_axis.x.hypot(m.x_axis.y) < 1e-12 {
+            // Gimbal lock: only roll -/+ yaw is known; put it all into yaw.
+            return (0.0, pitch, (-m.y_axis.x).atan2(m.y_axis.y));
+        }
+        (m.y_axis.z.atan2(m.z_axis.z), pitch, m.x_axis.y.atan2(m.x_axis.x))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn positive_pitch_looks_down() {
+        let p = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.3, 0.0);
+        assert!(p.transform_point(DVec3::X).z < 0.0);
+    }
+
+    #[test]
+    fn nan_is_refused() {
+        assert!(Pose::new(DVec3::NAN, DQuat::IDENTITY).is_err());
+        assert!(Pose::new(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0)).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn rpy_round_trips(r in -3.1..3.1f64, p in -1.57..1.57f64, y in -3.1..3.1f64) {
+            let pose = Pose::from_xyz_rpy(DVec3::ZERO, r, p, y);
+            let (r2, p2, y2) = pose.rpy();
+            let again = Pose::from_xyz_rpy(DVec3::ZERO, r2, p2, y2);
+            let apart = pose.rotation_matrix() - again.rotation_matrix();
+            prop_assert!(apart.to_cols_array().iter().all(|d| d.abs() < 1e-9));
+        }
+
+        #[test]
+        fn inverse_undoes(x in -1e3..1e3f64, y in -1e3..1e3f64, yaw in -3.0..3.0f64) {
+            let pose = Pose::from_xyz_rpy(DVec3::new(x, y, 1.0), 0.1, 0.2, yaw);
+            let p = DVec3::new(3.0, -2.0, 5.0);
+            let back = pose.inverse().transform_point(pose.transform_point(p));
+            prop_assert!((back - p).length() < 1e-9);
+        }
+    }
+}

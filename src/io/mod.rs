@@ -1,0 +1,1 @@
+//! Files: one module per format. Knows the data types and no engine.

@@ -1,0 +1,27 @@
+//! presight: the engine that tells a robot what its sensors should see.
+
+pub mod acquire;
+#[doc(hidden)]
+pub mod cli;
+pub mod compare;
+pub mod cpu;
+pub mod environment;
+mod error;
+pub mod geometry;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+pub mod io;
+pub mod limits;
+pub mod plan;
+mod predict;
+pub mod reference;
+pub mod sensor;
+mod world;
+
+pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};
+pub use error::{Error, ErrorKind, Result};
+pub use geometry::{Aabb, Pose};
+pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request};
+pub use predict::{Backend, Options, Prediction, Predictor, Stats};
+pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
+pub use world::World;

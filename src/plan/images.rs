@@ -1,0 +1,78 @@
+//! The images every engine fills.
+
+use super::request::{Output, Outputs};
+
+/// Images of one prediction, row-major, row 0 on top. An image that was not asked for is empty.
+///
+/// Floats: beyond `range_max` or no hit `+inf`, below `range_min` `-inf` (ids and cos_incidence kept), no ray NaN.
+/// `cos_incidence` is NaN where nothing is seen. Ids: 0 is nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Images {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Metres along the ray.
+    pub range: Vec<f32>,
+    /// Metres along the optical axis; cameras only.
+    pub depth_z: Vec<f32>,
+    /// See [`super::IdScheme`].
+    pub polygon_id: Vec<u32>,
+    /// Object index + 1.
+    pub object_id: Vec<u32>,
+    /// 0..=1.
+    pub cos_incidence: Vec<f32>,
+}
+
+impl Images {
+    /// Sizes the asked images and empties the others, keeping allocations. Contents are unspecified.
+    pub fn prepare(&mut self, width: u32, height: u32, outputs: Outputs) {
+        (self.width, self.height) = (width, height);
+        let pixels = width as usize * height as usize;
+        let len = |o| if outputs.has(o) { pixels } else { 0 };
+        self.range.resize(len(Output::Range), 0.0);
+        self.depth_z.resize(len(Output::DepthZ), 0.0);
+        self.polygon_id.resize(len(Output::PolygonId), 0);
+        self.object_id.resize(len(Output::ObjectId), 0);
+        self.cos_incidence.resize(len(Output::CosIncidence), 0.0);
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// The images that are there.
+    pub fn outputs(&self) -> Outputs {
+        let lens = [
+            (Output::Range, self.range.len()),
+            (Output::DepthZ, self.depth_z.len()),
+            (Output::PolygonId, self.polygon_id.len()),
+            (Output::ObjectId, self.object_id.len()),
+            (Output::CosIncidence, self.cos_incidence.len()),
+        ];
+        let there: Vec<Output> = lens.into_iter().filter(|(_, len)| *len > 0).map(|(o, _)| o).collect();
+        Outputs::of(&there)
+    }
+
+    /// A float image by name; `None` if it is not there or holds ids.
+    pub fn floats(&self, output: Output) -> Option<&[f32]> {
+        let image = match output {
+            Output::Range => &self.range,
+            Output::DepthZ => &self.depth_z,
+            Output::CosIncidence => &self.cos_incidence,
+            Output::PolygonId | Output::ObjectId => return None,
+        };
+        (!image.is_empty()).then_some(image.as_slice())
+    }
+
+    /// An id image by name; `None` if it is not there or holds floats.
+    pub fn ids(&self, output: Output) -> Option<&[u32]> {
+        let image = match output {
+            Output::PolygonId => &self.polygon_id,
+            Output::ObjectId => &self.object_id,
+            Output::Range | Output::DepthZ | Output::CosIncidence => return None,
+        };
+        (!image.is_empty()).then_some(image.as_slice())
+    }
+}

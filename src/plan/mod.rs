@@ -1,0 +1,252 @@
+//! The frame plan: what one prediction has to do, worked out before any engine starts and knowing none of them.
+
+mod images;
+mod request;
+mod view;
+
+pub use images::Images;
+pub use request::{IdScheme, Output, Outputs, Request};
+pub use view::View;
+
+use crate::environment::{Appearance, Environment};
+use crate::geometry::Pose;
+use crate::sensor::{PixelGrid, Sensor};
+use crate::world::World;
+use glam::{DMat3, DVec3};
+use std::sync::Arc;
+
+/// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
+/// frame: subtracting first keeps the digits of what is near, in f32 too.
+#[derive(Clone, Copy, Debug)]
+pub struct Instance {
+    /// Index of the object in the environment.
+    pub object: u32,
+    /// Linear part, f64.
+    pub image_from_mesh: DMat3,
+    /// The sensor's centre in the mesh frame, metres.
+    pub center_in_mesh: DVec3,
+    /// Turns mesh normals into the image frame (inverse transpose of the linear part; scales them).
+    pub normal_from_mesh: DMat3,
+    /// All the mesh's materials are opaque to the sensor's class and two-sided: polygons need no look at theirs.
+    pub plain: bool,
+}
+
+/// A contiguous run of an instance's polygons, the unit that selection hands to the engines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Run {
+    /// Index into [`FramePlan::instances`].
+    pub instance: u32,
+    /// First polygon of the mesh.
+    pub first: u32,
+    /// Number of polygons.
+    pub count: u32,
+    /// Lower bound of the distance from the sensor, metres: the front-to-back key.
+    pub nearest: f32,
+}
+
+/// Something that this prediction does not need, and why.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct LeftOut {
+    /// What is left out.
+    pub what: String,
+    /// Why nothing is lost by that.
+    pub why: String,
+}
+
+/// How a material takes part in this frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Facing {
+    /// Opaque to the sensor's class.
+    pub opaque: bool,
+    /// Seen from the side of its normal only.
+    pub one_sided: bool,
+}
+
+/// What one prediction has to do.
+#[derive(Clone, Debug)]
+pub struct FramePlan {
+    /// The version of the world it reads.
+    pub world: World,
+    /// The sensor.
+    pub sensor: Sensor,
+    /// The sensor's pose, body axes.
+    pub world_from_sensor: Pose,
+    /// What is asked for.
+    pub request: Request,
+    /// Objects with at least one polygon selected.
+    pub instances: Vec<Instance>,
+    /// Selected polygons, nearest first.
+    pub runs: Vec<Run>,
+    /// By material index.
+    pub facings: Vec<Facing>,
+    /// Polygons in `runs`.
+    pub polygon_count: usize,
+    /// Objects not selected: out of view or reach.
+    pub objects_out_of_view: usize,
+    /// Polygons of selected objects that were not selected.
+    pub polygons_out_of_view: usize,
+    /// Objects that the sensor's class cannot see.
+    pub objects_not_opaque: usize,
+}
+
+impl FramePlan {
+    /// Plans a prediction: composes transforms in f64 and selects the runs that the sensor may see.
+    pub fn new(world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Self {
+        let mut plan = Self {
+            world: world.clone(),
+            sensor: sensor.clone(),
+            world_from_sensor: *world_from_sensor,
+            request: *request,
+            instances: Vec::new(),
+            runs: Vec::new(),
+            facings: Vec::new(),
+            polygon_count: 0,
+            objects_out_of_view: 0,
+            polygons_out_of_view: 0,
+            objects_not_opaque: 0,
+        };
+        plan.fill();
+        plan
+    }
+
+    /// Plans another prediction in the same buffers.
+    pub fn renew(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) {
+        self.world = world.clone();
+        self.sensor = sensor.clone();
+        self.world_from_sensor = *world_from_sensor;
+        self.request = *request;
+        self.fill();
+    }
+
+    /// The environment it reads.
+    pub fn environment(&self) -> &Arc<Environment> {
+        self.world.environment()
+    }
+
+    /// An object as the sensor sees it, whether selected or not.
+    pub fn instance_of(&self, object: u32) -> Instance {
+        let environment = self.world.environment();
+        let o = &environment.objects()[object as usize];
+        let world_from_image = self.world_from_sensor.rotation_matrix() * self.sensor.body_from_image();
+        let object_from_world = o.world_from_object.rotation_matrix().transpose();
+        let object_from_mesh = o.object_from_mesh;
+        let mesh_from_object = object_from_mesh.inverse();
+        // Subtract the two world positions before anything else: at 5,000,000 m the difference is still exact.
+        let center_in_object =
+            object_from_world * (self.world_from_sensor.translation - o.world_from_object.translation);
+        let image_from_object = world_from_image.transpose() * object_from_world.transpose();
+        let image_from_mesh = image_from_object * object_from_mesh.matrix3;
+        let plain = o.mesh.polygons().iter().all(|p| {
+            let f = self.facings[usize::from(p.material)];
+            f.opaque && !f.one_sided
+        });
+        Instance {
+            object,
+            image_from_mesh,
+            center_in_mesh: mesh_from_object.transform_point3(center_in_object),
+            normal_from_mesh: image_from_object * object_from_mesh.matrix3.inverse().transpose(),
+            plain,
+        }
+    }
+
+    /// What `polygon_id` shows for a polygon.
+    pub fn polygon_id(&self, object: u32, polygon: u32) -> u32 {
+        let o = &self.world.environment().objects()[object as usize];
+        match self.request.ids {
+            IdScheme::Model => o.first_slot + polygon + 1,
+            IdScheme::Source => o.first_source + o.mesh.source(polygon) + 1,
+        }
+    }
+
+    fn fill(&mut self) {
+        self.instances.clear();
+        self.runs.clear();
+        self.facings.clear();
+        (self.polygon_count, self.objects_out_of_view) = (0, 0);
+        (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
+        let world = self.world.clone();
+        let environment = world.environment();
+        let class = self.sensor.spec().class.clone();
+        self.facings.extend(
+            environment
+                .materials()
+                .iter()
+                .map(|m| Facing { opaque: m.appearance(&class) == Appearance::Opaque, one_sided: m.one_sided }),
+        );
+        let view = View::of(&self.sensor);
+        for object in 0..environment.objects().len() as u32 {
+            self.select(object, &view);
+        }
+        self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
+    }
+
+    fn select(&mut self, object: u32, view: &View) {
+        let environment = self.world.environment().clone();
+        let mesh = &environment.objects()[object as usize].mesh;
+        if mesh.polygon_count() == 0 {
+            return;
+        }
+        let instance = self.instance_of(object);
+        if !instance.plain && !mesh.polygons().iter().any(|p| self.facings[usize::from(p.material)].opaque) {
+            self.objects_not_opaque += 1;
+            return;
+        }
+        if view.distance_if_seen(&instance, &mesh.bounds()).is_none() {
+            self.objects_out_of_view += 1;
+            return;
+        }
+        let index = self.instances.len() as u32;
+        let runs_before = self.runs.len();
+        let mut selected = 0;
+        for cluster in mesh.clusters() {
+            let Some(nearest) = view.distance_if_seen(&instance, &cluster.bounds) else {
+                continue;
+            };
+            selected += cluster.count as usize;
+            self.runs.push(Run {
+                instance: index,
+                first: cluster.first,
+                count: cluster.count,
+                nearest: nearest as f32,
+            });
+        }
+        if self.runs.len() == runs_before {
+            self.objects_out_of_view += 1;
+            return;
+        }
+        self.polygon_count += selected;
+        self.polygons_out_of_view += mesh.polygon_count() - selected;
+        self.instances.push(instance);
+    }
+
+    /// What this prediction does not need, and why.
+    pub fn left_out(&self) -> Vec<LeftOut> {
+        let mut all = Vec::new();
+        let mut add = |what: String, why: String| all.push(LeftOut { what, why });
+        if self.objects_out_of_view > 0 {
+            add(format!("{} objects", self.objects_out_of_view), "out of view or reach".into());
+        }
+        if self.polygons_out_of_view > 0 {
+            add(
+                format!("{} polygons of objects in view", self.polygons_out_of_view),
+                "their run is out of view or reach".into(),
+            );
+        }
+        if self.objects_not_opaque > 0 {
+            let why = format!("not opaque to class {:?}", self.sensor.spec().class);
+            add(format!("{} objects", self.objects_not_opaque), why);
+        }
+        if matches!(self.sensor.grid(), PixelGrid::Lines(_)) {
+            add("ray table".into(), "no lens distortion and no listed rays: spans are in closed form".into());
+        }
+        if self.instances.iter().all(|i| i.plain) {
+            add("material test per polygon".into(), "everything selected is opaque to this class and two-sided".into());
+        }
+        for output in Output::ALL {
+            if !self.request.outputs.has(output) {
+                add(format!("{} image", output.name()), "not asked for".into());
+            }
+        }
+        all
+    }
+}

@@ -1,0 +1,113 @@
+//! What a caller asks of a prediction.
+
+use crate::error::{Error, Result};
+
+/// An image that a prediction can deliver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Output {
+    /// Euclidean distance along the ray, metres.
+    Range,
+    /// Planar distance along a camera's optical axis, metres (REP-118).
+    DepthZ,
+    /// Polygon seen, 0 is nothing.
+    PolygonId,
+    /// Object seen (index + 1), 0 is nothing.
+    ObjectId,
+    /// |cos| of the angle between ray and surface normal: the paper's reflection angle (section 3.2).
+    CosIncidence,
+}
+
+impl Output {
+    /// Every output.
+    pub const ALL: [Self; 5] = [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence];
+
+    /// The channel name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Range => "range",
+            Self::DepthZ => "depth_z",
+            Self::PolygonId => "polygon_id",
+            Self::ObjectId => "object_id",
+            Self::CosIncidence => "cos_incidence",
+        }
+    }
+}
+
+/// A set of [`Output`]s. The default is range, polygon_id, object_id and cos_incidence.
+///
+/// ```
+/// use presight::{Output, Outputs};
+/// let outputs: Outputs = "range,polygon_id".parse()?;
+/// assert!(outputs.has(Output::Range) && !outputs.has(Output::CosIncidence));
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outputs(u8);
+
+impl Outputs {
+    /// Every output a sensor can have.
+    pub const ALL: Self = Self(0b1_1111);
+
+    /// These and no others.
+    pub fn of(outputs: &[Output]) -> Self {
+        Self(outputs.iter().fold(0, |bits, o| bits | 1 << *o as u8))
+    }
+
+    /// True if it is asked for.
+    pub fn has(self, output: Output) -> bool {
+        self.0 & (1 << output as u8) != 0
+    }
+
+    /// Without one.
+    #[must_use]
+    pub fn without(self, output: Output) -> Self {
+        Self(self.0 & !(1 << output as u8))
+    }
+
+    /// All that are asked for, in a fixed order.
+    pub fn iter(self) -> impl Iterator<Item = Output> {
+        Output::ALL.into_iter().filter(move |o| self.has(*o))
+    }
+}
+
+impl Default for Outputs {
+    fn default() -> Self {
+        Self::ALL.without(Output::DepthZ)
+    }
+}
+
+impl std::str::FromStr for Outputs {
+    type Err = Error;
+
+    fn from_str(list: &str) -> Result<Self> {
+        let names = Output::ALL.map(Output::name).join(", ");
+        let mut outputs = Vec::new();
+        for word in list.split(',').map(str::trim) {
+            let found = Output::ALL.into_iter().find(|o| o.name() == word);
+            outputs.push(
+                found
+                    .ok_or_else(|| Error::usage(format!("unknown output {word:?}"), format!("choose from {names}")))?,
+            );
+        }
+        Ok(Self::of(&outputs))
+    }
+}
+
+/// What `polygon_id` means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum IdScheme {
+    /// Slot + 1.
+    #[default]
+    Model,
+    /// Number of the source triangle + 1; for environments imported without merging.
+    Source,
+}
+
+/// What a caller asks of a prediction.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Request {
+    /// Images wanted; the others cost nothing.
+    pub outputs: Outputs,
+    /// Meaning of `polygon_id`.
+    pub ids: IdScheme,
+}

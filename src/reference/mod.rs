@@ -1,0 +1,1 @@
+//! The reference: a plain z-buffer in f64 that the engines are held to.

@@ -1,0 +1,186 @@
+//! Rays as the engines walk them: straight lines of samples where the geometry allows, a table with tiles otherwise.
+
+use glam::{DMat3, DVec3};
+
+/// All rays of a sensor, in the image frame.
+#[derive(Clone, Debug)]
+pub enum PixelGrid {
+    /// Pinhole cameras and scanners.
+    Lines(LineGrid),
+    /// Lens distortion and free ray tables.
+    Rays(RayGrid),
+}
+
+impl PixelGrid {
+    /// Unit ray of a pixel in the image frame; `None` where there is no ray.
+    pub fn ray(&self, column: u32, row: u32) -> Option<DVec3> {
+        match self {
+            Self::Lines(grid) => Some(grid.ray(column, row)),
+            Self::Rays(grid) => {
+                let ray = grid.directions[(row * grid.width + column) as usize];
+                (!ray.is_nan()).then_some(ray)
+            }
+        }
+    }
+}
+
+/// What a line of a [`LineGrid`] is in the image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LineAxis {
+    /// A line is an image row, a sample a column (pinhole cameras).
+    Rows,
+    /// A line is an image column, a sample a row (scanners).
+    Columns,
+}
+
+/// Rays in planes through the centre: `s(line, sample) = (c0 w0, c1 w0, w1)` in the line frame.
+///
+/// A linear function e . s of a ray is `w0 (A + B t)` with `A = e.x c0 + e.y c1`, `B = e.z`, `t = w1 / w0` rising
+/// with the sample and `w0 >= 0`: a convex cone covers one interval of samples on every line, and the paper's
+/// incremental spans and its spherical projection (section 3.2) are one and the same loop.
+#[derive(Clone, Debug)]
+pub struct LineGrid {
+    axis: LineAxis,
+    line_from_image: DMat3,
+    image_from_line: DMat3,
+    lines: Vec<[f64; 2]>,
+    weights: Vec<[f64; 2]>,
+    positions: Vec<f64>,
+}
+
+impl LineGrid {
+    /// `lines` are (c0, c1), `weights` (w0, w1) with w1 / w0 rising.
+    pub(super) fn new(axis: LineAxis, line_from_image: DMat3, lines: Vec<[f64; 2]>, weights: Vec<[f64; 2]>) -> Self {
+        let positions: Vec<f64> = weights.iter().map(|[w0, w1]| w1 / w0).collect();
+        debug_assert!(positions.windows(2).all(|p| p[0] < p[1]));
+        Self { axis, line_from_image, image_from_line: line_from_image.inverse(), lines, weights, positions }
+    }
+
+    /// What a line is in the image.
+    pub fn axis(&self) -> LineAxis {
+        self.axis
+    }
+
+    /// Turns and scales the image frame into the line frame; its determinant may be negative.
+    pub fn line_from_image(&self) -> DMat3 {
+        self.line_from_image
+    }
+
+    /// The inverse of [`LineGrid::line_from_image`].
+    pub fn image_from_line(&self) -> DMat3 {
+        self.image_from_line
+    }
+
+    /// (c0, c1) of every line.
+    pub fn lines(&self) -> &[[f64; 2]] {
+        &self.lines
+    }
+
+    /// (w0, w1) of every sample.
+    pub fn weights(&self) -> &[[f64; 2]] {
+        &self.weights
+    }
+
+    /// t = w1 / w0 of every sample, rising; infinite at a pole.
+    pub fn positions(&self) -> &[f64] {
+        &self.positions
+    }
+
+    /// Line and sample of a pixel.
+    pub fn line_sample(&self, column: u32, row: u32) -> (usize, usize) {
+        match self.axis {
+            LineAxis::Rows => (row as usize, column as usize),
+            LineAxis::Columns => (column as usize, row as usize),
+        }
+    }
+
+    /// The ray in the line frame, not normalized for cameras.
+    pub fn line_ray(&self, line: usize, sample: usize) -> DVec3 {
+        let [c0, c1] = self.lines[line];
+        let [w0, w1] = self.weights[sample];
+        DVec3::new(c0 * w0, c1 * w0, w1)
+    }
+
+    fn ray(&self, column: u32, row: u32) -> DVec3 {
+        let (line, sample) = self.line_sample(column, row);
+        (self.image_from_line * self.line_ray(line, sample)).normalize()
+    }
+}
+
+/// A square of pixels with the cone that holds its rays.
+#[derive(Clone, Copy, Debug)]
+pub struct Tile {
+    /// First column.
+    pub column: u32,
+    /// First row.
+    pub row: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Unit axis of the cone.
+    pub axis: DVec3,
+    /// Half angle of the cone, radians, rounded up; negative if the tile has no ray.
+    pub half_angle: f64,
+}
+
+impl Tile {
+    /// The cone around the rays of a tile of pixels.
+    pub fn around(column: u32, row: u32, width: u32, height: u32, ray: impl Fn(u32, u32) -> Option<DVec3>) -> Self {
+        let pixels = || (row..row + height).flat_map(|r| (column..column + width).map(move |c| (c, r)));
+        let sum: DVec3 = pixels().filter_map(|(c, r)| ray(c, r)).sum();
+        let axis = if sum.length() > 1e-6 { sum.normalize() } else { DVec3::X };
+        let half_angle = pixels().filter_map(|(c, r)| ray(c, r)).map(|u| axis.angle_between(u)).fold(-1.0, f64::max);
+        Self { column, row, width, height, axis, half_angle: if half_angle < 0.0 { -1.0 } else { half_angle + 1e-7 } }
+    }
+}
+
+/// Side of the tiles of a [`RayGrid`], pixels.
+pub(crate) const TILE_SIDE: u32 = 8;
+
+/// A table of rays with the cones of its 8 x 8 tiles.
+#[derive(Clone, Debug)]
+pub struct RayGrid {
+    width: u32,
+    height: u32,
+    directions: Vec<DVec3>,
+    tiles: Vec<Tile>,
+}
+
+impl RayGrid {
+    /// `directions` are unit, row-major, in the image frame; NaN is no ray.
+    pub(super) fn new(width: u32, height: u32, directions: Vec<DVec3>) -> Self {
+        let ray = |c: u32, r: u32| {
+            let d = directions[(r * width + c) as usize];
+            (!d.is_nan()).then_some(d)
+        };
+        let mut tiles = Vec::new();
+        for row in (0..height).step_by(TILE_SIDE as usize) {
+            for column in (0..width).step_by(TILE_SIDE as usize) {
+                let (w, h) = (TILE_SIDE.min(width - column), TILE_SIDE.min(height - row));
+                tiles.push(Tile::around(column, row, w, h, ray));
+            }
+        }
+        Self { width, height, directions, tiles }
+    }
+
+    /// Columns.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Unit directions, row-major, image frame; NaN is no ray.
+    pub fn directions(&self) -> &[DVec3] {
+        &self.directions
+    }
+
+    /// Tiles, row-major.
+    pub fn tiles(&self) -> &[Tile] {
+        &self.tiles
+    }
+}

@@ -1,0 +1,207 @@
+//! Sensors: image geometry, range limits, class and mount.
+
+mod camera;
+mod distortion;
+mod grid;
+mod rays;
+mod scanner;
+
+pub use camera::Camera;
+pub use distortion::Distortion;
+pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
+pub use rays::RayTable;
+pub use scanner::{Angles, Scanner};
+
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::limits;
+use glam::{DMat3, DQuat, DVec3};
+use std::sync::Arc;
+
+/// The image geometry of a sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
+    /// Planar image, with or without lens distortion.
+    Camera(Camera),
+    /// Spherical (equiangular) image: azimuth by elevation.
+    Scanner(Scanner),
+    /// Any single-centre set of rays.
+    Rays(RayTable),
+}
+
+/// Measurement noise, one sigma each; used when poses are estimated, never added to predictions.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Noise {
+    /// Metres.
+    pub range_sigma: f64,
+    /// Radians.
+    pub angle_sigma: f64,
+    /// Pixels.
+    pub pixel_sigma: f64,
+}
+
+/// What a [`Sensor`] is made from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorSpec {
+    /// A free name, for messages and files.
+    pub name: String,
+    /// Sensor class, as materials and feature layers name it (`video`, `radar`, `laser`, ...).
+    pub class: String,
+    /// Image geometry.
+    pub geometry: Geometry,
+    /// Metres, inclusive; a nearer surface still occludes.
+    pub range_min: f64,
+    /// Metres, inclusive; may be infinite.
+    pub range_max: f64,
+    /// Features seen at a flatter incidence angle (radians from the normal) are not extracted. Images keep them.
+    pub max_incidence: Option<f64>,
+    /// robot_from_sensor, body axes.
+    pub mount: Pose,
+    /// See [`Noise`].
+    pub noise: Noise,
+}
+
+impl SensorSpec {
+    /// A sensor without range limits, mounted at the robot's origin.
+    pub fn new(name: impl Into<String>, class: impl Into<String>, geometry: Geometry) -> Self {
+        Self {
+            name: name.into(),
+            class: class.into(),
+            geometry,
+            range_min: 0.0,
+            range_max: f64::INFINITY,
+            max_incidence: None,
+            mount: Pose::IDENTITY,
+            noise: Noise::default(),
+        }
+    }
+}
+
+/// A checked sensor with its ray tables, cheap to clone.
+///
+/// ```
+/// use presight::{Camera, Geometry, Sensor, SensorSpec};
+/// let camera = Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5);
+/// let sensor = Sensor::new(SensorSpec::new("kinect", "video", Geometry::Camera(camera)))?;
+/// assert_eq!((sensor.width(), sensor.height()), (640, 480));
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Sensor(Arc<Checked>);
+
+#[derive(Debug)]
+struct Checked {
+    spec: SensorSpec,
+    grid: PixelGrid,
+    width: u32,
+    height: u32,
+}
+
+impl Sensor {
+    /// Checks the specification and builds the ray tables, f64.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
+    /// intrinsics, duplicate elevations, range limits out of order.
+    pub fn new(spec: SensorSpec) -> Result<Self> {
+        let checked = check(&spec).and_then(|()| {
+            Ok(match &spec.geometry {
+                Geometry::Camera(c) => c.grid()?,
+                Geometry::Scanner(s) => s.grid()?,
+                Geometry::Rays(r) => PixelGrid::Rays(RayGrid::new(r.width(), r.height(), r.directions().to_vec())),
+            })
+        });
+        let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
+        let (width, height) = spec.geometry.size();
+        Ok(Self(Arc::new(Checked { spec, grid, width, height })))
+    }
+
+    /// What the sensor was made from.
+    pub fn spec(&self) -> &SensorSpec {
+        &self.0.spec
+    }
+
+    /// Image columns.
+    pub fn width(&self) -> u32 {
+        self.0.width
+    }
+
+    /// Image rows.
+    pub fn height(&self) -> u32 {
+        self.0.height
+    }
+
+    /// True for cameras: their images have a planar `depth_z`.
+    pub fn is_camera(&self) -> bool {
+        matches!(self.0.spec.geometry, Geometry::Camera(_))
+    }
+
+    /// The rays as the engines walk them.
+    pub fn grid(&self) -> &PixelGrid {
+        &self.0.grid
+    }
+
+    /// body_from_image: turns the image frame (optical for cameras: z forward, x right, y down; body axes for
+    /// everything else) into body axes (x forward, y left, z up).
+    pub fn body_from_image(&self) -> DMat3 {
+        if self.is_camera() { body_from_optical() } else { DMat3::IDENTITY }
+    }
+
+    /// Unit ray of a pixel in the image frame, f64; `None` where the sensor has no ray.
+    pub fn ray(&self, column: u32, row: u32) -> Option<DVec3> {
+        self.0.grid.ray(column, row)
+    }
+}
+
+/// The rotation from optical to body axes (REP-103).
+pub fn body_from_optical() -> DMat3 {
+    DMat3::from_cols(-DVec3::Y, -DVec3::Z, DVec3::X)
+}
+
+/// [`body_from_optical`] as a quaternion.
+pub fn body_from_optical_rotation() -> DQuat {
+    DQuat::from_mat3(&body_from_optical())
+}
+
+impl Geometry {
+    /// Columns and rows.
+    pub fn size(&self) -> (u32, u32) {
+        match self {
+            Self::Camera(c) => (c.width, c.height),
+            Self::Scanner(s) => (s.azimuth.len() as u32, s.elevation.len() as u32),
+            Self::Rays(r) => (r.width(), r.height()),
+        }
+    }
+}
+
+fn check(spec: &SensorSpec) -> Result<()> {
+    let (width, height) = spec.geometry.size();
+    let side = 1..=limits::MAX_IMAGE_SIDE;
+    let pixels = u64::from(width) * u64::from(height);
+    if !side.contains(&width) || !side.contains(&height) || pixels > limits::MAX_PIXELS {
+        return Err(Error::invalid(
+            format!("image of {width} x {height} pixels"),
+            format!("give sides of 1 to {} and at most {} pixels", limits::MAX_IMAGE_SIDE, limits::MAX_PIXELS),
+        ));
+    }
+    let limits_sound = spec.range_min >= 0.0 && spec.range_min.is_finite() && spec.range_max > spec.range_min;
+    if !limits_sound {
+        return Err(Error::invalid(
+            format!("range limits {}..{}", spec.range_min, spec.range_max),
+            "give 0 <= range_min < range_max, in metres",
+        ));
+    }
+    if let Some(angle) = spec.max_incidence
+        && !(angle > 0.0 && angle <= std::f64::consts::FRAC_PI_2)
+    {
+        return Err(Error::invalid(
+            format!("max_incidence of {} deg", angle.to_degrees()),
+            "give more than 0 and at most 90 degrees",
+        ));
+    }
+    let noise = [spec.noise.range_sigma, spec.noise.angle_sigma, spec.noise.pixel_sigma];
+    if !noise.iter().all(|s| *s >= 0.0 && s.is_finite()) {
+        return Err(Error::invalid(format!("noise {noise:?}"), "give finite sigmas of at least 0"));
+    }
+    Ok(())
+}
