@@ -21,6 +21,7 @@ mod world;
 pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
+pub use io::preset;
 pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request};
 pub use predict::{Backend, Options, Prediction, Predictor, Stats};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};

@@ -3,12 +3,14 @@
 mod camera;
 mod distortion;
 mod grid;
+mod presets;
 mod rays;
 mod scanner;
 
 pub use camera::Camera;
 pub use distortion::Distortion;
 pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
+pub use presets::{PRESETS, Preset};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
 

@@ -1,0 +1,104 @@
+//! Sensors by name: a preset, or a file of one of the formats that describe sensors.
+
+use super::sensor_toml;
+use crate::error::{Error, Result};
+use crate::sensor::{PRESETS, Sensor};
+use std::path::Path;
+
+/// A sensor of the built-in list ([`PRESETS`]).
+///
+/// ```
+/// let radar = presight::preset("microwave-radar-image")?;
+/// assert_eq!((radar.width(), radar.height()), (1280, 200));
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if there is none of this name; the remedy lists the names.
+pub fn preset(name: &str) -> Result<Sensor> {
+    let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
+        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", names())));
+    };
+    Sensor::new(sensor_toml::parse(preset.toml, preset.name, None)?)
+}
+
+fn names() -> String {
+    PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
+}
+
+/// The sensor that `--sensor PRESET|FILE` names: a preset or a sensor TOML, with
+/// notices on what of a file is not used.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`; otherwise those of
+/// [`sensor_toml::read`].
+pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
+    if PRESETS.iter().any(|p| p.name == arg) {
+        return Ok((preset(arg)?, Vec::new()));
+    }
+    let path = Path::new(arg);
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let (spec, notices) = match extension.as_str() {
+        "toml" => (sensor_toml::read(path)?, Vec::new()),
+        _ => {
+            return Err(Error::usage(
+                format!("{arg:?} is neither a preset nor a sensor file"),
+                format!("choose one of {}, or name a file that ends in .toml", names()),
+            ));
+        }
+    };
+    Ok((Sensor::new(spec).map_err(|e| e.in_file(path))?, notices))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::ErrorKind;
+
+    #[test]
+    fn presets_have_their_size_and_class() {
+        let expected = [
+            ("video-camera", 512, 512, "video", f64::INFINITY),
+            ("microwave-radar-scan", 3600, 1, "radar", 75.0),
+            ("microwave-radar-image", 1280, 200, "radar", 75.0),
+            ("laser-range-camera", 321, 41, "laser", 10.0),
+            ("laser-scanner", 361, 1, "laser", 30.0),
+            ("vlp-16", 1800, 16, "laser", 100.0),
+            ("os1-128", 1024, 128, "laser", 120.0),
+            ("realsense-d435", 1280, 720, "video", 10.0),
+        ];
+        assert_eq!(expected.map(|e| e.0).as_slice(), PRESETS.iter().map(|p| p.name).collect::<Vec<_>>());
+        for (name, width, height, class, range_max) in expected {
+            let sensor = preset(name).unwrap();
+            let spec = sensor.spec();
+            assert_eq!((sensor.width(), sensor.height()), (width, height), "{name}");
+            assert_eq!((spec.name.as_str(), spec.class.as_str(), spec.range_max), (name, class, range_max));
+        }
+    }
+
+    #[test]
+    fn presets_end_where_they_should() {
+        let corner = |name: &str, column, row| {
+            let d = preset(name).unwrap().ray(column, row).unwrap();
+            [d.y.atan2(d.x).to_degrees(), d.z.asin().to_degrees()]
+        };
+        let near = |a: [f64; 2], b: [f64; 2]| assert!((a[0] - b[0]).abs() + (a[1] - b[1]).abs() < 1e-12, "{a:?} {b:?}");
+        near(corner("laser-range-camera", 0, 0), [-30.0, 5.0]);
+        near(corner("laser-range-camera", 320, 40), [30.0, -55.0]);
+        near(corner("laser-scanner", 360, 0), [90.0, 0.0]);
+        near(corner("microwave-radar-image", 640, 0), [0.0, 25.0]);
+        near(corner("microwave-radar-image", 641, 199), [0.28125, -25.0]);
+        near(corner("microwave-radar-scan", 3599, 0), [179.9, 0.0]);
+        near(corner("vlp-16", 900, 0), [0.0, 15.0]);
+        near(corner("os1-128", 512, 127), [0.0, -22.5]);
+    }
+
+    #[test]
+    fn an_unknown_preset_is_wrong_usage_and_lists_the_names() {
+        for e in [preset("vlp-17").unwrap_err(), load_sensor("vlp-17").unwrap_err()] {
+            assert_eq!(e.kind(), ErrorKind::Usage);
+            assert!(PRESETS.iter().all(|p| e.remedy().contains(p.name)), "{e}");
+        }
+        assert_eq!(load_sensor("no/such/sensor.toml").unwrap_err().kind(), ErrorKind::Invalid);
+    }
+}

@@ -1,0 +1,86 @@
+//! What the readers of our own text files share: bounded reading, the format number, errors with the line.
+
+use crate::error::{Error, ErrorKind, Result};
+use crate::limits;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// The newest version of the TOML files that this build reads; there is no older one.
+pub(crate) const FORMAT: i64 = 1;
+
+/// A whole file as text.
+pub(crate) fn read_text(path: &Path) -> Result<String> {
+    let mut file = File::open(path).map_err(|e| Error::io(path, "open it", e))?;
+    let mut bytes = Vec::new();
+    file.by_ref()
+        .take(limits::MAX_FILE_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|e| Error::io(path, "read it", e))?;
+    if bytes.len() as u64 > limits::MAX_FILE_BYTES {
+        return Err(Error::invalid("the file is too large", format!("give at most {} bytes", limits::MAX_FILE_BYTES))
+            .in_file(path));
+    }
+    String::from_utf8(bytes).map_err(|e| {
+        Error::invalid(format!("byte {} is not UTF-8", e.utf8_error().valid_up_to()), "save the file as UTF-8 text")
+            .in_file(path)
+    })
+}
+
+/// The line (from 1) of a byte offset.
+pub(crate) fn line_of(text: &str, offset: usize) -> usize {
+    1 + text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count()
+}
+
+/// Reads TOML into a type, with the line in the error.
+pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
+    toml::from_str(text).map_err(|e| {
+        let wrong = Error::invalid(e.message().to_owned(), "correct the file; the README describes its keys");
+        let placed = match e.span() {
+            Some(span) => wrong.at(format!("line {}", line_of(text, span.start))),
+            None => wrong,
+        };
+        placed.caused_by(e)
+    })
+}
+
+/// Checks `format = 1`, before anything else is looked at: a newer file may hold keys that this build cannot know.
+pub(crate) fn check_format(text: &str) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Header {
+        format: Option<i64>,
+    }
+    match toml_from_str::<Header>(text)?.format {
+        Some(FORMAT) => Ok(()),
+        Some(newer) if newer > FORMAT => Err(Error::new(
+            ErrorKind::Unsupported,
+            format!("format {newer} is newer than this presight, which reads format {FORMAT}"),
+            "update presight",
+        )),
+        Some(other) => Err(Error::invalid(format!("format {other} never existed"), format!("write format = {FORMAT}"))),
+        None => Err(Error::invalid("the file does not name its format", format!("write format = {FORMAT} at its top"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_counted_from_one() {
+        assert_eq!([0, 1, 2, 4, 99].map(|i| line_of("a\nb\nc", i)), [1, 1, 2, 3, 3]);
+    }
+
+    #[test]
+    fn format_is_asked_for_first() {
+        assert!(check_format("format = 1\nwhatever = 3").is_ok());
+        let newer = check_format("format = 2\nwhatever = 3").unwrap_err();
+        assert_eq!(newer.kind(), ErrorKind::Unsupported);
+        assert!(check_format("format = 0").is_err());
+        assert!(check_format("kind = 'camera'").unwrap_err().to_string().contains("format = 1"));
+        let broken = check_format("format = 1\nx = = 2").unwrap_err();
+        assert_eq!(broken.place(), Some("line 2"));
+    }
+}

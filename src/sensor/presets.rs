@@ -1,0 +1,26 @@
+//! Ready-made sensors, as the texts of sensor files: a preset is read by the reader that reads the user's files.
+//!
+//! Real multi-beam lidars have offset beam origins and staggered azimuths, depth cameras two imagers; a preset is
+//! the ideal single-centre grid, and its text names its source and what it leaves out.
+//! [`crate::preset`] makes a sensor of one.
+
+/// A named sensor with its text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Preset {
+    /// The name, as the command takes it.
+    pub name: &'static str,
+    /// Its sensor TOML, with comments: source and what the ideal leaves out.
+    pub toml: &'static str,
+}
+
+/// Every preset: the sensors of the paper first, then products.
+pub const PRESETS: &[Preset] = &[
+    Preset { name: "video-camera", toml: include_str!("presets/video-camera.toml") },
+    Preset { name: "microwave-radar-scan", toml: include_str!("presets/microwave-radar-scan.toml") },
+    Preset { name: "microwave-radar-image", toml: include_str!("presets/microwave-radar-image.toml") },
+    Preset { name: "laser-range-camera", toml: include_str!("presets/laser-range-camera.toml") },
+    Preset { name: "laser-scanner", toml: include_str!("presets/laser-scanner.toml") },
+    Preset { name: "vlp-16", toml: include_str!("presets/vlp-16.toml") },
+    Preset { name: "os1-128", toml: include_str!("presets/os1-128.toml") },
+    Preset { name: "realsense-d435", toml: include_str!("presets/realsense-d435.toml") },
+];
