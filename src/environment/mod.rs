@@ -4,6 +4,7 @@ mod material;
 mod mesh;
 
 pub use material::{Appearance, Material};
+pub(crate) use mesh::PolygonRecord;
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 
 use crate::error::{Error, Result};

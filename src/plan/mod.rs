@@ -159,6 +159,10 @@ impl FramePlan {
     }
 
     fn fill(&mut self) {
+        if !self.sensor.is_camera() {
+            // Only a planar image has a planar depth.
+            self.request.outputs = self.request.outputs.without(Output::DepthZ);
+        }
         self.instances.clear();
         self.runs.clear();
         self.facings.clear();

@@ -58,6 +58,9 @@ impl Distortion {
         if self.is_none() {
             return Ok(());
         }
+        if self.is_none() {
+            return Ok(());
+        }
         Err(Error::invalid("lens distortion is not there yet", ""))
     }
 

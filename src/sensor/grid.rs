@@ -46,6 +46,7 @@ pub struct LineGrid {
     lines: Vec<[f64; 2]>,
     weights: Vec<[f64; 2]>,
     positions: Vec<f64>,
+    finder: Finder,
 }
 
 impl LineGrid {
@@ -53,7 +54,20 @@ impl LineGrid {
     pub(super) fn new(axis: LineAxis, line_from_image: DMat3, lines: Vec<[f64; 2]>, weights: Vec<[f64; 2]>) -> Self {
         let positions: Vec<f64> = weights.iter().map(|[w0, w1]| w1 / w0).collect();
         debug_assert!(positions.windows(2).all(|p| p[0] < p[1]));
-        Self { axis, line_from_image, image_from_line: line_from_image.inverse(), lines, weights, positions }
+        let finder = Finder::new(&positions);
+        Self { axis, line_from_image, image_from_line: line_from_image.inverse(), lines, weights, positions, finder }
+    }
+
+    /// Number of samples at positions below `t`: the first one at or above it.
+    #[inline(always)]
+    pub fn samples_below(&self, t: f64) -> usize {
+        self.finder.find(&self.positions, t, |position, t| position < t)
+    }
+
+    /// Number of samples at positions up to and including `t`.
+    #[inline(always)]
+    pub fn samples_up_to(&self, t: f64) -> usize {
+        self.finder.find(&self.positions, t, |position, t| position <= t)
     }
 
     /// What a line is in the image.
@@ -104,6 +118,45 @@ impl LineGrid {
     fn ray(&self, column: u32, row: u32) -> DVec3 {
         let (line, sample) = self.line_sample(column, row);
         (self.image_from_line * self.line_ray(line, sample)).normalize()
+    }
+}
+
+/// Finds a position among the rising positions of a line in constant time: a table over equal cells, then a step or
+/// two. Exact whatever the table says, for it only has to start low enough.
+#[derive(Clone, Debug)]
+struct Finder {
+    start: f64,
+    cells_per_unit: f64,
+    /// By cell: number of positions below its lower end.
+    below: Vec<u32>,
+}
+
+impl Finder {
+    fn new(positions: &[f64]) -> Self {
+        let mut finite = positions.iter().copied().filter(|t| t.is_finite());
+        let start = finite.next().unwrap_or(0.0);
+        let end = finite.next_back().unwrap_or(start);
+        let cells = 2 * positions.len();
+        let cells_per_unit = if end > start { cells as f64 / (end - start) } else { 0.0 };
+        let below = (0..=cells)
+            .map(|cell| {
+                // One cell low, so that rounding in `find` cannot start too high.
+                let t = if cells_per_unit > 0.0 { start + (cell as f64 - 1.0) / cells_per_unit } else { start };
+                positions.partition_point(|&p| p < t) as u32
+            })
+            .collect();
+        Self { start, cells_per_unit, below }
+    }
+
+    #[inline(always)]
+    fn find(&self, positions: &[f64], t: f64, below: impl Fn(f64, f64) -> bool) -> usize {
+        // A cast saturates: -inf and NaN become cell 0, +inf the last one.
+        let cell = (((t - self.start) * self.cells_per_unit) as usize).min(self.below.len() - 1);
+        let mut i = if t > self.start { self.below[cell] as usize } else { 0 };
+        while i < positions.len() && below(positions[i], t) {
+            i += 1;
+        }
+        i
     }
 }
 
@@ -182,5 +235,33 @@ impl RayGrid {
     /// Tiles, row-major.
     pub fn tiles(&self) -> &[Tile] {
         &self.tiles
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn finder_agrees_with_a_search(
+            mut positions in proptest::collection::vec(-50.0..50.0f64, 1..40),
+            t in -60.0..60.0f64,
+            pick in 0usize..40,
+            pole in proptest::bool::ANY,
+        ) {
+            positions.sort_by(f64::total_cmp);
+            positions.dedup();
+            if pole {
+                positions.insert(0, f64::NEG_INFINITY);
+                positions.push(f64::INFINITY);
+            }
+            let finder = Finder::new(&positions);
+            for t in [t, positions[pick % positions.len()], f64::INFINITY, f64::NEG_INFINITY] {
+                prop_assert_eq!(finder.find(&positions, t, |p, t| p < t), positions.partition_point(|&p| p < t));
+                prop_assert_eq!(finder.find(&positions, t, |p, t| p <= t), positions.partition_point(|&p| p <= t));
+            }
+        }
     }
 }

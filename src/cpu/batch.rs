@@ -1,0 +1,125 @@
+//! Batches: polygons after setup, binned by band.
+
+use super::Bands;
+use crate::error::{Error, Result};
+use crate::limits;
+use crate::plan::FramePlan;
+use glam::DVec3;
+use std::ops::Range;
+
+/// A polygon that may cover a ray.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SetUp {
+    /// Inverse depth of a ray s is m . s, in the line frame (image frame for ray tables).
+    pub m: DVec3,
+    /// Lines it may cover.
+    pub first_line: u32,
+    pub end_line: u32,
+    /// Its bounds `t >= p c0 + q c1`, then `t <= p c0 + q c1`, then sign tests, in [`Batch::edges`].
+    pub first_edge: u32,
+    pub lower: u8,
+    pub upper: u8,
+    pub steep: u8,
+}
+
+/// What the resolve stage needs of a winner.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shade {
+    /// Distance of the plane from the sensor: cos_incidence = inverse range x this.
+    pub distance: f64,
+    pub slot: u32,
+    pub polygon_id: u32,
+    pub object_id: u32,
+}
+
+/// Polygons of some runs after setup.
+#[derive(Debug, Default)]
+pub(super) struct Batch {
+    pub polygons: Vec<SetUp>,
+    pub shades: Vec<Shade>,
+    /// Line grids: (p, q, unused) or, steep, an edge plane. Ray tables: edge planes.
+    pub edges: Vec<DVec3>,
+    pub edge_on: usize,
+    /// Polygons by band: `by_band[band_start[b]..band_start[b + 1]]`.
+    by_band: Vec<u32>,
+    band_start: Vec<u32>,
+}
+
+/// Bits of a winner's number that name the polygon inside its batch.
+const INDEX_BITS: u32 = 12;
+/// No winner.
+pub(super) const NOTHING: u32 = u32::MAX;
+
+impl Batch {
+    pub fn clear(&mut self) {
+        self.polygons.clear();
+        self.shades.clear();
+        self.edges.clear();
+        self.edge_on = 0;
+    }
+
+    /// Sorts the polygons into bands, keeping their order.
+    pub fn bin(&mut self, bands: &Bands) {
+        let touched = |p: &SetUp| bands.touched(p.first_line as usize..p.end_line as usize);
+        self.band_start.clear();
+        self.band_start.resize(bands.count() + 1, 0);
+        for band in self.polygons.iter().flat_map(touched) {
+            self.band_start[band + 1] += 1;
+        }
+        for band in 0..bands.count() {
+            self.band_start[band + 1] += self.band_start[band];
+        }
+        self.by_band.clear();
+        self.by_band.resize(self.band_start[bands.count()] as usize, 0);
+        // Fill from each band's start, then shift the starts back.
+        for (i, polygon) in self.polygons.iter().enumerate() {
+            for band in touched(polygon) {
+                self.by_band[self.band_start[band] as usize] = i as u32;
+                self.band_start[band] += 1;
+            }
+        }
+        for band in (1..=bands.count()).rev() {
+            self.band_start[band] = self.band_start[band - 1];
+        }
+        self.band_start[0] = 0;
+    }
+
+    /// Polygons that may touch a band.
+    pub fn in_band(&self, band: usize) -> &[u32] {
+        &self.by_band[self.band_start[band] as usize..self.band_start[band + 1] as usize]
+    }
+}
+
+/// The number under which a polygon of a batch wins a ray.
+pub(super) fn winner(batch: usize, polygon: u32) -> u32 {
+    (batch as u32) << INDEX_BITS | polygon
+}
+
+/// The polygon behind a winner's number.
+#[inline(always)]
+pub(super) fn shade(batches: &[Batch], winner: u32) -> &Shade {
+    &batches[(winner >> INDEX_BITS) as usize].shades[(winner & ((1 << INDEX_BITS) - 1)) as usize]
+}
+
+/// Cuts the runs into groups of about a thousand polygons, one batch each.
+pub(super) fn group_runs(plan: &FramePlan) -> Result<Vec<Range<usize>>> {
+    const TARGET: usize = 1024;
+    // A polygon over the azimuth seam is set up twice; every number must fit.
+    const _: () = assert!(2 * (TARGET + limits::CLUSTER_POLYGONS) <= 1 << INDEX_BITS);
+    let mut groups = Vec::with_capacity(plan.polygon_count / TARGET + 1);
+    let (mut start, mut polygons) = (0, 0);
+    for (i, run) in plan.runs.iter().enumerate() {
+        polygons += run.count as usize;
+        if polygons >= TARGET || i + 1 == plan.runs.len() {
+            groups.push(start..i + 1);
+            (start, polygons) = (i + 1, 0);
+        }
+    }
+    if groups.len() >= 1 << (32 - INDEX_BITS) {
+        return Err(Error::invalid(
+            format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
+            "lower range_max or split the environment",
+        ));
+    }
+    Ok(groups)
+}

@@ -1,0 +1,172 @@
+//! Setup: from runs of mesh polygons to planes and edges in the frame of the rays, dropping early what covers none.
+
+use super::Bands;
+use super::batch::{Batch, SetUp, Shade};
+use super::bounds::{Bounds, Cover};
+use crate::environment::PolygonRecord;
+use crate::limits;
+use crate::plan::{FramePlan, Instance, Run};
+use crate::sensor::PixelGrid;
+use glam::{DMat3, DVec3};
+
+/// One instance in the frame of the rays.
+struct Placed<'a> {
+    mesh: &'a crate::environment::Mesh,
+    ray_from_mesh: DMat3,
+    /// Turns a mesh normal over its plane distance into m.
+    m_from_normal: DMat3,
+    normal_from_mesh: DMat3,
+    center: DVec3,
+    mirrored: bool,
+    mesh_mirrored: bool,
+    plain: bool,
+    object: u32,
+}
+
+impl<'a> Placed<'a> {
+    fn new(plan: &'a FramePlan, instance: &Instance) -> Self {
+        let (ray_from_image, image_from_ray) = match plan.sensor.grid() {
+            PixelGrid::Lines(grid) => (grid.line_from_image(), grid.image_from_line()),
+            PixelGrid::Rays(_) => (DMat3::IDENTITY, DMat3::IDENTITY),
+        };
+        let ray_from_mesh = ray_from_image * instance.image_from_mesh;
+        Self {
+            mesh: &plan.environment().objects()[instance.object as usize].mesh,
+            ray_from_mesh,
+            m_from_normal: image_from_ray.transpose() * instance.normal_from_mesh,
+            normal_from_mesh: instance.normal_from_mesh,
+            center: instance.center_in_mesh,
+            mirrored: ray_from_mesh.determinant() < 0.0,
+            mesh_mirrored: instance.image_from_mesh.determinant() < 0.0,
+            plain: instance.plain,
+            object: instance.object,
+        }
+    }
+}
+
+/// Sets up the polygons of some runs.
+#[inline(always)]
+pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
+    batch.clear();
+    let bounds = Bounds::new(&plan.sensor);
+    let mut corners = [DVec3::ZERO; limits::MAX_CORNERS];
+    let mut placed: Option<(u32, Placed<'_>)> = None;
+    for run in runs {
+        let known = placed.take().filter(|(i, _)| *i == run.instance);
+        let (_, at) = placed
+            .insert(known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))));
+        for polygon in run.first..run.first + run.count {
+            set_up(batch, plan, &bounds, at, polygon, &mut corners);
+        }
+    }
+    batch.bin(bands);
+}
+
+#[inline(always)]
+fn set_up(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    bounds: &Bounds<'_>,
+    at: &Placed<'_>,
+    polygon: u32,
+    corners: &mut [DVec3; limits::MAX_CORNERS],
+) {
+    let record = &at.mesh.polygons()[polygon as usize];
+    let facing = if at.plain { None } else { Some(plan.facings[usize::from(record.material)]) };
+    if facing.is_some_and(|f| !f.opaque) {
+        return;
+    }
+    let indices = corner_indices(at, record);
+    let vertices = at.mesh.vertices();
+    for (corner, &i) in corners.iter_mut().zip(indices) {
+        *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
+    }
+    let corners = &corners[..indices.len()];
+    let cover = bounds.cover(corners);
+    if let Cover::Nothing = cover {
+        return;
+    }
+    let plane = at.mesh.planes()[polygon as usize];
+    // The plane's distance from the sensor, along the mesh normal; its sign is the side, and must be proven.
+    let d = plane.offset - plane.normal.dot(at.center);
+    let rounding = 8.0 * f64::EPSILON * (plane.offset.abs() + at.center.abs().element_sum());
+    if d.abs() <= rounding {
+        batch.edge_on += 1;
+        return;
+    }
+    if facing.is_some_and(|f| f.one_sided) && (d > 0.0) != at.mesh_mirrored {
+        return;
+    }
+    let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
+    let (first, second) = match cover {
+        Cover::Nothing => return,
+        Cover::Lines(a) => (a, None),
+        Cover::OverSeam(a, b) => (a, Some(b)),
+    };
+    let first_edge = batch.edges.len() as u32;
+    let (lower, upper, steep) = match plan.sensor.grid() {
+        PixelGrid::Lines(_) => line_edges(batch, indices, corners, outward),
+        PixelGrid::Rays(_) => plane_edges(batch, indices, corners, outward),
+    };
+    let shade = Shade {
+        distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
+        slot: plan.environment().objects()[at.object as usize].first_slot + polygon,
+        polygon_id: plan.polygon_id(at.object, polygon),
+        object_id: at.object + 1,
+    };
+    let m = at.m_from_normal * plane.normal / d;
+    for lines in std::iter::once(first).chain(second) {
+        batch.polygons.push(SetUp {
+            m,
+            first_line: lines.start as u32,
+            end_line: lines.end as u32,
+            first_edge,
+            lower,
+            upper,
+            steep,
+        });
+        batch.shades.push(shade);
+    }
+}
+
+#[inline(always)]
+fn corner_indices<'a>(at: &Placed<'a>, record: &PolygonRecord) -> &'a [u32] {
+    let first = record.first_corner as usize;
+    &at.mesh.all_corners()[first..first + usize::from(record.corner_count)]
+}
+
+/// The plane through the centre and edge k, inside positive. Computed from the lower vertex index to the higher, sign
+/// afterwards, so that neighbours get exactly opposite planes and no ray falls between them.
+#[inline(always)]
+fn edge_plane(indices: &[u32], corners: &[DVec3], k: usize, outward: f64) -> DVec3 {
+    let l = if k + 1 == corners.len() { 0 } else { k + 1 };
+    let (a, b, sign) = if indices[k] < indices[l] { (k, l, outward) } else { (l, k, -outward) };
+    corners[a].cross(corners[b] - corners[a]) * sign
+}
+
+/// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
+#[inline(always)]
+fn line_edges(batch: &mut Batch, indices: &[u32], corners: &[DVec3], outward: f64) -> (u8, u8, u8) {
+    let n = corners.len();
+    let mut planes = [DVec3::ZERO; limits::MAX_CORNERS];
+    for (k, plane) in planes[..n].iter_mut().enumerate() {
+        *plane = edge_plane(indices, corners, k, outward);
+    }
+    let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
+    let bound = |e: DVec3| DVec3::new(-e.x / e.z, -e.y / e.z, 0.0);
+    let before = batch.edges.len();
+    batch.edges.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z > 0.0).map(|e| bound(*e)));
+    let lower = batch.edges.len() - before;
+    batch.edges.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z < 0.0).map(|e| bound(*e)));
+    let upper = batch.edges.len() - before - lower;
+    batch.edges.extend(planes[..n].iter().filter(|e| is_steep(**e)));
+    (lower as u8, upper as u8, (n - lower - upper) as u8)
+}
+
+/// Appends the edge planes as they are.
+#[inline(always)]
+fn plane_edges(batch: &mut Batch, indices: &[u32], corners: &[DVec3], outward: f64) -> (u8, u8, u8) {
+    let n = corners.len();
+    batch.edges.extend((0..n).map(|k| edge_plane(indices, corners, k, outward)));
+    (0, 0, n as u8)
+}
