@@ -1,6 +1,7 @@
 //! Making environments: triangles of a file welded, checked and merged into convex polygons, and what was found
 //! on the way.
 
+pub mod free_poses;
 mod quality;
 mod report;
 mod triangles;
