@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{data, env_number, plan, reference, scenes};
+use common::{data, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
 use presight::compare::{Precision, Report, compare};
 use presight::{FramePlan, Images, Pose, Stats, cpu};
@@ -74,21 +74,6 @@ fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precisi
         eprintln!("{scene}: {} in {:.1} s", summary(&report), start.elapsed().as_secs_f64());
         report.check(most_edge_share(precision)).unwrap();
     }
-}
-
-fn summary(report: &Report) -> String {
-    format!(
-        "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: range {:.3}, depth_z {:.3}, \
-         cos_incidence {:.3}",
-        report.pixels,
-        report.same,
-        report.edge,
-        report.coincident,
-        report.fault,
-        report.worst.range,
-        report.worst.depth_z,
-        report.worst.cos_incidence
-    )
 }
 
 #[test]

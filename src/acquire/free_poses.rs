@@ -1,11 +1,12 @@
 //! Poses at which a sensor could stand: what tests, benches and the index's statistics are taken at.
 
+use crate::cpu::Engine;
 use crate::environment::{Environment, Object};
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, Images, Output, Outputs, Request};
 use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use crate::world::World;
-use crate::{Error, Result};
+use crate::{Error, Result, Stats};
 use glam::DVec3;
 
 /// Least distance of a free pose from any polygon, metres.
@@ -27,6 +28,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
     let environment = world.environment();
     let bounds = environment.bounds();
     let sensor = all_round()?;
+    let mut engine = Engine::new(0)?;
     let mut random = Random(seed);
     let mut poses = Vec::with_capacity(n);
     for _ in 0..TRIES * n {
@@ -39,7 +41,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
         let lean = if poses.len() % 2 == 0 { 0.0 } else { 20f64.to_radians() };
         let (roll, pitch) = (lean * (random.unit() - 0.5), lean * (random.unit() - 0.5));
         let pose = Pose::from_xyz_rpy(at, roll, pitch, yaw);
-        if is_clear(environment, at) && hits(world, &sensor, &pose)? >= FREE_HITS {
+        if is_clear(environment, at) && hits(&mut engine, world, &sensor, &pose)? >= FREE_HITS {
             poses.push(pose);
         }
     }
@@ -80,10 +82,10 @@ fn all_round() -> Result<Sensor> {
 }
 
 /// Share of directions that hit something.
-fn hits(world: &World, sensor: &Sensor, pose: &Pose) -> Result<f64> {
+fn hits(engine: &mut Engine, world: &World, sensor: &Sensor, pose: &Pose) -> Result<f64> {
     let request = Request { outputs: Outputs::of(&[Output::Range]), ..Request::default() };
     let mut images = Images::default();
-    crate::reference::render(&FramePlan::new(world, sensor, pose, &request), &mut images)?;
+    engine.render(&FramePlan::new(world, sensor, pose, &request), &mut images, &mut Stats::default())?;
     let hit = images.range.iter().filter(|r| r.is_finite()).count();
     Ok(hit as f64 / images.pixels() as f64)
 }

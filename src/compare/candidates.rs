@@ -46,6 +46,9 @@ pub struct CandidateSet {
 /// The candidate sets of some pixels (column, row): of the polygons whose outline, grown by the edge bound, holds the
 /// ray those that are not farther than the nearest one which every right engine must see, within the range bound.
 pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision) -> Vec<CandidateSet> {
+    if pixels.is_empty() {
+        return Vec::new();
+    }
     let instances = instances(plan);
     let mut beams = beams::<CandidateSet>(&plan.sensor, pixels.iter().copied());
     let mut widest = 0.0f64;

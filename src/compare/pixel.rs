@@ -48,7 +48,7 @@ impl Shares {
 
 impl Values {
     /// The values of pixel number `at`.
-    pub(super) fn of(images: &Images, at: usize) -> Self {
+    pub fn of(images: &Images, at: usize) -> Self {
         Self {
             range: images.range.get(at).copied(),
             depth_z: images.depth_z.get(at).copied(),

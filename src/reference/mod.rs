@@ -43,11 +43,22 @@ struct Hit {
 /// None today; an engine's signature.
 pub fn render(plan: &FramePlan, images: &mut Images) -> Result<Counts> {
     let (width, height) = (plan.sensor.width(), plan.sensor.height());
-    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
+    render_pixels(plan, images, (0..height).flat_map(|row| (0..width).map(move |column| (column, row))))
+}
+
+/// Fills the asked images at some pixels (column, row); the others look as if they had no ray.
+///
+/// # Errors
+/// Those of [`render`].
+pub fn render_pixels(
+    plan: &FramePlan,
+    images: &mut Images,
+    pixels: impl Iterator<Item = (u32, u32)>,
+) -> Result<Counts> {
     let (hits, counts) = cast(plan, pixels);
     let asked = plan.request.outputs;
     let outputs = if plan.sensor.is_camera() { asked } else { asked.without(Output::DepthZ) };
-    images.prepare(width, height, outputs);
+    images.prepare(plan.sensor.width(), plan.sensor.height(), outputs);
     no_ray(images);
     for beam in &hits {
         write(plan, images, beam);

@@ -2,6 +2,7 @@
 #![allow(dead_code)]
 
 pub mod data;
+pub mod oracle;
 pub mod scenes;
 
 use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
@@ -49,4 +50,20 @@ pub fn env_number(name: &str, default: u64) -> u64 {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("{name}={text} is not a number")),
         Err(_) => default,
     }
+}
+
+/// One line on a comparison.
+pub fn summary(report: &presight::compare::Report) -> String {
+    format!(
+        "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: range {:.3}, depth_z {:.3}, \
+         cos_incidence {:.3}",
+        report.pixels,
+        report.same,
+        report.edge,
+        report.coincident,
+        report.fault,
+        report.worst.range,
+        report.worst.depth_z,
+        report.worst.cos_incidence
+    )
 }

@@ -1,0 +1,84 @@
+//! The reference against parry3d-f64, and parry against the reference, over every preset at free poses.
+//!
+//! `PRESIGHT_SEED`, `PRESIGHT_POSES` (per scene) and `PRESIGHT_ORACLE_PIXELS` (per image) spread runs,
+//! `PRESIGHT_SCENES` names scenes.
+
+mod common;
+
+use common::oracle::Oracle;
+use common::{Random, data, env_number, plan};
+use presight::compare::{Precision, Report, Values, compare_values};
+use presight::{FramePlan, Images, Pose, Sensor, World};
+
+/// Random pixels of one image, both ways round.
+fn check_image(world: &World, oracle: &Oracle, sensor: &Sensor, pose: &Pose, random: &mut Random) -> [Report; 2] {
+    let plan: FramePlan = plan(world, sensor, pose);
+    let number = env_number("PRESIGHT_ORACLE_PIXELS", 400) as usize;
+    let mut pixels: Vec<(u32, u32)> = (0..number)
+        .map(|_| (random.below(sensor.width() as usize) as u32, random.below(sensor.height() as usize) as u32))
+        .collect();
+    pixels.sort_unstable();
+    pixels.dedup();
+    let mut images = Images::default();
+    presight::reference::render_pixels(&plan, &mut images, pixels.iter().copied()).expect("the reference renders");
+    let of_reference = |(c, r): (u32, u32)| Values::of(&images, (r * images.width + c) as usize);
+    let pairs: Vec<_> =
+        pixels.iter().filter_map(|p| Some((*p, of_reference(*p), oracle.cast(sensor, pose, *p)?))).collect();
+    let there = compare_values(pairs.iter().copied(), &plan, Precision::F64);
+    let back = compare_values(pairs.iter().map(|(p, r, o)| (*p, *o, *r)), &plan, Precision::F64);
+    [there, back]
+}
+
+#[test]
+fn reference_and_parry_agree_in_real_scenes() {
+    let (seed, poses) = (env_number("PRESIGHT_SEED", 1), env_number("PRESIGHT_POSES", 20) as usize);
+    let wanted = std::env::var("PRESIGHT_SCENES").unwrap_or_else(|_| data::SCENES.join(","));
+    for scene in wanted.split(',') {
+        let Some(world) = data::scene(scene, true) else {
+            return;
+        };
+        let oracle = Oracle::new(world.environment(), glam::DVec3::ZERO).expect("triangles");
+        let mut random = Random(seed);
+        let mut total = Report::default();
+        for (i, pose) in data::poses(&world, poses, seed).iter().enumerate() {
+            for sensor in data::presets() {
+                for (way, report) in ["reference, parry", "parry, reference"].iter().zip(check_image(
+                    &world,
+                    &oracle,
+                    &sensor,
+                    pose,
+                    &mut random,
+                )) {
+                    if report.fault > 0 {
+                        let name = &sensor.spec().name;
+                        eprintln!("{scene}, seed {seed}, pose {i} {pose:?}, {name}, {way}: {:#?}", report.faults);
+                    }
+                    total.add(report);
+                }
+            }
+        }
+        eprintln!("{scene}: {}", common::summary(&total));
+        total.check(1e-4).unwrap();
+    }
+}
+
+#[test]
+fn a_polygon_out_of_place_is_seen_by_the_oracle() {
+    let world = common::scenes::room_world(5, 20);
+    let pose = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 1.3), 0.0, 0.0, 0.3);
+    let moved = Oracle::new(world.environment(), glam::DVec3::new(0.0, 0.0, 1e-5)).expect("triangles");
+    let right = Oracle::new(world.environment(), pose.translation).expect("triangles");
+    let sensor = common::scenes::scanner(90, 31);
+    let reports = |oracle: &Oracle, pose: &Pose| check_image(&world, oracle, &sensor, pose, &mut Random(1));
+    assert!(reports(&right, &pose).iter().all(|r| r.fault == 0 && r.same > 100));
+    // The oracle's sensor stands 10 micrometres higher than the reference's.
+    let higher = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 1.300_01), 0.0, 0.0, 0.3);
+    let plan = plan(&world, &sensor, &pose);
+    let mut images = Images::default();
+    presight::reference::render(&plan, &mut images).unwrap();
+    let pairs = (0..sensor.height()).flat_map(|r| (0..sensor.width()).map(move |c| (c, r))).filter_map(|p| {
+        let reference = Values::of(&images, (p.1 * images.width + p.0) as usize);
+        Some((p, reference, moved.cast(&sensor, &higher, p)?))
+    });
+    assert!(compare_values(pairs, &plan, Precision::F64).fault > 100);
+}
