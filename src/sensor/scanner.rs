@@ -100,7 +100,8 @@ impl Scanner {
             rows.iter()
                 .map(|&e| {
                     let [cos, sin] = cos_sin_deg(e);
-                    [cos, -sin]
+                    // abs: the cosine of 90 degrees may be -0, which would put the zenith below the nadir.
+                    [cos.abs(), -sin]
                 })
                 .collect(),
         )))
