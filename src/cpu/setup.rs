@@ -87,9 +87,13 @@ fn set_up(
         return;
     }
     let plane = at.mesh.planes()[polygon as usize];
-    // The plane's distance from the sensor, along the mesh normal; its sign is the side, and must be proven.
-    let d = plane.offset - plane.normal.dot(at.center);
-    let rounding = 8.0 * f64::EPSILON * (plane.offset.abs() + at.center.abs().element_sum());
+    // The plane's distance from the sensor, along the mesh normal; its sign is the side, and must be proven. Taken at the
+    // nearest corner: a sensor that touches a corner is edge-on even where f32 corners are a little off their plane.
+    let from_center = |i: &u32| vertices[*i as usize].as_dvec3() - at.center;
+    let nearer = |a: DVec3, b: DVec3| if b.length_squared() < a.length_squared() { b } else { a };
+    let nearest = indices.iter().map(from_center).reduce(nearer).unwrap_or_default();
+    let d = plane.normal.dot(nearest);
+    let rounding = 16.0 * f64::EPSILON * nearest.length();
     if d.abs() <= rounding {
         batch.edge_on += 1;
         return;

@@ -10,8 +10,9 @@ use presight::{Environment, Pose, Sensor};
 /// The triangles of an environment, each polygon cut into a fan, relative to an origin near the sensor.
 pub struct Oracle {
     mesh: TriMesh,
-    /// Object and slot by triangle.
-    of_triangle: Vec<(u32, u32)>,
+    /// Object, slot and unit normal of the polygon by triangle: of the whole polygon, for its triangles tilt by as
+    /// much as f32 corners are off their plane.
+    of_triangle: Vec<(u32, u32, DVec3)>,
     origin: DVec3,
 }
 
@@ -19,19 +20,40 @@ impl Oracle {
     /// `None` if there are no triangles. Differences to `origin` are taken before anything is added up, so that
     /// scenes far from the world's origin keep their digits.
     pub fn new(environment: &Environment, origin: DVec3) -> Option<Self> {
+        Self::of_polygons(environment, origin, |_, _| true)
+    }
+
+    /// Without the triangles in whose plane the origin, where the sensor stands, lies as far as f64 can tell: they
+    /// cover no ray by definition.
+    pub fn off_plane(environment: &Environment, origin: DVec3) -> Option<Self> {
+        Self::of_polygons(environment, origin, |corners, normal| {
+            let nearest =
+                corners.iter().copied().fold(DVec3::INFINITY, |a, b| if b.length() < a.length() { b } else { a });
+            let (longest, area) = size(corners);
+            let rounding = 5e-16 * (nearest.length() + longest) * (1.0 + longest * longest / area);
+            normal.dot(nearest).abs() > rounding
+        })
+    }
+
+    fn of_polygons(environment: &Environment, origin: DVec3, keep: impl Fn(&[DVec3], DVec3) -> bool) -> Option<Self> {
         let (mut vertices, mut triangles, mut of_triangle) = (Vec::new(), Vec::new(), Vec::new());
         for (index, object) in environment.objects().iter().enumerate() {
             let rotation = DMat3::from_quat(object.world_from_object.rotation);
             let shift = object.world_from_object.translation - origin;
             for polygon in 0..object.mesh.polygon_count() as u32 {
-                let first = vertices.len() as u32;
-                for p in object.mesh.corners_of(polygon) {
-                    let p = rotation * object.object_from_mesh.transform_point3(p) + shift;
-                    vertices.push(Vector::new(p.x, p.y, p.z));
+                let in_world = |p| rotation * object.object_from_mesh.transform_point3(p) + shift;
+                let corners: Vec<DVec3> = object.mesh.corners_of(polygon).map(in_world).collect();
+                let fan = (1..corners.len() - 1).map(|k| [0, k, k + 1]);
+                let cross = |[a, b, c]: [usize; 3]| (corners[b] - corners[a]).cross(corners[c] - corners[a]);
+                let normal = fan.clone().map(cross).sum::<DVec3>().normalize();
+                if !keep(&corners, normal) {
+                    continue;
                 }
-                for k in first + 1..vertices.len() as u32 - 1 {
-                    triangles.push([first, k, k + 1]);
-                    of_triangle.push((index as u32, object.first_slot + polygon));
+                let first = vertices.len() as u32;
+                vertices.extend(corners.iter().map(|p| Vector::new(p.x, p.y, p.z)));
+                for triangle in fan {
+                    triangles.push(triangle.map(|k| first + k as u32));
+                    of_triangle.push((index as u32, object.first_slot + polygon, normal));
                 }
             }
         }
@@ -58,11 +80,7 @@ impl Oracle {
                 cos_incidence: Some(f32::NAN),
             });
         };
-        let [a, b, c] = self.mesh.indices()[triangle as usize].map(|i| {
-            let p = self.mesh.vertices()[i as usize];
-            DVec3::new(p.x, p.y, p.z)
-        });
-        let (object, slot) = self.of_triangle[triangle as usize];
+        let (object, slot, normal) = self.of_triangle[triangle as usize];
         let near = range < spec.range_min;
         let shown = |x: f64| if near { f32::NEG_INFINITY } else { x as f32 };
         Some(Values {
@@ -70,7 +88,15 @@ impl Oracle {
             depth_z: camera(shown(range * ray.z)),
             polygon_id: Some(slot + 1),
             object_id: Some(object + 1),
-            cos_incidence: Some((b - a).cross(c - a).normalize().dot(direction).abs() as f32),
+            cos_incidence: Some(normal.dot(direction).abs() as f32),
         })
     }
+}
+
+/// Longest side and doubled area.
+fn size(corners: &[DVec3]) -> (f64, f64) {
+    let n = corners.len();
+    let longest = (0..n).map(|k| corners[k].distance(corners[(k + 1) % n])).fold(0.0, f64::max);
+    let doubled: DVec3 = (1..n - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+    (longest, doubled.length())
 }

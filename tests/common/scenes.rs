@@ -3,21 +3,31 @@
 use super::Random;
 use glam::{DVec3, Vec3};
 use presight::{
-    Angles, Camera, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, Scanner, Sensor,
-    SensorSpec, World,
+    Angles, Camera, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, RayTable, Scanner,
+    Sensor, SensorSpec, World,
 };
 use std::sync::Arc;
 
-/// A mesh of loose polygons, each with corners of its own.
-pub fn mesh(polygons: &[Vec<Vec3>]) -> Mesh {
-    let mut vertices = Vec::new();
+/// A mesh of polygons; equal corners become one vertex. `None` if the mesh refuses a polygon.
+pub fn try_mesh(polygons: &[Vec<Vec3>]) -> Option<Mesh> {
+    let mut vertices: Vec<Vec3> = Vec::new();
+    let mut known = std::collections::HashMap::new();
     let mut list = Vec::new();
     for polygon in polygons {
-        let first = vertices.len() as u32;
-        vertices.extend_from_slice(polygon);
-        list.push(Polygon::new((first..vertices.len() as u32).collect(), 0));
+        let corners = polygon.iter().map(|p| {
+            *known.entry(p.to_array().map(f32::to_bits)).or_insert_with(|| {
+                vertices.push(*p);
+                vertices.len() as u32 - 1
+            })
+        });
+        list.push(Polygon::new(corners.collect(), 0));
     }
-    Mesh::new("test", vertices, list, PolygonOrder::Given).expect("a sound mesh")
+    Mesh::new("test", vertices, list, PolygonOrder::Given).ok()
+}
+
+/// [`try_mesh`] for polygons known to be sound.
+pub fn mesh(polygons: &[Vec<Vec3>]) -> Mesh {
+    try_mesh(polygons).expect("a sound mesh")
 }
 
 /// The six faces of a box, sharing corners.
@@ -77,4 +87,25 @@ pub fn scanner(columns: u32, rows: u32) -> Sensor {
     let elevation = Angles::Uniform { start_deg: if rows == 1 { 0.0 } else { -45.0 }, step_deg, count: rows };
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     Sensor::new(SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner))).expect("a sound scanner")
+}
+
+/// A ray table over all directions, with poles and holes in it.
+pub fn all_round(columns: u32, rows: u32) -> Sensor {
+    let ray = |c: u32, r: u32| {
+        let azimuth = std::f64::consts::TAU * f64::from(c) / f64::from(columns);
+        let elevation = std::f64::consts::PI * (0.5 - f64::from(r) / f64::from(rows - 1));
+        let ray = DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+        if (c + 7 * r) % 11 == 0 { DVec3::NAN } else { ray }
+    };
+    let rays = (0..rows).flat_map(|r| (0..columns).map(move |c| ray(c, r))).collect();
+    let table = RayTable::new(columns, rows, rays).expect("sound rays");
+    Sensor::new(SensorSpec::new("all round", "laser", Geometry::Rays(table))).expect("a sound sensor")
+}
+
+/// A scanner with listed elevations from pole to pole, turning clockwise.
+pub fn fan() -> Sensor {
+    let azimuth = Angles::Uniform { start_deg: 90.0, step_deg: -7.5, count: 40 };
+    let elevation = Angles::Listed(vec![-90.0, -89.9, -45.0, -10.0, -0.1, 0.0, 0.2, 15.0, 60.0, 89.0, 90.0]);
+    let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
+    Sensor::new(SensorSpec::new("fan", "laser", Geometry::Scanner(scanner))).expect("a sound scanner")
 }
