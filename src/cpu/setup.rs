@@ -88,12 +88,17 @@ fn set_up(
     }
     let plane = at.mesh.planes()[polygon as usize];
     // The plane's distance from the sensor, along the mesh normal; its sign is the side, and must be proven. Taken at the
-    // nearest corner: a sensor that touches a corner is edge-on even where f32 corners are a little off their plane.
+    // nearest corner, and the sensor must be farther off the plane than the corners are: else the edges span no cone.
     let from_center = |i: &u32| vertices[*i as usize].as_dvec3() - at.center;
-    let nearer = |a: DVec3, b: DVec3| if b.length_squared() < a.length_squared() { b } else { a };
-    let nearest = indices.iter().map(from_center).reduce(nearer).unwrap_or_default();
+    let mut nearest = from_center(&indices[0]);
+    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+    for p in indices.iter().map(from_center) {
+        let off = plane.normal.dot(p);
+        (least, most) = (least.min(off), most.max(off));
+        nearest = if p.length_squared() < nearest.length_squared() { p } else { nearest };
+    }
     let d = plane.normal.dot(nearest);
-    let rounding = 16.0 * f64::EPSILON * nearest.length();
+    let rounding = 16.0 * f64::EPSILON * nearest.length() + if indices.len() > 3 { most - least } else { 0.0 };
     if d.abs() <= rounding {
         batch.edge_on += 1;
         return;
