@@ -21,7 +21,7 @@
 //! that is the c1 eps / |n . u| + c2 eps min|v_k| / |d| + off_plane / |d| of the design, and it stays finite where a
 //! ray grazes the plane. If off >= |d| nothing is known about the range. Division, square root and the last
 //! rounding add [`Precision::output_ulps`] ulp of the result. depth_z is the range times u.z: the same relative bound.
-//! cos_incidence is |n . u|: |a|, and the output's ulps.
+//! cos_incidence is |n . u|: |a|, the tilt's angle, and the output's ulps.
 //!
 //! **Side.** The sign of d is proven only if |d| exceeds its error; an engine that cannot prove it leaves the polygon
 //! out. So where |d| <= 4 off_d + 2 deviation a polygon may be missing, though never where |d| is clear.
@@ -86,8 +86,10 @@ impl Precision {
 pub(crate) struct FaceBound {
     /// Radians by edge, for the ray too but without the span's share; infinite where the edge's line meets the centre.
     edges: Vec<f64>,
-    /// Error of n . u, and of cos_incidence.
-    pub cosine: f64,
+    /// Error of n . u.
+    cosine: f64,
+    /// Error of cos_incidence: that, and the plane's tilt.
+    pub shown_cosine: f64,
     /// Error of d, metres: arithmetic and plane.
     distance: f64,
     /// An engine need not have proven the side that the sensor is on.
@@ -101,12 +103,14 @@ impl FaceBound {
         let normal = 6.0 * eps * face.normal_condition;
         let centre = 4.0 * face.norm * centre_in_mesh.length() * (UNIT_ROUNDOFF + eps * eps);
         let arithmetic = 12.0 * eps * face.nearest * (1.0 + face.normal_condition);
-        let deviation = face.corners.iter().map(|v| (face.normal.dot(*v) - face.distance).abs()).fold(0.0, f64::max);
+        let deviation = face.spread();
         let farthest = face.relative.iter().map(|p| p.length()).fold(0.0, f64::max) * face.norm;
+        let size = face.corners.iter().map(|v| v.distance(face.corners[0])).fold(0.0, f64::max);
         let tilt = 8.0 * UNIT_ROUNDOFF * farthest * (1.0 + face.aspect);
         Self {
             edges: face.edges.iter().map(|e| edge_bound(face, e, centre, eps)).collect(),
             cosine: normal + 6.0 * eps,
+            shown_cosine: normal + 6.0 * eps + tilt / size,
             distance: arithmetic + centre + tilt + 2.0 * deviation,
             may_be_edge_on: face.edge_on()
                 || face.distance.abs() <= 4.0 * arithmetic + 8.0 * centre + tilt + 2.0 * deviation,

@@ -130,7 +130,7 @@ impl Candidate {
             nearest: positive(inverse + error),
             farthest: positive(inverse - error),
             cos_incidence: face.normal.dot(ray).abs(),
-            cos_error: bound.cosine,
+            cos_error: bound.shown_cosine,
             depth_per_range: ray.z,
             normal: face.normal,
         }

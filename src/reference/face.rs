@@ -75,14 +75,24 @@ impl Face {
         }
     }
 
-    /// True if the polygon's plane passes through the sensor as far as f64 can tell: it covers no ray.
+    /// True if the polygon's plane passes through the sensor as far as f64, and its own corners, can tell: it covers no
+    /// ray.
     ///
     /// `distance` = n . M (p - c) carries at most 8 roundings of terms no larger than `nearest`, and a tilt of n
-    /// that is as many roundings times the aspect.
+    /// that is as many roundings times the aspect. Where corners are farther off their plane than the sensor is, the
+    /// edges span no cone and would hold rays far from the polygon.
     pub fn edge_on(&self) -> bool {
+        let rounding = 8.0 * UNIT_ROUNDOFF * self.nearest * (1.0 + self.aspect);
         // Written so that NaN is edge-on.
-        let proven = self.distance.abs() > 8.0 * UNIT_ROUNDOFF * self.nearest * (1.0 + self.aspect);
+        let proven = self.distance.abs() > rounding + if self.corners.len() > 3 { self.spread() } else { 0.0 };
         !proven
+    }
+
+    /// How far apart the corners are along the normal, metres: 0 but for rounding if they are in one plane.
+    pub fn spread(&self) -> f64 {
+        let along = |most: f64, v: &DVec3| most.max(self.normal.dot(*v) - self.distance);
+        let against = |most: f64, v: &DVec3| most.max(self.distance - self.normal.dot(*v));
+        self.corners.iter().fold(0.0, along) + self.corners.iter().fold(0.0, against)
     }
 
     /// True if the ray lies in the cone of the polygon.
