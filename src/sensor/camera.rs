@@ -35,6 +35,13 @@ impl Camera {
         ((u - self.cx) / self.fx, (v - self.cy) / self.fy)
     }
 
+    /// The pixel that a point of the optical frame is imaged at (also outside the image), or `None`: see
+    /// [`Distortion::distort`].
+    pub fn project(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
+        let (xd, yd) = self.distortion.distort(p_in_optical)?;
+        Some((self.fx * xd + self.cx, self.fy * yd + self.cy))
+    }
+
     pub(super) fn grid(&self) -> Result<PixelGrid> {
         let intrinsics = [self.fx, self.fy, self.cx, self.cy];
         if !(intrinsics.iter().all(|x| x.is_finite()) && self.fx > 0.0 && self.fy > 0.0) {
@@ -47,11 +54,12 @@ impl Camera {
         if self.distortion.is_none() {
             return Ok(PixelGrid::Lines(self.line_grid()));
         }
+        let lens = self.distortion.lens();
         let mut directions = Vec::with_capacity(self.width as usize * self.height as usize);
         for row in 0..self.height {
             for column in 0..self.width {
                 let (xd, yd) = self.normalized(f64::from(column), f64::from(row));
-                let ray = self.distortion.undistort(xd, yd).map(DVec3::normalize);
+                let ray = lens.undistort(xd, yd).map(DVec3::normalize);
                 directions.push(ray.unwrap_or(DVec3::NAN));
             }
         }

@@ -3,9 +3,11 @@
 mod camera;
 mod distortion;
 mod grid;
+mod polynomial;
 mod presets;
 mod rays;
 mod scanner;
+mod undistort;
 
 pub use camera::Camera;
 pub use distortion::Distortion;
@@ -13,6 +15,7 @@ pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
 pub use presets::{PRESETS, Preset};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
+pub use undistort::Lens;
 
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
