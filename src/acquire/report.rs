@@ -1,0 +1,198 @@
+//! What an import found: counts, and every kind of problem with its first places.
+
+use crate::environment::Environment;
+use crate::limits;
+use glam::Vec3;
+use serde::Serialize;
+use std::fmt;
+
+/// A scene as it was read.
+#[derive(Clone, Debug)]
+pub struct Imported {
+    /// Objects and materials.
+    pub environment: Environment,
+    /// Counts and problems.
+    pub report: ImportReport,
+}
+
+/// Counts and problems of an import. "Stored" counts each mesh once, "scene" each of its instances.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ImportReport {
+    /// Triangles of all instances, degenerate ones included: one past the highest `source` number.
+    pub triangles_in_scene: u64,
+    /// Triangles of all used meshes, degenerate ones included.
+    pub triangles_stored: u64,
+    /// Polygons of all used meshes, after merging.
+    pub polygons_stored: u64,
+    /// Polygons of all instances, after merging.
+    pub polygons_in_scene: u64,
+    /// Merges of two neighbours into one polygon, in all used meshes.
+    pub merges: u64,
+    /// Largest distance of any source vertex from the plane of the polygon it went into, metres in the world.
+    pub largest_deviation_m: f64,
+    /// By kind; kinds without a case are left out.
+    pub problems: Vec<Problem>,
+}
+
+impl ImportReport {
+    /// How often a kind of problem was found.
+    pub fn total(&self, kind: ProblemKind) -> u64 {
+        self.problems.iter().find(|p| p.kind == kind).map_or(0, |p| p.total)
+    }
+}
+
+/// What may be wrong with a model. Only what has no area or no triangles is left out; nothing is repaired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProblemKind {
+    /// A triangle without area (within its own rounding): left out.
+    DegenerateTriangle,
+    /// A triangle over the same three vertices as an earlier one, in either winding.
+    DuplicateFace,
+    /// An edge of more than two triangles; never merged across.
+    NonManifoldEdge,
+    /// An edge of one triangle only.
+    OpenBorder,
+    /// An edge that its two triangles run through in the same direction.
+    InconsistentWinding,
+    /// A triangle whose height is under a thousandth of its longest side.
+    Sliver,
+    /// A closed shell whose normals point inwards.
+    InsideOut,
+    /// Points, lines, or a primitive without positions: left out.
+    IgnoredPrimitive,
+    /// Indices at the end that make no whole triangle: left out.
+    LeftoverIndices,
+    /// An object whose mesh has no polygon: left out.
+    EmptyMesh,
+    /// Something that moves or multiplies geometry and is not followed: skins, morph targets, instancing extensions.
+    IgnoredFeature,
+}
+
+impl ProblemKind {
+    /// All kinds, in the order of reports.
+    pub const ALL: [Self; 11] = [
+        Self::DegenerateTriangle,
+        Self::DuplicateFace,
+        Self::NonManifoldEdge,
+        Self::OpenBorder,
+        Self::InconsistentWinding,
+        Self::Sliver,
+        Self::InsideOut,
+        Self::IgnoredPrimitive,
+        Self::LeftoverIndices,
+        Self::EmptyMesh,
+        Self::IgnoredFeature,
+    ];
+
+    /// In words, for many of it.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::DegenerateTriangle => "degenerate triangles (left out)",
+            Self::DuplicateFace => "duplicate faces",
+            Self::NonManifoldEdge => "non-manifold edges",
+            Self::OpenBorder => "open border edges",
+            Self::InconsistentWinding => "edges with inconsistent winding",
+            Self::Sliver => "slivers",
+            Self::InsideOut => "inside-out shells",
+            Self::IgnoredPrimitive => "primitives without triangles (left out)",
+            Self::LeftoverIndices => "primitives with leftover indices (left out)",
+            Self::EmptyMesh => "objects without polygons (left out)",
+            Self::IgnoredFeature => "features not followed",
+        }
+    }
+}
+
+/// One kind of problem: how often, and where first.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Problem {
+    /// What is wrong.
+    pub kind: ProblemKind,
+    /// How often, each mesh counted once however many instances it has.
+    pub total: u64,
+    /// The first places, at most [`limits::LISTED_PROBLEMS`].
+    pub places: Vec<String>,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.total, self.kind.title())?;
+        for place in &self.places {
+            write!(f, "\n  {place}")?;
+        }
+        match self.total - self.places.len() as u64 {
+            0 => Ok(()),
+            more => write!(f, "\n  and {more} more"),
+        }
+    }
+}
+
+/// Where in a mesh a problem is; words are made only for those that are listed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Site {
+    /// Source number within the mesh.
+    pub triangle: u32,
+    /// The edge, where the problem is one.
+    pub edge: Option<[Vec3; 2]>,
+}
+
+/// Problems of one mesh, counted and listed up to the limit.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ProblemList {
+    totals: [u64; ProblemKind::ALL.len()],
+    first: Vec<(ProblemKind, Site)>,
+}
+
+impl ProblemList {
+    /// Counts a problem and keeps its place while there is room.
+    pub fn add(&mut self, kind: ProblemKind, site: Site) {
+        let total = &mut self.totals[kind as usize];
+        if *total < limits::LISTED_PROBLEMS as u64 {
+            self.first.push((kind, site));
+        }
+        *total += 1;
+    }
+}
+
+/// The problems of all meshes.
+#[derive(Debug, Default)]
+pub(crate) struct ProblemBook {
+    totals: [u64; ProblemKind::ALL.len()],
+    places: [Vec<String>; ProblemKind::ALL.len()],
+}
+
+impl ProblemBook {
+    /// Notes a problem that has words of its own.
+    pub fn note(&mut self, kind: ProblemKind, place: impl FnOnce() -> String) {
+        self.totals[kind as usize] += 1;
+        let places = &mut self.places[kind as usize];
+        if places.len() < limits::LISTED_PROBLEMS {
+            places.push(place());
+        }
+    }
+
+    /// Takes over the problems of a mesh; `words` describes a source triangle.
+    pub fn extend(&mut self, list: &ProblemList, words: impl Fn(u32) -> String) {
+        for (sum, n) in self.totals.iter_mut().zip(list.totals) {
+            *sum += n;
+        }
+        for &(kind, site) in &list.first {
+            let places = &mut self.places[kind as usize];
+            if places.len() < limits::LISTED_PROBLEMS {
+                let triangle = words(site.triangle);
+                places.push(match site.edge {
+                    None => triangle,
+                    Some([a, b]) => format!("{triangle}, edge from {a} to {b}"),
+                });
+            }
+        }
+    }
+
+    /// Only the kinds that occurred.
+    pub fn into_problems(self) -> Vec<Problem> {
+        let each = ProblemKind::ALL.into_iter().zip(self.totals).zip(self.places);
+        each.filter(|((_, total), _)| *total > 0)
+            .map(|((kind, total), places)| Problem { kind, total, places })
+            .collect()
+    }
+}

@@ -1,0 +1,311 @@
+//! glTF 2.0 scenes, .glb and .gltf, into an [`Environment`].
+//!
+//! The `gltf` crate parses the file's structure; node transforms are read again as f64, and accessors are read here
+//! with every size checked first, because the crate trusts them. Positions stay the file's f32 bits in the mesh's own
+//! frame; everything else goes into the object's f64 matrix: `world_from_scene` of the sidecar, the turn from y-up
+//! to z-up, and the product of the node matrices.
+
+mod accessor;
+mod container;
+mod mesh;
+mod nodes;
+
+use crate::acquire::{ImportReport, Imported, ProblemBook, ProblemKind, ProblemList, TriangleMesh};
+use crate::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use crate::error::{Error, ErrorKind, Result};
+use crate::io::materials::{self, Sidecar};
+use crate::limits;
+use accessor::Document;
+use glam::{DAffine3, DMat3, DVec3};
+use gltf::json;
+use mesh::mesh_words;
+use nodes::{MeshNode, NodeText};
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// How to import a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportOptions {
+    /// Merge coplanar neighbours into convex polygons. Without it every triangle stays a polygon of its own, in source
+    /// order, as `source` ids need it.
+    pub merge: bool,
+    /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
+    pub merge_tolerance: f64,
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        Self { merge: true, merge_tolerance: 1e-6 }
+    }
+}
+
+/// z-up from glTF's y-up: (x, y, z) -> (x, -z, y).
+const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
+
+/// Extensions that change how a surface looks, not where it is.
+const HARMLESS: [&str; 7] = [
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_punctual",
+    "KHR_xmp",
+    "KHR_mesh_quantization",
+];
+
+/// Extensions that move or multiply geometry: where they may be ignored, it is said.
+const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression", "EXT_meshopt_compression"];
+
+/// Reads a scene with its sidecar `SCENE.materials.toml`, if there is one.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
+/// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
+/// impossible options.
+pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
+    let path = path.as_ref();
+    if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
+        return Err(Error::usage(
+            format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
+            "give a share of the object's size, such as 1e-6",
+        ));
+    }
+    let bytes = container::read(path)?;
+    let sidecar = Sidecar::beside(path)?;
+    import_bytes(&bytes, path, &sidecar, options).map_err(|e| e.in_file(path))
+}
+
+fn import_bytes(bytes: &[u8], path: &Path, sidecar: &Sidecar, options: &ImportOptions) -> Result<Imported> {
+    let container = container::open(bytes)?;
+    let root: json::Root = parse(container.json)?;
+    let nodes: NodeText = parse(container.json)?;
+    check_version(&root)?;
+    let buffers = load_buffers(&root, container.bin, path)?;
+    let document = Document { root, buffers };
+    let mut book = ProblemBook::default();
+    note_extensions(&document.root, &mut book);
+
+    let mesh_nodes = nodes.mesh_nodes()?;
+    let used = used_meshes(&document, &mesh_nodes)?;
+    let mut environment = Environment::new();
+    let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
+    let built: Vec<Result<Built>> =
+        used.par_iter().map(|&mesh| build_mesh(&document, mesh, default_material, options)).collect();
+    let mut report = ImportReport::default();
+    let mut by_mesh = HashMap::with_capacity(used.len());
+    for (&mesh, built) in used.iter().zip(built) {
+        let built = built?;
+        report.triangles_stored += u64::from(built.source_count);
+        report.polygons_stored += built.mesh.polygon_count() as u64;
+        built.notes.iter().for_each(|(kind, words)| book.note(*kind, || words.clone()));
+        book.extend(&built.problems, |triangle| {
+            let (primitive, number) = built.place_of(triangle);
+            format!("{}: primitive {primitive}, triangle {number}", mesh_words(&document.root, mesh))
+        });
+        by_mesh.insert(mesh, built);
+    }
+    insert_objects(mesh_nodes, &by_mesh, sidecar, &mut environment, &mut report, &mut book)?;
+    if environment.slot_count() == 0 {
+        return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
+    }
+    report.problems = book.into_problems();
+    Ok(Imported { environment, report })
+}
+
+fn parse<'de, T: serde::Deserialize<'de>>(text: &'de [u8]) -> Result<T> {
+    serde_json::from_slice(text).map_err(|e| {
+        let place = format!("JSON line {}, column {}", e.line(), e.column());
+        let whole = e.to_string();
+        // The place is said already.
+        let what = whole.split(" at line ").next().unwrap_or(&whole).to_owned();
+        let remedy = if e.is_eof() { "the file is truncated; export it again" } else { "export it again as glTF 2.0" };
+        Error::invalid(what, remedy).at(place)
+    })
+}
+
+fn check_version(root: &json::Root) -> Result<()> {
+    let needed = root.asset.min_version.as_deref().unwrap_or(&root.asset.version);
+    let supported = match &root.asset.min_version {
+        Some(min) => min == "2.0",
+        None => root.asset.version.starts_with("2."),
+    };
+    if !supported {
+        let what = format!("this is glTF version {needed:?}");
+        return Err(Error::new(ErrorKind::Unsupported, what, "export it as glTF 2.0").at("asset"));
+    }
+    for extension in &root.extensions_required {
+        if !HARMLESS.iter().any(|known| extension.starts_with(known)) {
+            return Err(Error::new(
+                ErrorKind::Unsupported,
+                format!("the file requires the extension {extension:?}"),
+                "export it without that extension",
+            )
+            .at("extensionsRequired"));
+        }
+    }
+    Ok(())
+}
+
+fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
+    for extension in root.extensions_used.iter().filter(|e| SHAPING.contains(&e.as_str())) {
+        book.note(ProblemKind::IgnoredFeature, || format!("extension {extension}: the data without it is used"));
+    }
+}
+
+fn load_buffers<'a>(root: &json::Root, bin: Option<&'a [u8]>, path: &Path) -> Result<Vec<Cow<'a, [u8]>>> {
+    let one = |(index, buffer): (usize, &json::Buffer)| -> Result<Cow<'a, [u8]>> {
+        let whole: Cow<'a, [u8]> = match (&buffer.uri, bin) {
+            (Some(uri), _) => container::buffer_bytes(uri, path)?.into(),
+            (None, Some(bin)) if index == 0 => bin.into(),
+            (None, _) => {
+                return Err(Error::invalid("it has no data", "the file is truncated or broken; export it again"));
+            }
+        };
+        let length = buffer.byte_length.0;
+        if length > whole.len() as u64 {
+            return Err(Error::invalid(
+                format!("{length} bytes are claimed, {} are there", whole.len()),
+                "the buffer is truncated; fetch or export it again",
+            ));
+        }
+        Ok(match whole {
+            Cow::Borrowed(b) => b[..length as usize].into(),
+            Cow::Owned(mut b) => {
+                b.truncate(length as usize);
+                b.into()
+            }
+        })
+    };
+    root.buffers.iter().enumerate().map(|b| one(b).map_err(|e| e.at(format!("buffer {}", b.0)))).collect()
+}
+
+/// The meshes of the scene, each once, in the order of their first use; their claims are checked against the limits.
+fn used_meshes(document: &Document<'_>, nodes: &[MeshNode]) -> Result<Vec<usize>> {
+    let mut claimed: HashMap<usize, u64> = HashMap::new();
+    let mut used = Vec::new();
+    let (mut stored, mut in_scene) = (0u64, 0u64);
+    for node in nodes {
+        let count = match claimed.get(&node.mesh) {
+            Some(&count) => count,
+            None => {
+                let count = document
+                    .claimed_triangles(node.mesh)
+                    .map_err(|e| e.at(format!("node {} {:?}", node.node, node.path)))?;
+                claimed.insert(node.mesh, count);
+                used.push(node.mesh);
+                stored = stored.saturating_add(count);
+                count
+            }
+        };
+        in_scene = in_scene.saturating_add(count);
+    }
+    if stored > limits::MAX_STORED_TRIANGLES || in_scene > limits::MAX_POLYGONS {
+        return Err(Error::invalid(
+            format!(
+                "{stored} triangles are claimed, {in_scene} with all instances; {} and {} are the limits",
+                limits::MAX_STORED_TRIANGLES,
+                limits::MAX_POLYGONS
+            ),
+            "split the environment into several files",
+        ));
+    }
+    Ok(used)
+}
+
+/// Adds all materials of the file, then one for primitives without; the answer is the index of that one.
+fn add_materials(root: &json::Root, sidecar: &Sidecar, path: &Path, environment: &mut Environment) -> Result<u16> {
+    let mut all = Vec::with_capacity(root.materials.len() + 1);
+    for (i, source) in root.materials.iter().enumerate() {
+        let name = source.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| format!("material{i}"));
+        let [r, g, b, _] = source.pbr_metallic_roughness.base_color_factor.0;
+        let mut material = Material { color: [r, g, b].map(|c| c.clamp(0.0, 1.0)), ..Material::named(name) };
+        if let Some(extras) = &source.extras
+            && let Some(properties) = materials::from_extras(extras.get()).map_err(|e| e.at(format!("material {i}")))?
+        {
+            properties.apply_to(&mut material);
+        }
+        all.push(material);
+    }
+    let without = |p: &json::mesh::Primitive| p.material.is_none();
+    if root.meshes.iter().any(|m| m.primitives.iter().any(without)) || all.is_empty() {
+        all.push(Material::named("default"));
+    }
+    let blame = |e: Error| e.in_file(materials::sidecar_path(path));
+    sidecar.apply_to(&mut all).map_err(blame)?;
+    let mut last = 0;
+    for material in all {
+        last = environment.add_material(material)?;
+    }
+    Ok(last)
+}
+
+/// A mesh ready for its instances.
+struct Built {
+    mesh: Arc<Mesh>,
+    source_count: u32,
+    primitive_ends: Vec<u32>,
+    problems: ProblemList,
+    notes: Vec<(ProblemKind, String)>,
+}
+
+impl Built {
+    fn place_of(&self, source: u32) -> (u32, u32) {
+        crate::acquire::place_of(&self.primitive_ends, source)
+    }
+}
+
+fn build_mesh(document: &Document<'_>, index: usize, default_material: u16, _options: &ImportOptions) -> Result<Built> {
+    let mesh::Read { triangles, notes } = document.read_mesh(index, default_material)?;
+    let problems = triangles.problems();
+    let TriangleMesh { vertices, triangles, source_count, primitive_ends, .. } = triangles;
+    let name = document.root.meshes[index].name.clone().unwrap_or_else(|| format!("mesh{index}"));
+    let polygons = triangles
+        .iter()
+        .map(|t| Polygon { corners: t.corners.to_vec(), material: t.material, source: t.source })
+        .collect();
+    let mesh = Arc::new(Mesh::new(name, vertices, polygons, PolygonOrder::Given)?);
+    Ok(Built { mesh, source_count, primitive_ends, problems, notes })
+}
+
+fn insert_objects(
+    nodes: Vec<MeshNode>,
+    by_mesh: &HashMap<usize, Built>,
+    sidecar: &Sidecar,
+    environment: &mut Environment,
+    report: &mut ImportReport,
+    book: &mut ProblemBook,
+) -> Result<()> {
+    let world_from_gltf = sidecar.world_from_scene.to_affine() * DAffine3::from_mat3(Z_UP_FROM_Y_UP);
+    let mut first_source = 0u32;
+    for node in nodes {
+        let Some(built) = by_mesh.get(&node.mesh) else { continue };
+        let place = || format!("node {} {:?}", node.node, node.path);
+        report.triangles_in_scene += u64::from(built.source_count);
+        report.polygons_in_scene += built.mesh.polygon_count() as u64;
+        if node.skinned {
+            book.note(ProblemKind::IgnoredFeature, || format!("{}: skin: its rest pose is used", place()));
+        }
+        if built.mesh.polygon_count() == 0 {
+            book.note(ProblemKind::EmptyMesh, place);
+        } else {
+            let world_from_mesh = world_from_gltf * node.scene_from_mesh;
+            let new = NewObject::from_affine(node.path.clone(), world_from_mesh, built.mesh.clone())
+                .map_err(|e| e.at(place()))?;
+            let object = environment.insert(NewObject { first_source, ..new }).map_err(|e| e.at(place()))?;
+            let bounds = environment.objects()[object as usize].world_bounds();
+            if !(bounds.min.abs().max(bounds.max.abs()).max_element() <= limits::MAX_COORDINATE) {
+                return Err(Error::invalid(
+                    format!("it reaches beyond {} m", limits::MAX_COORDINATE),
+                    "check the scale: glTF is in metres",
+                )
+                .at(place()));
+            }
+        }
+        // Cannot overflow: the sum over all nodes is under the limit on polygons.
+        first_source += built.source_count;
+    }
+    Ok(())
+}

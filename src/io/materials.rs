@@ -1,0 +1,238 @@
+//! Material properties beside a scene: the sidecar `SCENE.materials.toml`, and the same keys in a glTF's
+//! `extras.presight`.
+//!
+//! For `hospital.glb` the sidecar is `hospital.materials.toml`:
+//!
+//! ```toml
+//! format = 1
+//! # Where the scene's origin (z-up, after the turn from glTF's y-up) stands in the world:
+//! # x, y, z in metres, then roll, pitch, yaw in degrees. Default: at the world's origin.
+//! world_from_scene = [4469320.25, 5333710.5, 512.0, 0.0, 0.0, 90.0]
+//!
+//! [material."Glass"]           # the material's name in the scene; every material of that name is meant
+//! reflection = 0.1             # reflection factor, 0 to 1, default 1
+//! one_sided = false            # true: seen from the side of its normal only; default false
+//!
+//! [material."Glass".classes]   # by sensor class: "opaque" (default), "transparent" or "invisible"
+//! laser = "transparent"
+//! radar = "invisible"
+//! ```
+//!
+//! In a glTF file a material's `extras` may hold `"presight": {"reflection": 0.1, "one_sided": false,
+//! "classes": {"laser": "transparent"}}`. What the sidecar names wins, key by key. Unknown keys and materials that
+//! the scene does not have are errors: a typing mistake would otherwise change images silently.
+//!
+//! glTF's own `doubleSided` is not used: it tells a renderer what to draw, and its default would make the backs of
+//! most models vanish.
+
+use crate::environment::{Appearance, Material};
+use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::Pose;
+use crate::limits;
+use glam::DVec3;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+const FORMAT: u32 = 1;
+
+/// What a sidecar file says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sidecar {
+    /// Pose of the z-up scene in the world.
+    pub world_from_scene: Pose,
+    materials: BTreeMap<String, Properties>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SidecarText {
+    format: u32,
+    world_from_scene: Option<[f64; 6]>,
+    #[serde(default)]
+    material: BTreeMap<String, Properties>,
+}
+
+/// Properties of one material; absent ones keep their value.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Properties {
+    reflection: Option<f64>,
+    one_sided: Option<bool>,
+    #[serde(default)]
+    classes: BTreeMap<String, Appearance>,
+}
+
+impl Properties {
+    /// Changes what is named here.
+    pub fn apply_to(&self, material: &mut Material) {
+        if let Some(reflection) = self.reflection {
+            material.reflection = reflection;
+        }
+        if let Some(one_sided) = self.one_sided {
+            material.one_sided = one_sided;
+        }
+        material.appearance.extend(self.classes.iter().map(|(class, &a)| (class.clone(), a)));
+    }
+}
+
+/// The sidecar that belongs to a scene, whether it exists or not.
+pub fn sidecar_path(scene: &Path) -> PathBuf {
+    scene.with_extension("materials.toml")
+}
+
+impl Sidecar {
+    /// Reads the sidecar of a scene; a missing one says nothing.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] naming the line of an unknown key or impossible value,
+    /// [`ErrorKind::Unsupported`] for a newer format.
+    pub fn beside(scene: &Path) -> Result<Self> {
+        let path = sidecar_path(scene);
+        match std::fs::read_to_string(&path) {
+            Ok(text) => Self::parse(&text).map_err(|e| e.in_file(&path)),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(e) if e.kind() == std::io::ErrorKind::InvalidData => {
+                Err(Error::invalid("the text is not UTF-8", "save it as UTF-8").in_file(&path))
+            }
+            Err(e) => Err(Error::io(&path, "read the material file", e)),
+        }
+    }
+
+    /// Reads the text of a sidecar.
+    ///
+    /// # Errors
+    /// As [`Sidecar::beside`].
+    pub fn parse(text: &str) -> Result<Self> {
+        #[derive(Deserialize)]
+        struct Version {
+            format: Option<u32>,
+        }
+        // The version first: a newer format may well have keys that are unknown here.
+        if let Ok(Version { format: Some(format) }) = toml::from_str(text)
+            && format != FORMAT
+        {
+            return Err(Error::new(
+                ErrorKind::Unsupported,
+                format!("format = {format} is unknown, this version reads {FORMAT}"),
+                "update presight or write the file for this version",
+            ));
+        }
+        let parsed: SidecarText = toml::from_str(text).map_err(|e| {
+            let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
+            Error::invalid(e.message(), "see presight's documentation of SCENE.materials.toml")
+                .at(format!("line {line}"))
+        })?;
+        debug_assert_eq!(parsed.format, FORMAT);
+        let world_from_scene = match parsed.world_from_scene {
+            None => Pose::IDENTITY,
+            Some(v) if v.iter().all(|x| x.is_finite() && x.abs() <= limits::MAX_COORDINATE) => Pose::from_xyz_rpy(
+                DVec3::new(v[0], v[1], v[2]),
+                v[3].to_radians(),
+                v[4].to_radians(),
+                v[5].to_radians(),
+            ),
+            Some(_) => {
+                return Err(Error::invalid("a number is not finite", "give [x, y, z, roll_deg, pitch_deg, yaw_deg]")
+                    .at("world_from_scene"));
+            }
+        };
+        Ok(Self { world_from_scene, materials: parsed.material })
+    }
+
+    /// Changes the named materials of a scene.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] if a name belongs to no material.
+    pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
+        for (name, properties) in &self.materials {
+            let mut known = false;
+            for material in materials.iter_mut().filter(|m| &m.name == name) {
+                properties.apply_to(material);
+                known = true;
+            }
+            if !known {
+                return Err(Error::invalid(
+                    "the scene has no material of this name",
+                    "`presight inspect` lists the names; correct or remove it",
+                )
+                .at(format!("material {name:?}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Reads the value of `extras` of a glTF material.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are not looked at.
+pub fn from_extras(extras: &str) -> Result<Option<Properties>> {
+    let value: serde_json::Value = serde_json::from_str(extras)
+        .map_err(|e| Error::invalid(e.to_string(), "export the model again").at("extras"))?;
+    let Some(own) = value.get("presight") else { return Ok(None) };
+    Properties::deserialize(own).map(Some).map_err(|e| {
+        Error::invalid(e.to_string(), "known keys are reflection, one_sided, classes").at("extras.presight")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = r#"
+        format = 1
+        world_from_scene = [5e6, 1.5, 0, 0, 0, 90]
+        [material."a.b"]
+        reflection = 0.4
+        one_sided = true
+        [material."a.b".classes]
+        radar = "transparent"
+        laser = "invisible"
+    "#;
+
+    #[test]
+    fn a_whole_sidecar_is_applied() {
+        let sidecar = Sidecar::parse(TEXT).unwrap();
+        assert_eq!(sidecar.world_from_scene.translation.x, 5e6);
+        let turned = sidecar.world_from_scene.transform_point(DVec3::X) - DVec3::new(5e6, 2.5, 0.0);
+        assert!(turned.length() < 1e-9);
+        let mut materials = [Material::named("a.b"), Material::named("c")];
+        sidecar.apply_to(&mut materials).unwrap();
+        assert_eq!((materials[0].reflection, materials[0].one_sided), (0.4, true));
+        assert_eq!(materials[0].appearance("radar"), Appearance::Transparent);
+        assert_eq!(materials[0].appearance("laser"), Appearance::Invisible);
+        assert_eq!(materials[0].appearance("video"), Appearance::Opaque);
+        assert_eq!(materials[1], Material::named("c"));
+    }
+
+    #[test]
+    fn mistakes_are_errors_with_their_place() {
+        let cases = [
+            ("[material.a]\nreflection = 1", "format"),
+            ("format = 2\nnew = 1", "format = 2"),
+            ("format = 1\nmaterials = 3", "line 2"),
+            ("format = 1\n[material.a]\nreflektion = 1", "line 3"),
+            ("format = 1\n[material.a.classes]\nradar = \"glassy\"", "line 3"),
+            ("format = 1\nworld_from_scene = [1, 2, 3]", "line 2"),
+            ("format = 1\nworld_from_scene = [nan, 0, 0, 0, 0, 0]", "world_from_scene"),
+            ("format = ", "line 1"),
+        ];
+        for (text, part) in cases {
+            let e = Sidecar::parse(text).unwrap_err().to_string();
+            assert!(e.contains(part) && !e.contains('\n'), "{text:?}: {e}");
+        }
+        let stray = Sidecar::parse(TEXT).unwrap().apply_to(&mut [Material::named("c")]).unwrap_err();
+        assert!(stray.to_string().contains("a.b"), "{stray}");
+    }
+
+    #[test]
+    fn extras_are_read_and_strangers_left_alone() {
+        assert_eq!(from_extras(r#"{"texture": 1}"#).unwrap(), None);
+        let p = from_extras(r#"{"presight": {"reflection": 0.25, "classes": {"radar": "invisible"}}}"#).unwrap();
+        let mut m = Material::named("m");
+        p.unwrap().apply_to(&mut m);
+        assert_eq!((m.reflection, m.appearance("radar")), (0.25, Appearance::Invisible));
+        assert!(from_extras(r#"{"presight": {"reflexion": 0.25}}"#).is_err());
+    }
+}

@@ -1,0 +1,96 @@
+//! The real scenes: counts, bounds and source numbers against what their makers wrote down.
+
+use presight::acquire::ProblemKind;
+use presight::io::gltf::{ImportOptions, import};
+use std::path::{Path, PathBuf};
+
+const SOURCE: ImportOptions = ImportOptions { merge: false, merge_tolerance: 1e-6 };
+
+/// The folder of shared test data; `None` (said loudly) where it is not present and not required.
+fn data() -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    let folder = std::env::var_os("PRESIGHT_DATA").map_or(beside, PathBuf::from);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    let required = std::env::var_os("CI").is_some() || std::env::var_os("PRESIGHT_REQUIRE_DATA").is_some();
+    assert!(!required, "{} is missing", folder.display());
+    eprintln!("SKIPPED: {} is missing", folder.display());
+    None
+}
+
+fn scenes(data: &Path) -> Vec<PathBuf> {
+    let mut all: Vec<PathBuf> = std::fs::read_dir(data.join("env"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "glb"))
+        .collect();
+    all.sort();
+    assert!(all.len() >= 14, "{all:?}");
+    all
+}
+
+/// The number after `label` in a text.
+fn number_after(text: &str, label: &str) -> Option<u64> {
+    let rest = &text[text.find(label)? + label.len()..];
+    let digits: String = rest.trim_start().chars().take_while(char::is_ascii_digit).collect();
+    digits.parse().ok()
+}
+
+/// The numbers in the brackets that follow `label`.
+fn vector_after(text: &str, label: &str) -> [f64; 3] {
+    let rest = &text[text.find(label).unwrap() + label.len()..];
+    let inside = &rest[rest.find('[').unwrap() + 1..rest.find(']').unwrap()];
+    let all: Vec<f64> = inside.split(',').map(|n| n.trim().parse().unwrap()).collect();
+    all.try_into().unwrap()
+}
+
+#[test]
+fn counts_and_bounds_are_those_of_the_description() {
+    let Some(data) = data() else { return };
+    for scene in scenes(&data) {
+        let text = std::fs::read_to_string(scene.with_extension("txt")).unwrap();
+        let read = import(&scene, &SOURCE).unwrap();
+        let name = scene.file_stem().unwrap().to_string_lossy().into_owned();
+        let report = &read.report;
+        assert_eq!(
+            Some(report.triangles_in_scene),
+            number_after(&text, "triangles (all instances expanded):"),
+            "{name}"
+        );
+        assert_eq!(Some(report.triangles_stored), number_after(&text, "unique triangles stored:"), "{name}");
+        let degenerate = report.total(ProblemKind::DegenerateTriangle);
+        // Theirs also counts areas under 1e-12 m2, which are left in here.
+        assert!(degenerate <= number_after(&text, "area<1e-12 m2)").unwrap(), "{name}: {degenerate}");
+        assert_eq!(report.polygons_stored, report.triangles_stored - degenerate, "{name}");
+        let (low, high) = (vector_after(&text, "min "), vector_after(&text, "max "));
+        // Theirs are y up: (x, y, z) there is (x, -z, y) here.
+        let bounds = read.environment.bounds();
+        let expected = [low[0], -high[2], low[1], high[0], -low[2], high[1]];
+        let found = [bounds.min.to_array(), bounds.max.to_array()].concat();
+        eprintln!("{name}: {report:?}");
+        for (f, e) in found.iter().zip(expected) {
+            assert!((f - e).abs() < 0.3, "{name}: {found:?} {expected:?}");
+        }
+    }
+}
+
+#[test]
+fn source_numbers_follow_the_reference_table() {
+    let Some(data) = data() else { return };
+    let text = std::fs::read_to_string(data.join("reference/reference.json")).unwrap();
+    let reference: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for (name, scene) in reference["scenes"].as_object().unwrap() {
+        let read = import(data.join("env").join(name).with_extension("glb"), &SOURCE).unwrap();
+        assert_eq!(scene["triangles"], read.report.triangles_in_scene, "{name}");
+        // One row per primitive: first number, count, node index, primitive, node name.
+        let rows: Vec<&serde_json::Value> = scene["table"].as_array().unwrap().iter().collect();
+        let starts: Vec<_> = rows.iter().filter(|r| r[3] == 0).collect();
+        let objects = read.environment.objects();
+        assert_eq!(objects.len(), starts.len(), "{name}");
+        for (object, row) in objects.iter().zip(starts) {
+            assert_eq!(row[0], object.first_source, "{name} {}", object.name);
+            assert!(object.name.contains(row[4].as_str().unwrap()), "{name} {} {row}", object.name);
+        }
+    }
+}
