@@ -1,1 +1,297 @@
-//! Comparison of two predictions.
+//! Comparison of two predictions: the one judge of what counts as right, for every engine and every test.
+//!
+//! A pixel is
+//! - **same** if it has the reference's id and every asked output is within its bound ([`bound`] derives them);
+//! - **edge** if it shows another polygon, or nothing, and that is in the reference's candidate set there
+//!   ([`candidates()`]), all outputs fitting;
+//! - **coincident** if that other polygon lies in the reference's own plane and both are surely met: models store
+//!   faces twice;
+//! - a **fault** otherwise. Faults must be 0, and edge pixels few: [`Report::check`].
+
+pub mod bound;
+mod candidates;
+mod pixel;
+
+pub use bound::Precision;
+pub use candidates::{Candidate, CandidateSet, candidates};
+pub use pixel::{Allowed, Shares, Values};
+
+use crate::error::{Error, Result};
+use crate::plan::{FramePlan, Images, Instance, Output};
+use crate::reference::instances;
+use pixel::{Lookup, pixel};
+use serde::Serialize;
+
+/// Faults described one by one; the others are only counted.
+const FAULTS_SHOWN: usize = 20;
+
+/// What a comparison found.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Report {
+    /// Pixels compared.
+    pub pixels: usize,
+    /// Pixels that are the same.
+    pub same: usize,
+    /// Pixels at an edge or tie, with another id that a right engine may show.
+    pub edge: usize,
+    /// Pixels with another id for a face that is stored more than once.
+    pub coincident: usize,
+    /// Wrong pixels.
+    pub fault: usize,
+    /// The worst share of its bound that an output of a same pixel is off by.
+    pub worst: Shares,
+    /// The pixel (column, row) of the worst share.
+    pub worst_pixel: Option<(u32, u32)>,
+    /// The first faults.
+    pub faults: Vec<Fault>,
+}
+
+/// A wrong pixel.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fault {
+    /// Image column.
+    pub column: u32,
+    /// Image row.
+    pub row: u32,
+    /// What the reference shows.
+    pub reference: Values,
+    /// What the other image shows.
+    pub other: Values,
+    /// What would have been right.
+    pub why: String,
+}
+
+impl Report {
+    /// Adds another comparison's counts, worst shares and faults.
+    pub fn add(&mut self, other: Self) {
+        self.pixels += other.pixels;
+        self.same += other.same;
+        self.edge += other.edge;
+        self.coincident += other.coincident;
+        self.fault += other.fault;
+        if other.worst.most() > self.worst.most() {
+            self.worst_pixel = other.worst_pixel;
+        }
+        self.worst = self.worst.max(other.worst);
+        let room = FAULTS_SHOWN.saturating_sub(self.faults.len());
+        self.faults.extend(other.faults.into_iter().take(room));
+    }
+
+    /// Share of pixels at edges and ties.
+    pub fn edge_share(&self) -> f64 {
+        self.edge as f64 / self.pixels.max(1) as f64
+    }
+
+    /// Refuses faults, and more edge pixels than a share (a handful is always allowed).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] with the first fault.
+    pub fn check(&self, most_edge_share: f64) -> Result<()> {
+        if let Some(first) = self.faults.first() {
+            return Err(Error::invalid(
+                format!("{} of {} pixels are wrong: {}", self.fault, self.pixels, first.why),
+                "one of the two images is at fault",
+            )
+            .at(format!("pixel ({}, {})", first.column, first.row)));
+        }
+        if self.edge > 4 && self.edge_share() > most_edge_share {
+            return Err(Error::invalid(
+                format!(
+                    "{} of {} pixels are at edges, more than a share of {most_edge_share:e}",
+                    self.edge, self.pixels
+                ),
+                "edges are off by too much",
+            ));
+        }
+        Ok(())
+    }
+
+    fn judge(&mut self, at: (u32, u32), verdict: Verdict, reference: Values, other: Values) {
+        self.pixels += 1;
+        match verdict {
+            Verdict::Same(shares) => {
+                self.same += 1;
+                if shares.most() > self.worst.most() {
+                    self.worst_pixel = Some(at);
+                }
+                self.worst = self.worst.max(shares);
+            }
+            Verdict::Edge => self.edge += 1,
+            Verdict::Coincident => self.coincident += 1,
+            Verdict::Fault(why) => {
+                self.fault += 1;
+                if self.faults.len() < FAULTS_SHOWN {
+                    self.faults.push(Fault { column: at.0, row: at.1, reference, other, why });
+                }
+            }
+        }
+    }
+}
+
+enum Verdict {
+    Same(Shares),
+    Edge,
+    Coincident,
+    Fault(String),
+}
+
+/// Compares an engine's images with the reference's; every pixel that differs is a fault.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if sizes or outputs differ.
+pub fn compare_exactly(reference: &Images, other: &Images) -> Result<Report> {
+    check_shape(reference, other)?;
+    let mut report = Report::default();
+    for at in 0..reference.pixels() {
+        let (r, o) = (Values::of(reference, at), Values::of(other, at));
+        let same = r.identical(&o);
+        let verdict = if same { Verdict::Same(Shares::default()) } else { Verdict::Fault(format!("{o} is not {r}")) };
+        report.judge(pixel(reference.width, at), verdict, r, o);
+    }
+    Ok(report)
+}
+
+/// Compares an engine's images with the reference's, judging by the scene that both show.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if sizes or outputs differ, from each other or from the plan's sensor.
+pub fn compare(reference: &Images, other: &Images, plan: &FramePlan, precision: Precision) -> Result<Report> {
+    check_shape(reference, other)?;
+    if (reference.width, reference.height) != (plan.sensor.width(), plan.sensor.height()) {
+        return Err(Error::invalid(
+            "the images are not of the plan's sensor",
+            "compare with the sensor they were made by",
+        ));
+    }
+    let all = (0..reference.pixels()).map(|at| (pixel(reference.width, at), at));
+    Ok(compare_values(all.map(|(p, at)| (p, Values::of(reference, at), Values::of(other, at))), plan, precision))
+}
+
+/// Compares pixel by pixel, for images of which only some pixels are known: (column, row), reference, other.
+pub fn compare_values(
+    pixels: impl Iterator<Item = ((u32, u32), Values, Values)>,
+    plan: &FramePlan,
+    precision: Precision,
+) -> Report {
+    let judge = Judge { plan, precision, instances: instances(plan), lookup: Lookup::new(plan) };
+    let mut report = Report::default();
+    let mut unclear = Vec::new();
+    for (at, reference, other) in pixels {
+        match judge.at_a_glance(at, &reference, &other) {
+            Some(verdict) => report.judge(at, verdict, reference, other),
+            None => unclear.push((at, reference, other)),
+        }
+    }
+    let places: Vec<(u32, u32)> = unclear.iter().map(|(at, ..)| *at).collect();
+    for ((at, reference, other), set) in unclear.into_iter().zip(candidates(plan, &places, precision)) {
+        let verdict = judge.by_candidates(&set, &reference, &other);
+        report.judge(at, verdict, reference, other);
+    }
+    report
+}
+
+/// The largest amounts by which the outputs at a pixel may exceed the reference's; `None` where nothing is seen.
+pub fn allowed(
+    reference: &Images,
+    plan: &FramePlan,
+    (column, row): (u32, u32),
+    precision: Precision,
+) -> Option<Allowed> {
+    let values = Values::of(reference, row as usize * reference.width as usize + column as usize);
+    let (object, polygon) = Lookup::new(plan).find(plan, values.polygon_id?)?;
+    let c = candidates::on_plane_of(plan, &plan.instance_of(object), polygon, (column, row), precision)?;
+    Some(Allowed::above(&c, &values, precision))
+}
+
+fn check_shape(reference: &Images, other: &Images) -> Result<()> {
+    let sizes = [reference, other].map(|i| (i.width, i.height));
+    if sizes[0] != sizes[1] {
+        return Err(Error::invalid(
+            format!("{} x {} pixels against {} x {}", sizes[0].0, sizes[0].1, sizes[1].0, sizes[1].1),
+            "compare images of one sensor",
+        ));
+    }
+    for image in [reference, other] {
+        for output in Output::ALL {
+            let len = image.floats(output).map(<[f32]>::len).or(image.ids(output).map(<[u32]>::len));
+            if len.is_some_and(|len| len != image.pixels()) {
+                return Err(Error::invalid(format!("{} lacks pixels", output.name()), "the image is truncated"));
+            }
+        }
+    }
+    if reference.outputs() != other.outputs() && reference.pixels() > 0 {
+        let names = [reference, other].map(|i| i.outputs().iter().map(Output::name).collect::<Vec<_>>().join(","));
+        return Err(Error::invalid(
+            format!("outputs {} against {}", names[0], names[1]),
+            "ask both engines for the same outputs",
+        ));
+    }
+    Ok(())
+}
+
+struct Judge<'a> {
+    plan: &'a FramePlan,
+    precision: Precision,
+    instances: Vec<Instance>,
+    lookup: Lookup,
+}
+
+impl Judge<'_> {
+    /// What needs no candidates: identical pixels, and those that show the same polygon within the bounds.
+    fn at_a_glance(&self, at: (u32, u32), reference: &Values, other: &Values) -> Option<Verdict> {
+        if reference.identical(other) {
+            return Some(Verdict::Same(Shares::default()));
+        }
+        let id = reference.polygon_id.filter(|id| *id != 0 && Some(*id) == other.polygon_id)?;
+        let (object, polygon) = self.lookup.find(self.plan, id)?;
+        let instance = &self.instances[object as usize];
+        let c = candidates::on_plane_of(self.plan, instance, polygon, at, self.precision)?;
+        let shares = other.off(&c, Some(reference), self.plan.sensor.spec(), self.precision)?;
+        (shares.most() <= 1.0).then_some(Verdict::Same(shares))
+    }
+
+    fn by_candidates(&self, set: &CandidateSet, reference: &Values, other: &Values) -> Verdict {
+        if set.no_ray {
+            return Verdict::Fault(format!(
+                "there is no ray here, yet it shows {}",
+                if other.is_no_ray() { reference } else { other }
+            ));
+        }
+        if other.is_miss() && set.may_miss {
+            return Verdict::Edge;
+        }
+        let fits = |v: &Values, c: &Candidate| {
+            v.off(c, None, self.plan.sensor.spec(), self.precision).filter(|s| s.most() <= 1.0)
+        };
+        // Without ids several polygons may fit; one that fits both images makes them the same.
+        let common = set.candidates.iter().find_map(|c| fits(reference, c).and(fits(other, c)));
+        if let Some(shares) = common {
+            return Verdict::Same(shares);
+        }
+        let Some(shown) = set.candidates.iter().find(|c| fits(other, c).is_some()) else {
+            return Verdict::Fault(why(set, other));
+        };
+        let twice = set.candidates.iter().any(|c| fits(reference, c).is_some() && c.coincides_with(shown));
+        if twice { Verdict::Coincident } else { Verdict::Edge }
+    }
+}
+
+/// What would have been right, in words.
+fn why(set: &CandidateSet, other: &Values) -> String {
+    let mut right: Vec<String> = set
+        .candidates
+        .iter()
+        .take(6)
+        .map(|c| {
+            let sure = if c.sure { "" } else { "perhaps " };
+            format!("{sure}polygon {} at {:.9} m within {:.3e}", c.polygon_id, c.range, c.farthest - c.range)
+        })
+        .collect();
+    if set.candidates.len() > 6 {
+        right.push(format!("{} more", set.candidates.len() - 6));
+    }
+    if set.may_miss {
+        right.push("nothing".into());
+    }
+    format!("{other}, where only {} would be right", right.join(" or "))
+}

@@ -1,0 +1,51 @@
+//! What several tests share. Each test file uses a part of it.
+#![allow(dead_code)]
+
+pub mod scenes;
+
+use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
+
+/// A plan that asks for everything.
+pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
+    let all = Outputs::ALL;
+    let outputs = if sensor.is_camera() { all } else { all.without(presight::Output::DepthZ) };
+    FramePlan::new(world, sensor, world_from_sensor, &Request { outputs, ids: IdScheme::Model })
+}
+
+/// The reference's images.
+pub fn reference(plan: &FramePlan) -> Images {
+    let mut images = Images::default();
+    presight::reference::render(plan, &mut images).expect("the reference renders");
+    images
+}
+
+/// A small seeded generator (SplitMix64), so that a failing case is named by its seed.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in `low..high`.
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Uniform below `n`.
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.bits() % n as u64) as usize
+    }
+}
+
+/// A number from the environment, for spreading runs and for reproducing one.
+pub fn env_number(name: &str, default: u64) -> u64 {
+    match std::env::var(name) {
+        Ok(text) => text.parse().unwrap_or_else(|_| panic!("{name}={text} is not a number")),
+        Err(_) => default,
+    }
+}
