@@ -94,3 +94,51 @@ fn source_numbers_follow_the_reference_table() {
         }
     }
 }
+
+#[test]
+fn merging_keeps_every_surface() {
+    let Some(data) = data() else { return };
+    for scene in scenes(&data) {
+        let name = scene.file_stem().unwrap().to_string_lossy().into_owned();
+        let start = std::time::Instant::now();
+        let merged = import(&scene, &ImportOptions::default()).unwrap();
+        let time = start.elapsed();
+        let source = import(&scene, &SOURCE).unwrap();
+        let (m, s) = (&merged.report, &source.report);
+        eprintln!(
+            "{name}: {} -> {} stored, {} -> {} in scene, {} merges, {:e} m, {time:?}",
+            s.polygons_stored,
+            m.polygons_stored,
+            s.polygons_in_scene,
+            m.polygons_in_scene,
+            m.merges,
+            m.largest_deviation_m
+        );
+        assert_eq!(m.polygons_stored + m.merges, s.polygons_stored, "{name}");
+        assert_eq!((m.triangles_in_scene, &m.problems), (s.triangles_in_scene, &s.problems), "{name}");
+        for (a, b) in merged.environment.objects().iter().zip(source.environment.objects()) {
+            assert_eq!((&a.name, a.first_source), (&b.name, b.first_source));
+            let (bounds, size) = (b.mesh.bounds(), b.mesh.bounds().size());
+            // A vertex that vanished inside a merged polygon may have stood out by the tolerance.
+            let apart = (a.mesh.bounds().min - bounds.min).abs().max((a.mesh.bounds().max - bounds.max).abs());
+            assert!(apart.max_element() <= 1e-6 * size, "{name} {}", a.name);
+            let (area_a, area_b) = (area(&a.mesh), area(&b.mesh));
+            // A tilt of up to 1e-3 costs 5e-7 of the area.
+            assert!(
+                (area_a - area_b).abs() <= 1e-6 * area_b + 1e-12 * size * size,
+                "{name} {}: {area_a} {area_b}",
+                a.name
+            );
+        }
+    }
+}
+
+fn area(mesh: &presight::Mesh) -> f64 {
+    (0..mesh.polygon_count() as u32)
+        .map(|i| {
+            let v: Vec<_> = mesh.corners_of(i).collect();
+            let fan = |k: usize| (v[k] - v[0]).cross(v[k + 1] - v[0]).dot(mesh.plane(i).normal);
+            0.5 * (1..v.len() - 1).map(fan).sum::<f64>()
+        })
+        .sum()
+}
