@@ -116,6 +116,15 @@ fn import_bytes(bytes: &[u8], path: &Path, sidecar: &Sidecar, options: &ImportOp
     Ok(Imported { environment, report })
 }
 
+/// A name in quotes for a message, cut where it would not fit a line.
+fn quoted(name: &str) -> String {
+    const LONGEST: usize = 80;
+    match name.char_indices().nth(LONGEST) {
+        None => format!("{name:?}"),
+        Some((end, _)) => format!("{:?}...", &name[..end]),
+    }
+}
+
 fn parse<'de, T: serde::Deserialize<'de>>(text: &'de [u8]) -> Result<T> {
     serde_json::from_slice(text).map_err(|e| {
         let place = format!("JSON line {}, column {}", e.line(), e.column());
@@ -194,7 +203,7 @@ fn used_meshes(document: &Document<'_>, nodes: &[MeshNode]) -> Result<Vec<usize>
             None => {
                 let count = document
                     .claimed_triangles(node.mesh)
-                    .map_err(|e| e.at(format!("node {} {:?}", node.node, node.path)))?;
+                    .map_err(|e| e.at(format!("node {} {}", node.node, quoted(&node.path))))?;
                 claimed.insert(node.mesh, count);
                 used.push(node.mesh);
                 stored = stored.saturating_add(count);
@@ -299,7 +308,7 @@ fn insert_objects(
     let mut first_source = 0u32;
     for node in nodes {
         let Some(built) = by_mesh.get(&node.mesh) else { continue };
-        let place = || format!("node {} {:?}", node.node, node.path);
+        let place = || format!("node {} {}", node.node, quoted(&node.path));
         report.triangles_in_scene += u64::from(built.source_count);
         report.polygons_in_scene += built.mesh.polygon_count() as u64;
         if node.skinned {
