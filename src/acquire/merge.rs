@@ -423,3 +423,7 @@ fn is_convex(points: &[DVec3], normal: DVec3) -> bool {
         if turn * turn > straight_squared { turn > 0.0 } else { arriving.dot(leaving) > 0.0 }
     })
 }
+
+#[cfg(test)]
+#[path = "merge_tests.rs"]
+mod tests;
