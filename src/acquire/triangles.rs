@@ -1,6 +1,6 @@
 //! Triangles as a file has them, over welded vertices: the step between a file format and a mesh.
 
-use crate::geometry::plane_of_polygon;
+use crate::environment::canonical_plane;
 use glam::{DVec3, Vec3};
 
 /// One source triangle.
@@ -35,7 +35,10 @@ impl TriangleMesh {
         let source = self.source_count;
         self.source_count += 1;
         let [a, b, c] = corners;
-        let flat = a == b || b == c || c == a || plane_of_polygon(&self.positions(corners)).is_none();
+        let flat = a == b || b == c || c == a || {
+            let points = self.positions(corners);
+            canonical_plane(3, |k| points[k]).is_none()
+        };
         if flat {
             self.degenerate.push(source);
         } else {

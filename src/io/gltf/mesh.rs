@@ -1,6 +1,7 @@
 //! The triangles of a glTF mesh: all topologies, all its primitives together, equal positions welded.
 
 use super::accessor::{Document, Positions};
+use super::quoted;
 use crate::acquire::{ProblemKind, TriangleMesh, Welder};
 use crate::error::{Error, Result};
 use glam::Vec3;
@@ -39,11 +40,11 @@ fn mode_of(primitive: &Primitive) -> Result<Mode> {
 /// Words for a mesh in messages.
 pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
     let name = root.meshes.get(mesh).and_then(|m| m.name.as_deref()).unwrap_or("");
-    format!("mesh {mesh} {name:?}")
+    format!("mesh {mesh} {}", quoted(name))
 }
 
 impl Document<'_> {
-    /// Triangles that a mesh claims to have, from the accessors' counts alone.
+    /// Triangles that a mesh claims to have, from the accessors' counts alone; the data is proven to be there.
     pub fn claimed_triangles(&self, mesh: usize) -> Result<u64> {
         let place = |e: Error| e.at(mesh_words(&self.root, mesh));
         let Some(m) = self.root.meshes.get(mesh) else {
@@ -54,7 +55,7 @@ impl Document<'_> {
         for (i, primitive) in m.primitives.iter().enumerate() {
             let inner = |e: Error| place(e.at(format!("primitive {i}")));
             let Some(positions) = position_accessor(primitive) else { continue };
-            let corners = self.accessor(primitive.indices.unwrap_or(positions)).map_err(inner)?.count.0;
+            let corners = self.proven_count(primitive.indices.unwrap_or(positions)).map_err(inner)?;
             sum = sum.saturating_add(triangle_count(mode_of(primitive).map_err(inner)?, corners).unwrap_or(0));
         }
         Ok(sum)
