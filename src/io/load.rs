@@ -17,12 +17,12 @@ use std::path::Path;
 /// [`crate::ErrorKind::Usage`] if there is none of this name; the remedy lists the names.
 pub fn preset(name: &str) -> Result<Sensor> {
     let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
-        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", names())));
+        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
     };
     Sensor::new(sensor_toml::parse(preset.toml, preset.name, None)?)
 }
 
-fn names() -> String {
+pub(super) fn preset_names() -> String {
     PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
 }
 
@@ -44,7 +44,7 @@ pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
         _ => {
             return Err(Error::usage(
                 format!("{arg:?} is neither a preset nor a sensor file"),
-                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", names()),
+                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
             ));
         }
     };

@@ -10,10 +10,10 @@
 //! mount = { xyz = [0.2, 0.0, 0.3], rpy_deg = [0.0, 0.0, 0.0] }  # optional, default: the sensor's own [mount]
 //! ```
 
-use super::load::load_sensor;
+use super::load::{load_sensor, preset_names};
 use super::sensor_toml::MountTable;
 use super::text::{check_format, read_text, toml_from_str};
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::sensor::{PRESETS, Sensor};
 use serde::Deserialize;
 use std::path::Path;
@@ -81,7 +81,14 @@ impl Entry {
         let is_preset = PRESETS.iter().any(|p| p.name == self.sensor);
         let arg =
             if is_preset { self.sensor.clone() } else { folder.join(&self.sensor).to_string_lossy().into_owned() };
-        let (sensor, more) = load_sensor(&arg)?;
+        let (sensor, more) = load_sensor(&arg).map_err(|e| match e.kind() {
+            // The name stands in a file, not on the command line: the file is at fault.
+            ErrorKind::Usage => Error::invalid(
+                format!("{:?} is neither a preset nor a sensor file", self.sensor),
+                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
+            ),
+            _ => e,
+        })?;
         notices.extend(more.into_iter().map(|n| format!("{}: {n}", self.sensor)));
         if self.name.is_none() && self.mount.is_none() {
             return Ok(sensor);
@@ -119,12 +126,14 @@ mod tests {
             (text.replace("format = 1", "format = 2"), "newer"),
             (text.replace("name =", "nome ="), "line 4"),
             (text.replace("eye.toml", "ear.toml"), "ear.toml"),
+            (text.replace("laser-scanner", "laser-scaner"), "choose one of"),
             (text.replace("\"front\"", "\"video-camera\""), "two sensors"),
             ("format = 1".to_owned(), "no sensors"),
         ] {
             std::fs::write(&path, &bad).unwrap();
-            let e = load_robot(&path).unwrap_err().to_string();
-            assert!(e.contains(says), "{e}");
+            let e = load_robot(&path).unwrap_err();
+            assert_eq!(e.kind().exit_status(), 1, "{e}");
+            assert!(e.to_string().contains(says), "{e}");
         }
     }
 }
