@@ -1,9 +1,12 @@
 //! Files: one module per format. Knows the data types and no engine.
 
+pub mod camera_info;
 pub mod gltf;
 mod load;
 pub mod materials;
+pub mod robot_toml;
 pub mod sensor_toml;
 pub(crate) mod text;
 
 pub use load::{load_sensor, preset};
+pub use robot_toml::{Robot, load_robot};
