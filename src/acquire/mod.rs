@@ -3,6 +3,7 @@
 
 mod edges;
 mod merge;
+pub mod free_poses;
 mod quality;
 mod report;
 mod triangles;

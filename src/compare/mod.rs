@@ -260,18 +260,22 @@ impl Judge<'_> {
         if other.is_miss() && set.may_miss {
             return Verdict::Edge;
         }
-        let fits = |v: &Values, c: &Candidate| {
-            v.off(c, None, self.plan.sensor.spec(), self.precision).filter(|s| s.most() <= 1.0)
+        let spec = self.plan.sensor.spec();
+        let fits = |v: &Values, base: Option<&Values>, c: &Candidate| {
+            v.off(c, base, spec, self.precision).filter(|s| s.most() <= 1.0)
         };
+        let shown_by_reference = |c: &Candidate| fits(reference, None, c).is_some();
+        // Against the reference's own values where both show the same polygon.
+        let shown = |c: &Candidate| fits(other, shown_by_reference(c).then_some(reference), c);
         // Without ids several polygons may fit; one that fits both images makes them the same.
-        let common = set.candidates.iter().find_map(|c| fits(reference, c).and(fits(other, c)));
+        let common = set.candidates.iter().filter(|c| shown_by_reference(c)).find_map(shown);
         if let Some(shares) = common {
             return Verdict::Same(shares);
         }
-        let Some(shown) = set.candidates.iter().find(|c| fits(other, c).is_some()) else {
+        let Some(shown) = set.candidates.iter().find(|c| shown(c).is_some()) else {
             return Verdict::Fault(why(set, other));
         };
-        let twice = set.candidates.iter().any(|c| fits(reference, c).is_some() && c.coincides_with(shown));
+        let twice = set.candidates.iter().any(|c| shown_by_reference(c) && c.coincides_with(shown));
         if twice { Verdict::Coincident } else { Verdict::Edge }
     }
 }

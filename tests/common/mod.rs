@@ -1,6 +1,7 @@
 //! What several tests share. Each test file uses a part of it.
 #![allow(dead_code)]
 
+pub mod data;
 pub mod scenes;
 
 use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};

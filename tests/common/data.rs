@@ -1,0 +1,40 @@
+//! Real scenes and sensors.
+
+use presight::acquire::free_poses::free_poses;
+use presight::io::gltf::{ImportOptions, import};
+use presight::{Pose, Sensor, World};
+use std::path::PathBuf;
+
+/// The scenes that every engine is held to.
+pub const SCENES: [&str; 5] = ["warehouse_small", "office_willowgarage", "factory_hall", "hospital", "city"];
+
+/// A file of the shared data. Without the data the test says so loudly and passes, unless it must have them.
+pub fn file(relative: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("PRESIGHT_DATA")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let path = root.join(relative);
+    if path.exists() {
+        return Some(path);
+    }
+    let needed = std::env::var_os("CI").is_some() || std::env::var("PRESIGHT_REQUIRE_DATA").is_ok_and(|v| v == "1");
+    assert!(!needed, "{} is not there", path.display());
+    eprintln!("SKIPPED: {} is not there; set PRESIGHT_DATA", path.display());
+    None
+}
+
+/// A scene of the shared data, merged unless `ids source` is meant.
+pub fn scene(name: &str, merge: bool) -> Option<World> {
+    let path = file(&format!("env/{name}.glb"))?;
+    let options = ImportOptions { merge, ..ImportOptions::default() };
+    Some(World::new(import(path, &options).expect("the scene imports").environment))
+}
+
+/// Free poses of a scene.
+pub fn poses(world: &World, n: usize, seed: u64) -> Vec<Pose> {
+    free_poses(world, n, seed).expect("the scene has free poses")
+}
+
+/// Every preset sensor.
+pub fn presets() -> Vec<Sensor> {
+    presight::sensor::PRESETS.iter().map(|p| presight::preset(p.name).expect("a sound preset")).collect()
+}
