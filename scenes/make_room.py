@@ -258,10 +258,8 @@ def scene():
     shell.append(node("wall_east", "wall_east", (6, 4.5, 0), -90))
     shell.append(node("column", "column", (5.1, 1.72, 0)))
     shell.append(block("beam", "wood", (0, 2.1, 2.42), (6, 2.28, 2.6)))
-    chairs = [
-        node(f"chair_{k}", "chair", at, turn)
-        for k, (at, turn) in enumerate((((3.0, 1.45, 0), 85), ((4.0, 1.5, 0), 110), ((3.1, 2.95, 0), -80), ((4.55, 2.4, 0), 188)))
-    ]
+    seats = (((3.0, 1.45, 0), 85), ((4.0, 1.5, 0), 110), ((3.1, 2.95, 0), -80), ((4.55, 2.4, 0), 188))
+    chairs = [node(f"chair_{k}", "chair", at, turn) for k, (at, turn) in enumerate(seats)]
     picture = [
         block("frame", "wood", (1.55, 4.46, 1.2), (2.3, 4.5, 1.8)),
         block("canvas", "fabric", (1.6, 4.455, 1.25), (2.25, 4.46, 1.75)),

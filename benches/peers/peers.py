@@ -113,8 +113,9 @@ def measure(name, options, folder, problems):
     backends = [] if options.embree_only else options.backends.split(",")
     for sensor in options.sensors.split(","):
         body_rays, range_max = SENSORS[sensor]()
-        row = {"scene": name, "triangles": len(embree.triangles), "sensor": sensor, "embree_ms": [], "embree_best_ms": [], "presight": {}}
+        row = {"scene": name, "triangles": len(embree.triangles), "sensor": sensor}
         row["size"] = f"{body_rays.shape[1]} x {body_rays.shape[0]}"
+        row |= {"embree_ms": [], "embree_best_ms": [], "presight": {}}
         for pose in poses:
             rays = embree.rays(body_rays, pose)
             half = max(1, options.repeat // 2)
@@ -127,7 +128,8 @@ def measure(name, options, folder, problems):
                     problems.append(str(problem))
                     backends = [b for b in backends if b != backend]
                     continue
-                mine = row["presight"].setdefault(backend, {"ms": [], "best_ms": [], "differ": np.zeros(4, dtype=np.int64)})
+                empty = {"ms": [], "best_ms": [], "differ": np.zeros(4, dtype=np.int64)}
+                mine = row["presight"].setdefault(backend, empty)
                 mine["ms"].append(stats["prediction_ms"]["median"])
                 mine["best_ms"].append(stats["prediction_ms"]["min"])
                 mine["differ"] += differ

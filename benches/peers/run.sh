@@ -11,6 +11,11 @@ if [[ ! -f "$venv/ready" ]] || ! cmp -s "$here/requirements.txt" "$venv/ready"; 
     echo "benches/peers: making $venv (open3d-cpu is about 100 MB)" >&2
     python3 -m venv "$venv"
     "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$here/requirements.txt" >&2
+    if ! said=$("$venv/bin/python" -c 'import open3d' 2>&1); then
+        printf 'benches/peers: Open3D does not load: %s\n' "${said##*$'\n'}" >&2
+        echo "benches/peers: on Debian and Ubuntu: apt-get install libusb-1.0-0 libgomp1" >&2
+        exit 1
+    fi
     cp "$here/requirements.txt" "$venv/ready"
 fi
 
