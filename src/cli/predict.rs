@@ -1,11 +1,12 @@
 //! `presight predict`: what a sensor at a pose sees.
 
-use super::load::{self, Scene, SceneOptions};
+use super::load::{self, Scene};
 use super::pose::{GivenPose, PoseArgs};
 use super::statistics::{Statistics, Subject};
 use super::{Verdict, print};
 use crate::error::{Error, Result};
 use crate::io::atomic::write_atomically;
+use crate::io::gltf::ImportOptions;
 use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png};
 use crate::plan::{IdScheme, Output, Outputs, Request};
 use crate::predict::{Backend, Options, Prediction, Predictor, Stats};
@@ -144,7 +145,7 @@ enum PointsFormat {
 struct Job {
     pose: GivenPose,
     points_format: Option<PointsFormat>,
-    scene: SceneOptions,
+    import: ImportOptions,
     options: Options,
 }
 
@@ -154,22 +155,21 @@ impl Args {
         Ok(Job {
             pose: self.pose.parse()?,
             points_format,
-            scene: SceneOptions { merge_tolerance: self.checked_tolerance()? },
+            import: self.import_options()?,
             options: Options { backend: self.backend.into(), threads: self.threads },
         })
     }
 
-    fn checked_tolerance(&self) -> Result<Option<f64>> {
+    fn import_options(&self) -> Result<ImportOptions> {
+        let default = ImportOptions::default();
         match (self.ids, self.merge_tolerance) {
             (IdsArg::Source, Some(_)) => {
                 let remedy = "drop --merge-tolerance or --ids source";
                 Err(Error::usage("--merge-tolerance: source ids are of unmerged triangles", remedy))
             }
-            (IdsArg::Source, None) => Ok(None),
-            (IdsArg::Model, None) => Ok(Some(1e-6)),
-            (IdsArg::Model, Some(x)) if (0.0..=1e-2).contains(&x) => Ok(Some(x)),
-            (IdsArg::Model, Some(x)) => {
-                Err(Error::usage(format!("--merge-tolerance {x}"), "give a part of the object's size, 0 to 0.01"))
+            (IdsArg::Source, None) => Ok(ImportOptions { merge: false, ..default }),
+            (IdsArg::Model, given) => {
+                Ok(ImportOptions { merge_tolerance: given.unwrap_or(default.merge_tolerance), ..default })
             }
         }
     }
@@ -229,8 +229,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     print::notices(&notices);
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
-    let scene = load::scene(&args.scene, job.scene)?;
-    print::notices(&scene.notices);
+    let scene = load::scene(&args.scene, &job.import)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
     let mut predict = || -> Result<(f64, Prediction)> {
         let start = Instant::now();
@@ -301,7 +300,7 @@ fn write_files(args: &Args, points_format: Option<PointsFormat>, scene: &Scene, 
 fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr::Attributes> {
     let objects = scene.world.environment().objects();
     Ok(exr::Attributes {
-        sensor: Some(load::sensor_text(&prediction.sensor)),
+        sensor: Some(load::sensor_text(&args.sensor, &prediction.sensor)?),
         world_from_sensor: Some(prediction.world_from_sensor),
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(load::blake3_of(&args.scene)?),

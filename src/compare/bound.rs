@@ -108,7 +108,8 @@ impl FaceBound {
             edges: face.edges.iter().map(|e| edge_bound(face, e, centre, eps)).collect(),
             cosine: normal + 6.0 * eps,
             distance: arithmetic + centre + tilt + 2.0 * deviation,
-            may_be_edge_on: face.edge_on() || face.distance.abs() <= 4.0 * arithmetic + 8.0 * centre + tilt + 2.0 * deviation,
+            may_be_edge_on: face.edge_on()
+                || face.distance.abs() <= 4.0 * arithmetic + 8.0 * centre + tilt + 2.0 * deviation,
         }
     }
 
