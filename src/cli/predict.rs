@@ -304,6 +304,7 @@ fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr
         world_from_sensor: Some(prediction.world_from_sensor),
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(load::blake3_of(&args.scene)?),
+        ids: Some(if args.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model }),
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
 }

@@ -5,7 +5,7 @@ use super::atomic::write_atomically;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
-use crate::plan::{Images, Output, Outputs};
+use crate::plan::{IdScheme, Images, Output, Outputs};
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::meta::attribute::{AttributeValue, LineOrder, SampleType, Text};
 use ::exr::meta::header::{Header, LayerAttributes};
@@ -30,6 +30,8 @@ pub struct Attributes {
     pub scene: Option<String>,
     /// BLAKE3 of the scene file, hexadecimal.
     pub scene_blake3: Option<String>,
+    /// What `polygon_id` numbers.
+    pub ids: Option<IdScheme>,
     /// Object names by `object_id`.
     pub objects: BTreeMap<u32, String>,
 }
@@ -102,6 +104,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(&'static str, String)> {
     texts.extend(attributes.world_from_sensor.map(|p| ("world_from_sensor", pose_to_text(&p))));
     texts.extend(attributes.scene.clone().map(|t| ("scene", t)));
     texts.extend(attributes.scene_blake3.clone().map(|t| ("scene_blake3", t)));
+    texts.extend(attributes.ids.map(|ids| ("ids", if ids == IdScheme::Model { "model" } else { "source" }.into())));
     // A map of numbers to texts cannot fail to be JSON.
     texts.push(("objects", serde_json::to_string(&attributes.objects).unwrap_or_default()));
     texts
@@ -280,6 +283,13 @@ impl Attributes {
             "world_from_sensor" => self.world_from_sensor = Some(pose_from_text(text)?),
             "scene" => self.scene = Some(text.to_owned()),
             "scene_blake3" => self.scene_blake3 = Some(text.to_owned()),
+            "ids" => {
+                self.ids = Some(match text {
+                    "model" => IdScheme::Model,
+                    "source" => IdScheme::Source,
+                    _ => return Err(Error::invalid(format!("is {text:?}"), "write model or source")),
+                });
+            }
             "objects" => {
                 self.objects = serde_json::from_str(text).map_err(|e| {
                     Error::invalid(format!("is no map of ids to names: {e}"), "write {\"1\": \"name\"}")
