@@ -2,8 +2,8 @@
 //! on the way.
 
 mod edges;
-mod merge;
 pub mod free_poses;
+mod merge;
 mod quality;
 mod report;
 mod triangles;
