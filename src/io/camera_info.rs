@@ -211,7 +211,8 @@ fn region(file: &File, notices: &mut Vec<String>) -> Result<Roi> {
     let whole = [r.x_offset, r.y_offset, r.width, r.height] == [0; 4];
     let (width, height) = if whole { (file.width, file.height) } else { (r.width, r.height) };
     let fits = |offset: u32, side: u32, full: u32| side > 0 && u64::from(offset) + u64::from(side) <= u64::from(full);
-    if !whole && !(fits(r.x_offset, width, file.width) && fits(r.y_offset, height, file.height)) {
+    let inside = fits(r.x_offset, width, file.width) && fits(r.y_offset, height, file.height);
+    if !(whole || inside) {
         return Err(Error::invalid(
             format!("{width} x {height} pixels from ({}, {}) are not inside the image", r.x_offset, r.y_offset),
             "give the region in pixels of the full resolution, or all zeros",

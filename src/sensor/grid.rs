@@ -4,6 +4,7 @@ use glam::{DMat3, DVec3};
 
 /// All rays of a sensor, in the image frame.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each sensor, and it lives behind an Arc")]
 pub enum PixelGrid {
     /// Pinhole cameras and scanners.
     Lines(LineGrid),
