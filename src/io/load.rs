@@ -102,4 +102,22 @@ mod tests {
         }
         assert_eq!(load_sensor("no/such/sensor.toml").unwrap_err().kind(), ErrorKind::Invalid);
     }
+
+    #[test]
+    fn files_are_read_by_their_extension() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+        std::fs::write(path("eye.toml"), PRESETS[0].toml).unwrap();
+        let yaml = "image_width: 4\nimage_height: 3\ncamera_matrix: {data: [2, 0, 1.5, 0, 2, 1, 0, 0, 1]}\nfoo: 1\n";
+        std::fs::write(path("eye.YAML"), yaml).unwrap();
+        let (sensor, notices) = load_sensor(&path("eye.toml")).unwrap();
+        assert_eq!((sensor.spec().name.as_str(), notices.len()), ("video-camera", 0));
+        let (sensor, notices) = load_sensor(&path("eye.YAML")).unwrap();
+        assert_eq!((sensor.spec().name.as_str(), sensor.width(), sensor.height()), ("eye", 4, 3));
+        assert!(notices.len() == 1 && notices[0].contains("foo"), "{notices:?}");
+        // A fault that only the finished sensor shows names the file too.
+        std::fs::write(path("eye.YAML"), yaml.replace("4", "0")).unwrap();
+        let e = load_sensor(&path("eye.YAML")).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && e.file().is_some() && e.to_string().contains("0 x 3"), "{e}");
+    }
 }
