@@ -121,12 +121,13 @@ impl Sidecar {
     /// Changes the named materials of a scene.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if a name belongs to no material.
+    /// [`crate::ErrorKind::Invalid`] if a name belongs to no material or a reflection factor is impossible.
     pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
         for (name, properties) in &self.materials {
             let mut known = false;
             for material in materials.iter_mut().filter(|m| &m.name == name) {
                 properties.apply_to(material);
+                material.check()?;
                 known = true;
             }
             if !known {

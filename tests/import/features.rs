@@ -32,7 +32,8 @@ fn all_index_types_and_none_give_the_same_triangles() {
 
 #[test]
 fn strips_fans_and_lists_follow_the_specification() {
-    let cases: [(u32, &[u32], &[[usize; 3]]); 3] = [
+    type Case<'a> = (u32, &'a [u32], &'a [[usize; 3]]);
+    let cases: [Case<'_>; 3] = [
         (4, &[0, 1, 2, 3, 2, 1, 4], &[[0, 1, 2], [3, 2, 1]]),
         (5, &[0, 1, 2, 3, 4], &[[0, 1, 2], [1, 3, 2], [2, 3, 4]]),
         (6, &[0, 1, 3, 2], &[[1, 3, 0], [3, 2, 0]]),

@@ -1,6 +1,7 @@
 //! The real scenes: counts, bounds and source numbers against what their makers wrote down.
 
 use crate::build::SOURCE;
+use glam::DVec3;
 use presight::acquire::ProblemKind;
 use presight::io::gltf::{ImportOptions, import};
 use std::path::{Path, PathBuf};
@@ -143,6 +144,55 @@ fn merging_keeps_every_surface() {
             );
         }
     }
+}
+
+#[test]
+fn points_of_source_triangles_lie_in_as_many_merged_polygons() {
+    let Some(data) = data() else { return };
+    let (mut judged, mut merged_away) = (0u32, 0u32);
+    for scene in scenes(&data) {
+        let merged = import(&scene, &ImportOptions::default()).unwrap();
+        let source = import(&scene, &SOURCE).unwrap();
+        for (a, b) in merged.environment.objects().iter().zip(source.environment.objects()).step_by(7) {
+            let slack = 2e-6 * b.mesh.bounds().size();
+            let count = b.mesh.polygon_count() as u32;
+            for triangle in (0..count).step_by((count as usize / 5).max(1)) {
+                let p = b.mesh.corners_of(triangle).sum::<DVec3>() / 3.0;
+                let normal = b.mesh.plane(triangle).normal;
+                let [found, expected] = [&a.mesh, &b.mesh].map(|m| covering(m, p, normal, slack));
+                // Within the tolerance of an edge either answer is right.
+                let (Some(found), Some(expected)) = (found, expected) else { continue };
+                assert_eq!(found, expected, "{} {} triangle {triangle}", scene.display(), a.name);
+                judged += 1;
+                merged_away += u32::from(a.mesh.polygon_count() < b.mesh.polygon_count());
+            }
+        }
+    }
+    eprintln!("{judged} points judged, {merged_away} of them in meshes that were merged");
+    assert!(merged_away > 1000);
+}
+
+/// How many polygons facing along `normal` hold the point; `None` if one may or may not.
+fn covering(mesh: &presight::Mesh, p: DVec3, normal: DVec3, slack: f64) -> Option<u32> {
+    let mut count = 0;
+    for i in 0..mesh.polygon_count() as u32 {
+        let plane = mesh.plane(i);
+        let (off, facing) = ((plane.normal.dot(p) - plane.offset).abs(), plane.normal.dot(normal));
+        if off > slack || facing < 0.99 {
+            continue;
+        }
+        let v: Vec<DVec3> = mesh.corners_of(i).collect();
+        let edge = |k: usize| {
+            let (a, b) = (v[k], v[(k + 1) % v.len()]);
+            plane.normal.cross(b - a).normalize().dot(p - a)
+        };
+        let depth = (0..v.len()).map(edge).fold(f64::INFINITY, f64::min);
+        if depth.abs() <= slack || (facing < 0.999_99 && depth > 0.0) || (off > 0.25 * slack && depth > 0.0) {
+            return None;
+        }
+        count += u32::from(depth > 0.0);
+    }
+    Some(count)
 }
 
 fn area(mesh: &presight::Mesh) -> f64 {

@@ -324,7 +324,8 @@ fn insert_objects(
             report.largest_deviation_m = report.largest_deviation_m.max(deviation);
             let object = environment.insert(NewObject { first_source, ..new }).map_err(|e| e.at(place()))?;
             let bounds = environment.objects()[object as usize].world_bounds();
-            if !(bounds.min.abs().max(bounds.max.abs()).max_element() <= limits::MAX_COORDINATE) {
+            let reach = bounds.min.abs().max(bounds.max.abs());
+            if !reach.is_finite() || reach.max_element() > limits::MAX_COORDINATE {
                 return Err(Error::invalid(
                     format!("it reaches beyond {} m", limits::MAX_COORDINATE),
                     "check the scale: glTF is in metres",
