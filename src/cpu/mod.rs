@@ -2,9 +2,9 @@
 //!
 //! | stage | in | out |
 //! |---|---|---|
-//! | [`setup`] | runs of the plan | batches: polygons that may cover a ray, with planes, edges and bounds |
-//! | [`spans`] or [`rays`] | batches | a band of the z-buffer: inverse depth and winner per ray |
-//! | [`resolve`] | the band | the asked images |
+//! | `setup` | runs of the plan | batches: polygons that may cover a ray, with planes, edges and bounds |
+//! | `spans` or `rays` | batches | a band of the z-buffer: inverse depth and winner per ray |
+//! | `resolve` | the band | the asked images |
 //!
 //! Nearest wins, bit-equal inverse depths go to the lower slot: the order of work, and with it the number of
 //! threads, cannot change a bit.
