@@ -140,7 +140,8 @@ fn a_prediction_is_written_with_what_made_it() {
     assert_eq!(attributes.world_from_sensor.unwrap().translation.to_array(), [0.0, 0.0, 1.0]);
     fs::write(place.path("again.toml"), attributes.sensor.unwrap()).unwrap();
     place.done("predict wall.glb --sensor again.toml --pose 0,0,1,0,0,0 --backend cpu --out b.exr");
-    assert_eq!(place.images("b.exr").images, place.images("a.exr").images);
+    let (a, b) = (place.images("a.exr").images, place.images("b.exr").images);
+    assert_eq!((a.range, a.polygon_id), (b.range, b.polygon_id));
 }
 
 #[test]
@@ -215,14 +216,14 @@ fn statistics_and_explanation_say_what_it_cost() {
 fn pictures_and_points_are_written() {
     let place = Place::new();
     for output in ["range", "polygon_id", "object_id", "cos_incidence", "depth_z"] {
-        let view = "--sensor video-camera --pose 0,0,1,0,0,0 --backend cpu";
+        let view = "--sensor video-camera --pose -1,0,1,0,0,0 --backend cpu";
         place.done(&format!("predict wall.glb {view} --png {output}.png --png-of {output} --depth-png depth.png"));
         assert!(image::open(place.path(&format!("{output}.png"))).unwrap().width() > 500);
     }
     let depth = image::open(place.path("depth.png")).unwrap().into_luma16();
     assert_eq!(
         (depth.width(), depth.height(), depth.get_pixel(256, 256).0, depth.get_pixel(0, 0).0),
-        (512, 512, [2000], [0])
+        (512, 512, [3000], [0])
     );
     place.done(&format!("predict wall.glb {VIEW} --points a.ply"));
     place.done(&format!("predict wall.glb {VIEW} --points a.pcd --points-frame world"));
@@ -267,7 +268,8 @@ fn inspection_counts_in_words_and_json() {
     assert!(words.contains("objects    1") && words.contains("from 2 triangles"), "{words}");
     let json: Value = serde_json::from_str(&place.done("inspect wall.glb --json")).unwrap();
     assert_eq!((&json["objects"][0]["name"], &json["triangles_in_scene"]), (&json!("wall"), &json!(2)));
-    assert_eq!(json["bounds"]["min"], json!([2.0, -1.0, 0.0]));
+    let low: Vec<f64> = serde_json::from_value(json["bounds"]["min"].clone()).unwrap();
+    assert!((0..3).all(|i| (low[i] - [2.0, -1.0, 0.0][i]).abs() < 1e-9), "{low:?}");
 }
 
 #[test]
@@ -331,7 +333,7 @@ fn broken_scenes() -> Vec<(&'static str, Vec<u8>, Vec<&'static str>)> {
         ("truncated.glb", whole[..whole.len() - 20].to_vec(), vec!["truncated"]),
         ("empty.glb", Vec::new(), vec![]),
         ("text.glb", b"solid this is STL\n".to_vec(), vec!["glTF"]),
-        ("index.glb", wall(|_| (), WALL, [0, 1, 2, 0, 2, 9]), vec!["mesh", "9"]),
+        ("index.glb", wall(|_| (), WALL, [0, 1, 2, 0, 2, 9]), vec!["9"]),
         ("nan.glb", moved(f32::NAN), vec!["mesh", "NaN"]),
         ("infinite.glb", moved(f32::INFINITY), vec!["mesh", "inf"]),
         ("flat.glb", changed(|r| r["nodes"][0]["scale"] = json!([1, 0, 1])), vec!["wall", "scale"]),
@@ -344,7 +346,7 @@ fn broken_scenes() -> Vec<(&'static str, Vec<u8>, Vec<&'static str>)> {
             }),
             vec!["ACME_nurbs"],
         ),
-        ("claim.glb", changed(|r| r["accessors"][1]["count"] = json!(3_000_000_000_u64)), vec!["accessor 1"]),
+        ("claim.glb", changed(|r| r["accessors"][1]["count"] = json!(3_000_000_000_u64)), vec!["3000000000"]),
         ("nothing.glb", changed(|r| r["scenes"][0]["nodes"] = json!([])), vec!["scene"]),
         ("version.glb", changed(|r| r["asset"]["version"] = json!("3.0")), vec!["3.0"]),
     ]
@@ -423,7 +425,11 @@ fn wrong_usage() {
             bad(posed("--points cloud.xyz"), 2, &["cloud.xyz", "; end the name in .ply or .pcd"]),
             bad(posed("--ids source --merge-tolerance 1e-6"), 2, &["--merge-tolerance", "; drop"]),
             bad(posed("--merge-tolerance nan"), 2, &["merge tolerance", "; give"]),
-            bad(posed("--backend cuda"), 2, &["cuda", "auto, cpu, gpu", "; see"]),
+            bad(
+                "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cuda",
+                2,
+                &["cuda", "auto, cpu, gpu", "; see"],
+            ),
             bad(posed("--repeat 0"), 2, &["--repeat", "; see"]),
             bad("predikt wall.glb", 2, &["predikt", "; see"]),
         ],
@@ -485,7 +491,7 @@ fn bad_comparisons() {
 fn without_vulkan_gpu_is_refused_and_auto_goes_on() {
     let place = Place::new();
     let line = "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --out out.exr --backend gpu";
-    check(&place, vec![bad(line, 3, &["gpu", "; "])]);
+    check(&place, vec![bad(line, 3, &["use --backend cpu"])]);
     let outcome = place.run("predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend auto");
     assert_eq!(outcome.status, Some(0), "{}", outcome.stderr);
     assert!(outcome.stdout.contains("on cpu"), "{}", outcome.stdout);

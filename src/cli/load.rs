@@ -5,7 +5,6 @@ use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::io::gltf::{ImportOptions, import};
 use crate::io::materials::Sidecar;
-use crate::sensor::{PRESETS, Sensor};
 use crate::world::World;
 use glam::DVec3;
 use std::path::Path;
@@ -32,17 +31,6 @@ pub fn scene(path: &Path, options: &ImportOptions) -> Result<Scene> {
         world_from_gltf: Sidecar::beside(path)?.world_from_scene.then(&z_up_from_y_up),
         report: imported.report,
     })
-}
-
-/// The sensor TOML that `--sensor` named, for the record in the files it made.
-///
-/// # Errors
-/// Those of reading it.
-pub fn sensor_text(arg: &str, _sensor: &Sensor) -> Result<String> {
-    if let Some(preset) = PRESETS.iter().find(|p| p.name == arg) {
-        return Ok(preset.toml.to_owned());
-    }
-    std::fs::read_to_string(arg).map_err(|e| Error::io(arg, "read", e))
 }
 
 /// BLAKE3 of a file, hexadecimal.

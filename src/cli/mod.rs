@@ -10,7 +10,7 @@ mod sensors;
 mod statistics;
 
 use crate::error::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
 
 /// Predicts what a robot's sensors should see.
@@ -89,7 +89,11 @@ fn refuse(e: &clap::Error) -> ExitCode {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty()).collect();
-    let command = std::env::args().nth(1).filter(|a| !a.starts_with('-')).map(|a| format!(" {a}")).unwrap_or_default();
+    let command = std::env::args()
+        .nth(1)
+        .filter(|a| Cli::command().find_subcommand(a).is_some())
+        .map(|a| format!(" {a}"))
+        .unwrap_or_default();
     print::message(&format!("{}; see presight{command} --help", message.join(" ")));
     ExitCode::from(2)
 }
@@ -97,7 +101,6 @@ fn refuse(e: &clap::Error) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_well_formed() {

@@ -7,7 +7,7 @@ use super::{Verdict, print};
 use crate::error::{Error, Result};
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
-use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png};
+use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor_toml};
 use crate::plan::{IdScheme, Output, Outputs, Request};
 use crate::predict::{Backend, Options, Prediction, Predictor, Stats};
 use crate::sensor::Sensor;
@@ -178,7 +178,7 @@ impl Args {
     fn request(&self, sensor: &Sensor) -> Result<Request> {
         let mut wanted: Vec<Output> = self.outputs.iter().collect();
         if self.png.is_some() {
-            wanted.extend([self.png_of, Output::PolygonId]);
+            wanted.extend(png::preview_needs(sensor, self.png_of).iter());
         }
         if self.points.is_some() {
             wanted.extend([Output::Range, Output::PolygonId]);
@@ -300,7 +300,7 @@ fn write_files(args: &Args, points_format: Option<PointsFormat>, scene: &Scene, 
 fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr::Attributes> {
     let objects = scene.world.environment().objects();
     Ok(exr::Attributes {
-        sensor: Some(load::sensor_text(&args.sensor, &prediction.sensor)?),
+        sensor: Some(sensor_toml::to_string(prediction.sensor.spec())),
         world_from_sensor: Some(prediction.world_from_sensor),
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(load::blake3_of(&args.scene)?),

@@ -9,7 +9,7 @@ mod view;
 
 use super::atomic::write_atomically;
 use crate::error::{Error, Result};
-use crate::plan::{Images, Output};
+use crate::plan::{Images, Output, Outputs};
 use crate::sensor::{Geometry, Sensor};
 use canvas::Canvas;
 use color::Palette;
@@ -48,12 +48,21 @@ fn preview(images: &Images, sensor: &Sensor, output: Output) -> Result<Canvas> {
     }
     let scale = Scale::of(images, output);
     let palette = Palette::new(images, output, &scale);
-    let one_row_scan = height == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_));
-    Ok(if one_row_scan && !images.range.is_empty() {
+    Ok(if is_one_row_scan(sensor) && images.range.len() == len {
         polar::draw(images, sensor, output, &palette, &scale)
     } else {
         view::draw(images, sensor, output, &palette, &scale)
     })
+}
+
+fn is_one_row_scan(sensor: &Sensor) -> bool {
+    sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_))
+}
+
+/// The images that a preview of one output is drawn from.
+pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
+    let places = if is_one_row_scan(sensor) { Output::Range } else { output };
+    Outputs::of(&[output, Output::PolygonId, places])
 }
 
 /// What a depth image of a sensor shows: depth_z of a camera (REP-118), otherwise range.
@@ -69,7 +78,7 @@ pub fn depth_output(sensor: &Sensor) -> Output {
 /// cannot be written.
 pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<String>> {
     let output = depth_output(sensor);
-    let Some(metres) = images.floats(output) else {
+    let Some(metres) = images.floats(output).filter(|image| image.len() == images.pixels()) else {
         return Err(Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path));
     };
     let (millimetres, beyond) = to_millimetres(metres);

@@ -12,9 +12,8 @@ pub const TOO_NEAR: Rgb = [0x8c, 0x2f, 0x39];
 pub const NO_RAY: Rgb = [0x0b, 0x0c, 0x0f];
 
 /// Viridis by Smith and van der Walt (CC0), every tenth of the way; lightness rises evenly, and people who see no
-/// red or no green read it too.
-const VIRIDIS: [Rgb; 11] = [
-    [0x44, 0x01, 0x54],
+/// red or no green read it too. Its darkest tenth is left out: it could not be told from the page.
+const VIRIDIS: [Rgb; 10] = [
     [0x48, 0x24, 0x75],
     [0x41, 0x44, 0x87],
     [0x35, 0x5f, 0x8d],

@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 /// Longest side of the plan, pixels.
 const SIDE: f64 = 960.0;
 /// Free space between sensor and hit.
-const FREE: Rgb = [0x20, 0x25, 0x2d];
+const FREE: Rgb = [0x39, 0x41, 0x4e];
 
 /// From metres (x forward, y left) to page pixels.
 struct Map {

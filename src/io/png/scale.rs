@@ -46,18 +46,21 @@ impl Scale {
     /// Round values on the scale with their labels, rising.
     pub fn ticks(&self) -> Vec<(f64, String)> {
         let mut ticks = Vec::new();
-        if self.logarithmic && self.high > 20.0 * self.low {
-            let first = self.low.log10().floor() as i32;
-            let last = self.high.log10().ceil() as i32;
-            for power in first..=last {
-                ticks.extend([1.0, 2.0, 5.0].map(|digit| (digit * 10f64.powi(power), (-power).max(0) as usize)));
+        if self.logarithmic {
+            let digits: &[f64] =
+                if self.high > 20.0 * self.low { &[1.0, 2.0, 5.0] } else { &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0] };
+            for power in self.low.log10().floor() as i32..=self.high.log10().ceil() as i32 {
+                let decimals = |digit: f64| (i32::from(digit.fract() != 0.0) - power).max(0) as usize;
+                ticks.extend(digits.iter().map(|digit| (digit * 10f64.powi(power), decimals(*digit))));
             }
         } else {
             let (step, decimals) = nice_step((self.high - self.low) / 5.0);
             let first = (self.low / step).ceil() as i64;
             ticks.extend((first..first + 20).map(|i| (i as f64 * step, decimals)));
         }
-        let on_scale = ticks.into_iter().filter(|(v, _)| (self.low..=self.high).contains(v));
+        // An end that f32 rounded inwards keeps its tick.
+        let slack = 1e-5 * (self.high - self.low);
+        let on_scale = ticks.into_iter().filter(|(v, _)| (self.low - slack..=self.high + slack).contains(v));
         on_scale.map(|(v, decimals)| (v, format!("{v:.decimals$}"))).collect()
     }
 }
@@ -88,6 +91,7 @@ mod tests {
         let labels = |s: Scale| s.ticks().into_iter().map(|(_, label)| label).collect::<Vec<_>>();
         assert_eq!(labels(scale_of(&[2.0, 4.9, f32::INFINITY])), ["2", "3", "4"]);
         assert_eq!(labels(scale_of(&[0.4, 75.0])), ["0.5", "1", "2", "5", "10", "20", "50"]);
+        assert_eq!(labels(scale_of(&[0.7, 6.1])), ["0.8", "1", "1.5", "2", "3", "4", "5", "6"]);
         assert_eq!(labels(scale_of(&[1.00, 1.02])), ["1.000", "1.005", "1.010", "1.015", "1.020"]);
         assert!(labels(scale_of(&[])).len() >= 3);
         assert!(scale_of(&[3.0]).ticks().len() < 20);

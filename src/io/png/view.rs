@@ -18,6 +18,8 @@ const BAR: u32 = 16;
 pub const FOOTER: u32 = MARGIN + BAR + 8 + TEXT_HEIGHT;
 /// Height of the title with its gap, pixels.
 pub const HEADER: u32 = TEXT_HEIGHT + 12;
+/// An image is drawn at least this wide and high, pixels.
+const THINNEST: f64 = 24.0;
 /// Narrower pages cannot hold title and legend.
 const NARROWEST: u32 = 560;
 
@@ -65,7 +67,8 @@ fn drawn_size(sensor: &Sensor) -> (u32, u32) {
     let shape = if shape.is_finite() && shape > 0.0 { shape.clamp(1.0 / 32.0, 32.0) } else { 1.0 };
     let fitting = (WISHED[0] / w).min(WISHED[1] / (h * shape));
     let across = fitting.max(1.0).max(1.0 / shape);
-    let (width, height) = ((w * across).round(), (h * across * shape).round());
+    // A lone row or column is stretched until it can be seen.
+    let (width, height) = ((w * across).round().max(THINNEST), (h * across * shape).round().max(THINNEST));
     if width * height > 1e8 { (w as u32, h as u32) } else { (width as u32, height as u32) }
 }
 
