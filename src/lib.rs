@@ -26,3 +26,8 @@ pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request};
 pub use predict::{Backend, Options, Prediction, Predictor, Stats};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use world::World;
+
+/// The README's example is compiled and run as a doc test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,11 +1,16 @@
 //! Making environments: triangles of a file welded, checked and merged into convex polygons, and what was found
 //! on the way.
 
+mod edges;
 pub mod free_poses;
+mod merge;
 mod quality;
 mod report;
 mod triangles;
 
+pub(crate) use edges::Edges;
+pub use merge::MERGED_CORNERS;
+pub(crate) use merge::{merge, unmerged};
 pub use report::{ImportReport, Imported, Problem, ProblemKind};
 pub(crate) use report::{ProblemBook, ProblemList, Site};
 pub(crate) use triangles::place_of;

@@ -1,6 +1,6 @@
 //! Triangles as a file has them, over welded vertices: the step between a file format and a mesh.
 
-use crate::geometry::plane_of_polygon;
+use crate::environment::canonical_plane;
 use glam::{DVec3, Vec3};
 
 /// One source triangle.
@@ -34,13 +34,23 @@ impl TriangleMesh {
     pub fn push(&mut self, corners: [u32; 3], material: u16) {
         let source = self.source_count;
         self.source_count += 1;
-        let [a, b, c] = corners;
-        let flat = a == b || b == c || c == a || plane_of_polygon(&self.positions(corners)).is_none();
-        if flat {
+        if self.is_flat(corners) {
             self.degenerate.push(source);
         } else {
             self.triangles.push(Triangle { corners, source, material });
         }
+    }
+
+    fn is_flat(&self, corners: [u32; 3]) -> bool {
+        let [a, b, c] = corners;
+        if a == b || b == c || c == a {
+            return true;
+        }
+        let points @ [p, q, r] = self.positions(corners);
+        let doubled_area_squared = (q - p).cross(r - p).length_squared();
+        let sides = (q - p).length_squared() + (r - p).length_squared();
+        // Far from the rounding in question, as nearly all are, the plane need not be computed.
+        doubled_area_squared <= (1e-9 * sides).powi(2) && canonical_plane(3, |k| points[k]).is_none()
     }
 
     /// Closes a primitive: later triangles belong to the next.

@@ -1,8 +1,109 @@
 //! The command: parse first, then touch the world. The only place that prints.
 
+mod compare;
+mod inspect;
+mod load;
+mod pose;
+mod predict;
+mod print;
+mod sensors;
+mod statistics;
+
+use crate::error::Result;
+use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
+
+/// Predicts what a robot's sensors should see.
+///
+/// presight reads a polygonal 3D model (glTF 2.0), takes a sensor at a pose, and answers with exact images: range,
+/// which polygon and which object each pixel sees, and at which reflection angle.
+#[derive(Debug, Parser)]
+#[command(name = "presight", version, max_term_width = 100, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "Examples:
+  presight sensors                              list the sensors that are built in
+  presight inspect hall.glb                     what is in a model, and what is wrong with it
+  presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
+  presight compare reference.exr other.exr      do two predictions agree?
+
+Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
+3 no device for the asked backend, 4 the system refused.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Predict(Box<predict::Args>),
+    Inspect(inspect::Args),
+    Sensors(sensors::Args),
+    Compare(compare::Args),
+}
 
 /// Runs the command on the process's arguments.
 pub fn main() -> ExitCode {
-    ExitCode::SUCCESS
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => return refuse(&e),
+    };
+    let done = match cli.command {
+        Command::Predict(args) => predict::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Sensors(args) => sensors::run(&args),
+        Command::Compare(args) => compare::run(&args),
+    };
+    conclude(done)
+}
+
+/// What a command found, if it ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    /// Done, nothing to object.
+    Done,
+    /// Done; a check found something.
+    Found,
+}
+
+fn conclude(done: Result<Verdict>) -> ExitCode {
+    match done {
+        Ok(Verdict::Done) => ExitCode::SUCCESS,
+        Ok(Verdict::Found) => ExitCode::from(1),
+        Err(e) => {
+            print::message(&format!("error: {e}"));
+            ExitCode::from(e.kind().exit_status())
+        }
+    }
+}
+
+/// Help and version go to stdout whole; a usage error is one line like every other error.
+fn refuse(e: &clap::Error) -> ExitCode {
+    use clap::error::ErrorKind as Clap;
+    let help = [Clap::DisplayHelp, Clap::DisplayVersion, Clap::DisplayHelpOnMissingArgumentOrSubcommand];
+    if help.contains(&e.kind()) {
+        // Nothing is left to do if the terminal is gone.
+        let _ = e.print();
+        return ExitCode::from(e.exit_code() as u8);
+    }
+    let text = e.to_string();
+    let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
+    let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty()).collect();
+    let command = std::env::args()
+        .nth(1)
+        .filter(|a| Cli::command().find_subcommand(a).is_some())
+        .map(|a| format!(" {a}"))
+        .unwrap_or_default();
+    print::message(&format!("{}; see presight{command} --help", message.join(" ")));
+    ExitCode::from(2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Cli::command().debug_assert();
+    }
 }

@@ -1,24 +1,24 @@
-//! Conservative bounds of a polygon's image: which lines it may cover, or that it covers no ray at all.
+//! Conservative bounds of the images of eight polygons at a time: which lines each may cover, or that it covers no
+//! ray at all. Most polygons of a scene end here, so this is the loop that must be cheap.
 
-use crate::geometry::Aabb;
 use crate::sensor::{Angles, Geometry, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor};
-use glam::DVec3;
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
 
-/// The lines that a polygon may cover.
-#[derive(Debug, PartialEq)]
-pub(super) enum Cover {
-    Nothing,
-    Lines(Range<usize>),
-    /// A polygon over the azimuth seam: two ranges that do not overlap.
-    OverSeam(Range<usize>, Range<usize>),
-}
+/// Polygons taken together; a multiple of every vector width there is.
+pub(super) const LANES: usize = 8;
+/// One number for each of them.
+pub(super) type Lanes = [f64; LANES];
+
+/// The lines that a polygon may cover: up to two ranges, the second one for polygons over the azimuth seam.
+pub(super) type Cover = [Range<u32>; 2];
+
+const NOTHING: Cover = [0..0, 0..0];
 
 /// Bounds for one sensor.
 pub(super) struct Bounds<'a> {
     kind: Kind<'a>,
-    range_max: f64,
+    range_max_squared: f64,
 }
 
 enum Kind<'a> {
@@ -35,6 +35,61 @@ struct ScannerBounds<'a> {
 
 /// Relative widening of every bound: far above f64 rounding, far below a pixel.
 const SLACK: f64 = 1e-9;
+
+/// What is known of the corners seen so far, by lane.
+struct Extent {
+    least: [Lanes; 3],
+    greatest: [Lanes; 3],
+    /// Camera: lines and samples. Scanner: azimuth in `low[0]`, and the greatest squared distance from the axis.
+    low: [Lanes; 2],
+    high: [Lanes; 2],
+    outside: [Lanes; 5],
+    axis_distance_squared: Lanes,
+    first: Lanes,
+    previous: Lanes,
+    turned: Lanes,
+    astray: Lanes,
+}
+
+impl Extent {
+    #[inline(always)]
+    fn new() -> Self {
+        Self {
+            least: [[f64::INFINITY; LANES]; 3],
+            greatest: [[f64::NEG_INFINITY; LANES]; 3],
+            low: [[f64::INFINITY; LANES]; 2],
+            high: [[f64::NEG_INFINITY; LANES]; 2],
+            outside: [[f64::NEG_INFINITY; LANES]; 5],
+            axis_distance_squared: [0.0; LANES],
+            first: [0.0; LANES],
+            previous: [0.0; LANES],
+            turned: [0.0; LANES],
+            astray: [0.0; LANES],
+        }
+    }
+
+    #[inline(always)]
+    fn hold(&mut self, corner: &[Lanes; 3]) {
+        for axis in 0..3 {
+            for l in 0..LANES {
+                self.least[axis][l] = self.least[axis][l].min(corner[axis][l]);
+                self.greatest[axis][l] = self.greatest[axis][l].max(corner[axis][l]);
+            }
+        }
+    }
+
+    /// Squared distance of the box around the corners from the sensor, and from its axis.
+    #[inline(always)]
+    fn box_distances_squared(&self) -> (Lanes, Lanes) {
+        let (mut all, mut axis) = ([0.0; LANES], [0.0; LANES]);
+        for l in 0..LANES {
+            let gap = |a: usize| self.least[a][l].max(-self.greatest[a][l]).max(0.0);
+            axis[l] = gap(0) * gap(0) + gap(1) * gap(1);
+            all[l] = axis[l] + gap(2) * gap(2);
+        }
+        (all, axis)
+    }
+}
 
 impl<'a> Bounds<'a> {
     pub fn new(sensor: &'a Sensor) -> Self {
@@ -54,21 +109,25 @@ impl<'a> Bounds<'a> {
                 Kind::Camera(grid)
             }
         };
-        Self { kind, range_max: sensor.spec().range_max }
+        let range_max = sensor.spec().range_max;
+        Self { kind, range_max_squared: range_max * range_max * (1.0 + SLACK) }
     }
 
-    /// `corners` in the frame of the rays.
+    /// The covers of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
+    /// repeating their last one.
     #[inline(always)]
-    pub fn cover(&self, corners: &[DVec3]) -> Cover {
+    pub fn cover(&self, corners: &[[Lanes; 3]]) -> [Cover; LANES] {
         match &self.kind {
-            Kind::Camera(grid) => camera(grid, corners),
-            Kind::Scanner(bounds) => bounds.cover(corners, self.range_max),
+            Kind::Camera(grid) => camera(grid, self.range_max_squared, corners),
+            Kind::Scanner(bounds) => bounds.cover(self.range_max_squared, corners),
             Kind::Rays(grid) => {
-                let b = Aabb::of(corners.iter().copied());
-                if b.distance_squared(DVec3::ZERO).sqrt() * (1.0 - SLACK) > self.range_max {
-                    return Cover::Nothing;
+                let mut extent = Extent::new();
+                for corner in corners {
+                    extent.hold(corner);
                 }
-                Cover::Lines(0..grid.height() as usize)
+                let (distance_squared, _) = extent.box_distances_squared();
+                let all: Cover = [0..grid.height(), 0..0];
+                distance_squared.map(|d| if d > self.range_max_squared { NOTHING } else { all.clone() })
             }
         }
     }
@@ -76,102 +135,133 @@ impl<'a> Bounds<'a> {
 
 /// Line frame (fy y, z, fx x): lines and samples are pixels from the principal point.
 #[inline(always)]
-fn camera(grid: &LineGrid, corners: &[DVec3]) -> Cover {
+fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Cover; LANES] {
     let (lines, samples) = (grid.lines(), grid.positions());
     let (top, bottom) = (lines[0][0] - SLACK, lines[lines.len() - 1][0] + SLACK);
     let (left, right) = (samples[0] - SLACK, samples[samples.len() - 1] + SLACK);
-    let mut outside = 0b1_1111u32;
-    let mut nearest = f64::INFINITY;
-    for w in corners {
-        let z = w.y;
-        let code = u32::from(w.x < top * z)
-            | u32::from(w.x > bottom * z) << 1
-            | u32::from(w.z < left * z) << 2
-            | u32::from(w.z > right * z) << 3
-            | u32::from(z <= 0.0) << 4;
-        outside &= code;
-        nearest = nearest.min(z);
+    let mut e = Extent::new();
+    for [y, z, x] in corners {
+        for l in 0..LANES {
+            // Greatest signed distance inside each side so far: negative means all corners are outside it.
+            e.outside[0][l] = e.outside[0][l].max(y[l] - top * z[l]);
+            e.outside[1][l] = e.outside[1][l].max(bottom * z[l] - y[l]);
+            e.outside[2][l] = e.outside[2][l].max(x[l] - left * z[l]);
+            e.outside[3][l] = e.outside[3][l].max(right * z[l] - x[l]);
+            e.outside[4][l] = e.outside[4][l].max(z[l]);
+            e.least[1][l] = e.least[1][l].min(z[l]);
+            let per_z = 1.0 / z[l];
+            e.low[0][l] = e.low[0][l].min(y[l] * per_z);
+            e.high[0][l] = e.high[0][l].max(y[l] * per_z);
+            e.low[1][l] = e.low[1][l].min(x[l] * per_z);
+            e.high[1][l] = e.high[1][l].max(x[l] * per_z);
+        }
     }
-    if outside != 0 {
-        return Cover::Nothing;
+    let mut covers = [const { NOTHING }; LANES];
+    for l in 0..LANES {
+        let outside = e.outside.iter().any(|side| side[l] < 0.0);
+        // Depth is at most range: a polygon wholly deeper than range_max is beyond it.
+        let beyond = e.least[1][l] > 0.0 && e.least[1][l] * e.least[1][l] > range_max_squared;
+        if outside || beyond {
+            continue;
+        }
+        if e.least[1][l] <= 0.0 {
+            covers[l] = [0..lines.len() as u32, 0..0];
+            continue;
+        }
+        let rows = pixels_between(e.low[0][l], e.high[0][l], lines[0][0], lines.len());
+        let columns = pixels_between(e.low[1][l], e.high[1][l], samples[0], samples.len());
+        if !columns.is_empty() {
+            covers[l] = [rows, 0..0];
+        }
     }
-    if nearest <= 0.0 {
-        return Cover::Lines(0..lines.len());
+    covers
+}
+
+/// The pixels i with `low <= first + i <= high`, a little too wide.
+#[inline(always)]
+fn pixels_between(low: f64, high: f64, first: f64, n: usize) -> Range<u32> {
+    let slack = SLACK * (1.0 + low.abs().max(high.abs()));
+    pieces(low - slack - first, high + slack - first, n)
+}
+
+/// The integers from `low` to `high` in 0..n. Casts saturate; the comparison before them is exact.
+#[inline(always)]
+fn pieces(low: f64, high: f64, n: usize) -> Range<u32> {
+    if !(high >= 0.0 && low <= (n - 1) as f64) {
+        return 0..0;
     }
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for w in corners {
-        let p = *w * (1.0 / w.y);
-        low = low.min(p);
-        high = high.max(p);
-    }
-    // Pixel i is at i - principal point.
-    let range = |low: f64, high: f64, first: f64, n: usize| {
-        let slack = SLACK * (1.0 + low.abs().max(high.abs()));
-        let start = (low - slack - first).ceil().max(0.0);
-        let end = (high + slack - first).floor().min(n as f64 - 1.0);
-        (start <= end).then_some((start, end))
-    };
-    let Some((start, end)) = range(low.x, high.x, lines[0][0], lines.len()) else {
-        return Cover::Nothing;
-    };
-    if range(low.z, high.z, samples[0], samples.len()).is_none() {
-        return Cover::Nothing;
-    }
-    Cover::Lines(start as usize..end as usize + 1)
+    let start = low.max(0.0);
+    let rounded = start as u32;
+    let start = rounded + u32::from(f64::from(rounded) < start);
+    let end = (high.min((n - 1) as f64) as u32) + 1;
+    start..end.max(start)
 }
 
 impl ScannerBounds<'_> {
     /// Line frame (x, y, -z).
     #[inline(always)]
-    fn cover(&self, corners: &[DVec3], range_max: f64) -> Cover {
-        let b = Aabb::of(corners.iter().copied());
-        let gap = b.min.max(-b.max).max(DVec3::ZERO);
-        let near_squared = gap.x * gap.x + gap.y * gap.y;
-        if (near_squared + gap.z * gap.z) * (1.0 - SLACK) > range_max * range_max {
-            return Cover::Nothing;
+    fn cover(&self, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Cover; LANES] {
+        let mut e = Extent::new();
+        for (i, corner) in corners.iter().enumerate() {
+            e.hold(corner);
+            let [x, y, _] = corner;
+            for l in 0..LANES {
+                e.axis_distance_squared[l] = e.axis_distance_squared[l].max(x[l] * x[l] + y[l] * y[l]);
+            }
+            unwrap_azimuth(&mut e, i, x, y);
         }
-        let near = near_squared.sqrt();
-        let far = corners.iter().map(|w| w.x * w.x + w.y * w.y).fold(0.0, f64::max).sqrt();
+        unwrap_azimuth(&mut e, corners.len(), &corners[0][0], &corners[0][1]);
+        let (distance_squared, axis_squared) = e.box_distances_squared();
+        let (mut from, mut to) = ([0.0; LANES], [0.0; LANES]);
+        for l in 0..LANES {
+            // Positions t = -tan(elevation): z over the distance from the axis. 0/0, on the axis, is NaN and keeps all.
+            let (near, far) = (axis_squared[l].sqrt(), e.axis_distance_squared[l].sqrt());
+            let (low, high) = (e.least[2][l], e.greatest[2][l]);
+            from[l] = low / if low > 0.0 { far } else { near };
+            to[l] = high / if high > 0.0 { near } else { far };
+            from[l] -= SLACK * (1.0 + from[l].abs());
+            to[l] += SLACK * (1.0 + to[l].abs());
+        }
         let t = self.grid.positions();
-        let least = if b.min.z > 0.0 { b.min.z / far } else { b.min.z / near };
-        let greatest = if b.max.z > 0.0 { b.max.z / near } else { b.max.z / far };
-        // NaN (0 / 0, on the axis) keeps everything.
-        let widen = |x: f64| SLACK * (1.0 + x.abs());
-        let (least, greatest) = (least - widen(least), greatest + widen(greatest));
-        let first = if least > t[0] { t.partition_point(|&s| s < least) } else { 0 };
-        if first == t.len() || t[first] > greatest {
-            return Cover::Nothing;
+        let mut covers = [const { NOTHING }; LANES];
+        for l in 0..LANES {
+            if distance_squared[l] > range_max_squared || to[l] < t[0] || from[l] > t[t.len() - 1] {
+                continue;
+            }
+            let first = self.grid.samples_below(from[l]);
+            if first == t.len() || t[first] > to[l] {
+                continue;
+            }
+            covers[l] = self.columns(&e, l);
         }
-        self.columns(corners)
+        covers
     }
 
     #[inline(always)]
-    fn columns(&self, corners: &[DVec3]) -> Cover {
+    fn columns(&self, e: &Extent, l: usize) -> Cover {
         let n = self.grid.lines().len();
-        let everything = Cover::Lines(0..n);
+        let everything = [0..n as u32, 0..0];
         let Some((start, step)) = self.uniform else {
             return everything;
         };
-        let Some((low, high)) = azimuth_interval(corners) else {
+        // Round the axis, or too close by it to tell.
+        if e.astray[l] > 0.0 || (e.turned[l] - e.first[l]).abs() > 1.0 {
             return everything;
-        };
+        }
         // In columns, of which a whole turn has `turn`; either sign of the step.
-        let (a, b) = ((low - start) / step, (high - start) / step);
+        let (a, b) = ((e.low[0][l] - AZIMUTH_SLACK - start) / step, (e.high[0][l] + AZIMUTH_SLACK - start) / step);
         let (a, b) = (a.min(b), a.max(b));
-        let turn = std::f64::consts::TAU / step.abs();
+        let turn = TAU / step.abs();
         let shift = (a / turn).floor() * turn;
-        let piece = |offset: f64| {
-            let first = (a - shift - offset).ceil().max(0.0);
-            let last = (b - shift - offset).floor().min(n as f64 - 1.0);
-            if first <= last { first as usize..last as usize + 1 } else { 0..0 }
-        };
-        let (one, two) = (piece(0.0), piece(turn));
-        match (one.is_empty(), two.is_empty()) {
-            (true, true) => Cover::Nothing,
-            (false, true) => Cover::Lines(one),
-            (true, false) => Cover::Lines(two),
-            _ if two.end >= one.start => everything,
-            _ => Cover::OverSeam(one, two),
+        let (one, two) = (pieces(a - shift, b - shift, n), pieces(a - shift - turn, b - shift - turn, n));
+        if two.is_empty() {
+            [one, 0..0]
+        } else if one.is_empty() {
+            [two, 0..0]
+        } else if two.end >= one.start {
+            everything
+        } else {
+            [one, two]
         }
     }
 }
@@ -179,30 +269,25 @@ impl ScannerBounds<'_> {
 /// Widening of approximate azimuths, radians: above the error of [`atan2_approximately`].
 const AZIMUTH_SLACK: f64 = 2e-5;
 
-/// Least and greatest azimuth of a convex polygon, unwrapped along its outline (so either may leave -pi..pi), a
-/// little too wide; `None` if the outline goes round the axis or too close by it to tell.
+/// Follows the azimuth along the outline, corner by corner, so that it may leave -pi..pi.
 #[inline(always)]
-fn azimuth_interval(corners: &[DVec3]) -> Option<(f64, f64)> {
-    let first = atan2_approximately(corners[0].y, corners[0].x);
-    let (mut at, mut low, mut high) = (first, first, first);
-    let mut previous = first;
-    for w in corners.iter().skip(1).chain(std::iter::once(&corners[0])) {
-        let azimuth = atan2_approximately(w.y, w.x);
-        let mut turned = azimuth - previous;
-        if turned > PI {
-            turned -= 2.0 * PI;
-        } else if turned < -PI {
-            turned += 2.0 * PI;
+fn unwrap_azimuth(e: &mut Extent, i: usize, x: &Lanes, y: &Lanes) {
+    for l in 0..LANES {
+        let azimuth = atan2_approximately(y[l], x[l]);
+        if i == 0 {
+            (e.first[l], e.turned[l]) = (azimuth, azimuth);
+            (e.low[0][l], e.high[0][l]) = (azimuth, azimuth);
+        } else {
+            let step = azimuth - e.previous[l];
+            let step = if step > PI { step - TAU } else { step };
+            let step = if step < -PI { step + TAU } else { step };
+            e.astray[l] = e.astray[l].max(step.abs() - (PI - 1e-3));
+            e.turned[l] += step;
+            e.low[0][l] = e.low[0][l].min(e.turned[l]);
+            e.high[0][l] = e.high[0][l].max(e.turned[l]);
         }
-        if turned.abs() > PI - 1e-3 {
-            return None;
-        }
-        previous = azimuth;
-        at += turned;
-        low = low.min(at);
-        high = high.max(at);
+        e.previous[l] = azimuth;
     }
-    ((at - first).abs() < 1.0).then_some((low - AZIMUTH_SLACK, high + AZIMUTH_SLACK))
 }
 
 /// atan2 to 1.2e-5 rad (Abramowitz and Stegun 4.4.49), without a call or a branch.
@@ -231,16 +316,28 @@ mod tests {
         #[test]
         fn azimuth_intervals_hold_the_polygon(
             points in proptest::array::uniform3((-9.0..9.0f64, -9.0..9.0f64)),
-            weights in (0.0..1.0f64, 0.0..1.0f64),
+            (u, v) in (0.0..1.0f64, 0.0..1.0f64),
         ) {
-            let c = points.map(|(x, y)| DVec3::new(x, y, 0.0));
-            if let Some((low, high)) = azimuth_interval(&c) {
-                let (u, v) = if weights.0 + weights.1 > 1.0 { (1.0 - weights.0, 1.0 - weights.1) } else { weights };
-                let p = c[0] + (c[1] - c[0]) * u + (c[2] - c[0]) * v;
-                let a = p.y.atan2(p.x);
-                let held = [-2.0 * PI, 0.0, 2.0 * PI].iter().any(|turn| (low..=high).contains(&(a + turn)));
-                prop_assert!(held, "{a} not in {low}..{high}");
+            let mut e = Extent::new();
+            for i in 0..=3 {
+                let (x, y) = points[i % 3];
+                unwrap_azimuth(&mut e, i, &[x; LANES], &[y; LANES]);
             }
+            if e.astray[0] <= 0.0 && (e.turned[0] - e.first[0]).abs() < 1.0 {
+                let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                let [a, b, c] = points;
+                let x = a.0 + (b.0 - a.0) * u + (c.0 - a.0) * v;
+                let y = a.1 + (b.1 - a.1) * u + (c.1 - a.1) * v;
+                let held = e.low[0][0] - AZIMUTH_SLACK..=e.high[0][0] + AZIMUTH_SLACK;
+                let inside = [-TAU, 0.0, TAU].iter().any(|turn| held.contains(&(y.atan2(x) + turn)));
+                prop_assert!(inside);
+            }
+        }
+
+        #[test]
+        fn pieces_are_the_integers_between(low in -20.0..20.0f64, length in -1.0..20.0f64, n in 1usize..12) {
+            let want: Vec<u32> = (0..n as u32).filter(|&i| f64::from(i) >= low && f64::from(i) <= low + length).collect();
+            prop_assert_eq!(pieces(low, low + length, n).collect::<Vec<_>>(), want);
         }
     }
 }

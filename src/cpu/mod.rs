@@ -2,9 +2,9 @@
 //!
 //! | stage | in | out |
 //! |---|---|---|
-//! | [`setup`] | runs of the plan | batches: polygons that may cover a ray, with planes, edges and bounds |
-//! | [`spans`] or [`rays`] | batches | a band of the z-buffer: inverse depth and winner per ray |
-//! | [`resolve`] | the band | the asked images |
+//! | `setup` | runs of the plan | batches: polygons that may cover a ray, with planes, edges and bounds |
+//! | `spans` or `rays` | batches | a band of the z-buffer: inverse depth and winner per ray |
+//! | `resolve` | the band | the asked images |
 //!
 //! Nearest wins, bit-equal inverse depths go to the lower slot: the order of work, and with it the number of
 //! threads, cannot change a bit.
@@ -17,7 +17,7 @@ mod setup;
 mod spans;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Images};
+use crate::plan::{FramePlan, Images, Run};
 use crate::predict::Stats;
 use crate::sensor::{LineAxis, PixelGrid};
 use batch::Batch;
@@ -69,34 +69,75 @@ impl Engine {
 
         let start = Instant::now();
         self.pool.install(|| {
-            batches
-                .par_iter_mut()
-                .zip(&groups)
-                .for_each(|(batch, runs)| arch.dispatch(|| setup::fill(batch, plan, &plan.runs[runs.clone()], &bands)));
+            batches.par_iter_mut().zip(&groups).for_each(|(batch, runs)| {
+                arch.dispatch(SetUp { batch, plan, runs: &plan.runs[runs.clone()], bands: &bands });
+            });
         });
         stats.stage("setup", start);
 
         let start = Instant::now();
         let batches = &*batches;
         self.pool.install(|| {
-            resolve::split(images, &bands).into_par_iter().enumerate().for_each_init(
-                spans::Buffer::default,
-                |buffer, (band, mut target)| {
-                    arch.dispatch(|| {
-                        match plan.sensor.grid() {
-                            PixelGrid::Lines(grid) => spans::rasterize(buffer, grid, batches, &bands, band),
-                            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, &bands, band),
-                        }
-                        resolve::resolve(buffer, plan, batches, bands.lines(band), &mut target);
-                    });
-                },
-            );
+            resolve::split(images, &bands)
+                .into_par_iter()
+                .enumerate()
+                .for_each_init(Scratch::default, |scratch, (band, target)| {
+                    arch.dispatch(Draw { scratch, plan, batches, bands: &bands, band, target })
+                });
         });
         stats.stage("rasterization", start);
         stats.count("polygons_selected", plan.polygon_count);
         stats.count("polygons_set_up", batches.iter().map(|b| b.polygons.len()).sum());
         stats.count("polygons_edge_on", batches.iter().map(|b| b.edge_on).sum());
         Ok(())
+    }
+}
+
+/// A thread's buffers.
+#[derive(Default)]
+struct Scratch {
+    buffer: spans::Buffer,
+    block: resolve::Block,
+}
+
+/// The work of a batch. Tasks are types, not closures, so that they are compiled for each vector width.
+struct SetUp<'a> {
+    batch: &'a mut Batch,
+    plan: &'a FramePlan,
+    runs: &'a [Run],
+    bands: &'a Bands,
+}
+
+impl pulp::WithSimd for SetUp<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        setup::fill(self.batch, self.plan, self.runs, self.bands);
+    }
+}
+
+/// The work of a band.
+struct Draw<'a> {
+    scratch: &'a mut Scratch,
+    plan: &'a FramePlan,
+    batches: &'a [Batch],
+    bands: &'a Bands,
+    band: usize,
+    target: resolve::Target<'a>,
+}
+
+impl pulp::WithSimd for Draw<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(mut self, _: S) {
+        let Scratch { buffer, block } = self.scratch;
+        match self.plan.sensor.grid() {
+            PixelGrid::Lines(grid) => spans::rasterize(buffer, grid, self.batches, self.bands, self.band),
+            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, self.batches, self.bands, self.band),
+        }
+        resolve::resolve(buffer, block, self.plan, self.batches, self.bands, self.band, &mut self.target);
     }
 }
 

@@ -4,8 +4,7 @@ use super::Bands;
 use super::batch::{Batch, NOTHING, Shade, shade};
 use super::spans::Buffer;
 use crate::plan::{FramePlan, Images, Output};
-use crate::sensor::{LineAxis, PixelGrid};
-use std::ops::Range;
+use crate::sensor::{LineAxis, LineGrid, PixelGrid};
 
 /// The parts of the images that one band fills: for every image row it touches, its pixels.
 #[derive(Default)]
@@ -46,108 +45,202 @@ pub(super) fn split<'a>(images: &'a mut Images, bands: &Bands) -> Vec<Target<'a>
     targets
 }
 
-/// What the resolve of a frame needs to know, besides the z-buffer.
-struct Frame<'a> {
-    plan: &'a FramePlan,
-    batches: &'a [Batch],
-    range_min: f64,
-    range_max: f64,
+/// The images of a few lines before they go to their place: written along the line, read across.
+#[derive(Default)]
+pub(super) struct Block {
+    range: Vec<f32>,
+    depth_z: Vec<f32>,
+    cos_incidence: Vec<f32>,
+    polygon_id: Vec<u32>,
+    object_id: Vec<u32>,
 }
+
+/// Lines of a block: eight f32 are what a row of eight columns takes in one store.
+const BLOCK_LINES: usize = 8;
 
 /// Fills the asked images of a band.
 #[inline(always)]
 pub(super) fn resolve(
-    buffer: &Buffer,
+    buffer: &mut Buffer,
+    block: &mut Block,
     plan: &FramePlan,
     batches: &[Batch],
-    lines: Range<usize>,
+    bands: &Bands,
+    band: usize,
     target: &mut Target<'_>,
 ) {
-    let spec = plan.sensor.spec();
-    let frame = Frame { plan, batches, range_min: spec.range_min, range_max: spec.range_max };
-    let samples = buffer.inverse.len() / lines.len();
-    for (j, line) in lines.enumerate() {
-        let pixels = j * samples..(j + 1) * samples;
-        resolve_line(&frame, line, j, &buffer.inverse[pixels.clone()], &buffer.winner[pixels], target);
+    let lines = bands.lines(band);
+    let samples = bands.samples;
+    let outputs = plan.request.outputs;
+    let len = |o| if outputs.has(o) { BLOCK_LINES * samples } else { 0 };
+    block.range.resize(len(Output::Range), 0.0);
+    block.depth_z.resize(len(Output::DepthZ), 0.0);
+    block.cos_incidence.resize(len(Output::CosIncidence), 0.0);
+    block.polygon_id.resize(len(Output::PolygonId), 0);
+    block.object_id.resize(len(Output::ObjectId), 0);
+    for first in lines.clone().step_by(BLOCK_LINES) {
+        let count = BLOCK_LINES.min(lines.end - first);
+        for j in 0..count {
+            let line = first - lines.start + j;
+            let pixels = line * samples..(line + 1) * samples;
+            let inverse = &mut buffer.inverse[pixels.clone()];
+            resolve_line(plan, batches, first + j, inverse, &buffer.winner[pixels], block, j * samples);
+        }
+        let at = first - lines.start;
+        place(&block.range, &mut target.range, bands.axis, at, count, samples);
+        place(&block.depth_z, &mut target.depth_z, bands.axis, at, count, samples);
+        place(&block.cos_incidence, &mut target.cos_incidence, bands.axis, at, count, samples);
+        place(&block.polygon_id, &mut target.polygon_id, bands.axis, at, count, samples);
+        place(&block.object_id, &mut target.object_id, bands.axis, at, count, samples);
     }
 }
 
-/// Ray length over depth (1 where depth is range) and the ray's z in the image frame, by sample of a line.
-enum Rays<'a> {
-    /// Rays of unit length.
-    Unit,
-    /// A pinhole row: depth is depth_z; the length of (x, y, 1) from its parts.
-    Pinhole { x: &'a [f64], x_scale: f64, y_squared: f64 },
-    /// A row of a ray table.
-    Table(&'a [glam::DVec3]),
+/// Moves a block's lines to the rows of the image.
+#[inline(always)]
+fn place<T: Copy>(block: &[T], rows: &mut [&mut [T]], axis: LineAxis, at: usize, count: usize, samples: usize) {
+    if block.is_empty() {
+        return;
+    }
+    match axis {
+        LineAxis::Rows => {
+            for j in 0..count {
+                rows[at + j].copy_from_slice(&block[j * samples..(j + 1) * samples]);
+            }
+        }
+        LineAxis::Columns if count == BLOCK_LINES => {
+            let lines: [&[T]; BLOCK_LINES] = std::array::from_fn(|j| &block[j * samples..(j + 1) * samples]);
+            for (i, row) in rows.iter_mut().enumerate() {
+                row[at..at + BLOCK_LINES].copy_from_slice(&lines.map(|line| line[i]));
+            }
+        }
+        LineAxis::Columns => {
+            for (i, row) in rows.iter_mut().enumerate() {
+                for j in 0..count {
+                    row[at + j] = block[j * samples + i];
+                }
+            }
+        }
+    }
 }
 
+/// Resolves a line into a block, run of equal winners by run; leaves ranges in `inverse`.
 #[inline(always)]
-fn resolve_line(frame: &Frame<'_>, line: usize, j: usize, inverse: &[f64], winners: &[u32], target: &mut Target<'_>) {
-    let outputs = frame.plan.request.outputs;
-    let columns = match frame.plan.sensor.grid() {
-        PixelGrid::Lines(grid) => grid.axis() == LineAxis::Columns,
-        PixelGrid::Rays(_) => false,
-    };
-    let rays = rays_of_line(frame.plan, line);
-    let mut known = NOTHING;
-    let mut seen = Shade { distance: 0.0, slot: 0, polygon_id: 0, object_id: 0 };
-    for (i, (&k, &number)) in inverse.iter().zip(winners).enumerate() {
-        let (row, column) = if columns { (i, j) } else { (j, i) };
-        let (length, ray_z) = match &rays {
-            Rays::Unit => (1.0, 1.0),
-            Rays::Pinhole { x, x_scale, y_squared } => {
-                let x = x[i] * x_scale;
-                ((x * x + y_squared).sqrt(), 1.0)
-            }
-            Rays::Table(directions) => (1.0, directions[i].z),
+fn resolve_line(
+    plan: &FramePlan,
+    batches: &[Batch],
+    line: usize,
+    inverse: &mut [f64],
+    winners: &[u32],
+    block: &mut Block,
+    at: usize,
+) {
+    let outputs = plan.request.outputs;
+    let spec = plan.sensor.spec();
+    let (range_min, range_max) = (spec.range_min, spec.range_max);
+    let samples = winners.len();
+    if outputs.has(Output::DepthZ) {
+        depth_line(plan, line, inverse, range_min, range_max, &mut block.depth_z[at..at + samples]);
+    }
+    ranges_of_line(plan, line, inverse);
+    let ranges = &*inverse;
+    if outputs.has(Output::Range) {
+        for (out, &range) in block.range[at..at + samples].iter_mut().zip(ranges) {
+            *out = metres(range, range, range_min, range_max);
+        }
+    }
+    if !(outputs.has(Output::CosIncidence) || outputs.has(Output::PolygonId) || outputs.has(Output::ObjectId)) {
+        return;
+    }
+    let mut start = 0;
+    while start < samples {
+        let number = winners[start];
+        let length = winners[start..].iter().position(|&w| w != number).unwrap_or(samples - start);
+        let run = at + start..at + start + length;
+        let ranges = &ranges[start..start + length];
+        let seen = if number == NOTHING {
+            Shade { distance: f64::NAN, slot: 0, polygon_id: 0, object_id: 0 }
+        } else {
+            *shade(batches, number)
         };
-        let no_ray = ray_z.is_nan();
-        let range = if number == NOTHING { f64::INFINITY } else { length / k };
-        let hit = range <= frame.range_max && number != NOTHING;
-        if hit && number != known {
-            known = number;
-            seen = *shade(frame.batches, number);
-        }
-        let near = range < frame.range_min;
-        let metres = |value: f64| match (no_ray, hit, near) {
-            (true, ..) => f32::NAN,
-            (_, false, _) => f32::INFINITY,
-            (_, _, true) => f32::NEG_INFINITY,
-            _ => value as f32,
-        };
-        if outputs.has(Output::Range) {
-            target.range[row][column] = metres(range);
-        }
-        if outputs.has(Output::DepthZ) {
-            // Pinhole depth is 1 / k itself; along a unit ray it is range x z.
-            target.depth_z[row][column] = metres(if matches!(rays, Rays::Table(_)) { range * ray_z } else { 1.0 / k });
-        }
         if outputs.has(Output::CosIncidence) {
-            let cos = seen.distance / range;
-            target.cos_incidence[row][column] = if hit { cos.min(1.0) as f32 } else { f32::NAN };
+            for (out, &range) in block.cos_incidence[run.clone()].iter_mut().zip(ranges) {
+                let cos = (seen.distance / range) as f32;
+                *out = if range <= range_max { if cos > 1.0 { 1.0 } else { cos } } else { f32::NAN };
+            }
         }
         if outputs.has(Output::PolygonId) {
-            target.polygon_id[row][column] = if hit { seen.polygon_id } else { 0 };
+            for (out, &range) in block.polygon_id[run.clone()].iter_mut().zip(ranges) {
+                *out = if range <= range_max { seen.polygon_id } else { 0 };
+            }
         }
         if outputs.has(Output::ObjectId) {
-            target.object_id[row][column] = if hit { seen.object_id } else { 0 };
+            for (out, &range) in block.object_id[run].iter_mut().zip(ranges) {
+                *out = if range <= range_max { seen.object_id } else { 0 };
+            }
         }
+        start += length;
     }
 }
 
+/// A distance as images show it, by the range it belongs to: misses are at infinite range, missing rays at NaN.
 #[inline(always)]
-fn rays_of_line(plan: &FramePlan, line: usize) -> Rays<'_> {
+fn metres(value: f64, range: f64, range_min: f64, range_max: f64) -> f32 {
+    let shown = if range < range_min { f32::NEG_INFINITY } else { value as f32 };
+    let shown = if range > range_max { f32::INFINITY } else { shown };
+    if range.is_nan() { f32::NAN } else { shown }
+}
+
+/// Turns inverse depths into ranges: 1 / 0 makes a miss infinite.
+#[inline(always)]
+fn ranges_of_line(plan: &FramePlan, line: usize, inverse: &mut [f64]) {
     match plan.sensor.grid() {
-        PixelGrid::Lines(grid) if grid.axis() == LineAxis::Columns => Rays::Unit,
+        PixelGrid::Lines(grid) if grid.axis() == LineAxis::Columns => {
+            for k in inverse {
+                *k = 1.0 / *k;
+            }
+        }
         PixelGrid::Lines(grid) => {
-            let image_from_line = grid.image_from_line();
-            let y = image_from_line.x_axis.y * grid.lines()[line][0];
-            Rays::Pinhole { x: grid.positions(), x_scale: image_from_line.z_axis.x, y_squared: y * y + 1.0 }
+            let (x_per_t, y_squared) = pinhole_row(grid, line);
+            for (k, &t) in inverse.iter_mut().zip(grid.positions()) {
+                let x = t * x_per_t;
+                *k = (x * x + y_squared + 1.0).sqrt() / *k;
+            }
         }
         PixelGrid::Rays(grid) => {
             let width = grid.width() as usize;
-            Rays::Table(&grid.directions()[line * width..(line + 1) * width])
+            for (k, ray) in inverse.iter_mut().zip(&grid.directions()[line * width..]) {
+                *k = if ray.x.is_nan() { f64::NAN } else { 1.0 / *k };
+            }
         }
     }
+}
+
+/// Planar depths of a camera's row from its inverse depths.
+#[inline(always)]
+fn depth_line(plan: &FramePlan, line: usize, inverse: &[f64], range_min: f64, range_max: f64, out: &mut [f32]) {
+    match plan.sensor.grid() {
+        PixelGrid::Lines(grid) => {
+            let (x_per_t, y_squared) = pinhole_row(grid, line);
+            for ((out, &k), &t) in out.iter_mut().zip(inverse).zip(grid.positions()) {
+                let x = t * x_per_t;
+                let depth = 1.0 / k;
+                *out = metres(depth, (x * x + y_squared + 1.0).sqrt() * depth, range_min, range_max);
+            }
+        }
+        PixelGrid::Rays(grid) => {
+            let width = grid.width() as usize;
+            for ((out, &k), ray) in out.iter_mut().zip(inverse).zip(&grid.directions()[line * width..]) {
+                let range = if ray.x.is_nan() { f64::NAN } else { 1.0 / k };
+                *out = metres(range * ray.z, range, range_min, range_max);
+            }
+        }
+    }
+}
+
+/// x per position and y^2 of a pinhole row, normalized image coordinates.
+#[inline(always)]
+fn pinhole_row(grid: &LineGrid, line: usize) -> (f64, f64) {
+    let image_from_line = grid.image_from_line();
+    let y = image_from_line.x_axis.y * grid.lines()[line][0];
+    (image_from_line.z_axis.x, y * y)
 }

@@ -2,7 +2,7 @@
 
 use super::Bands;
 use super::batch::{Batch, SetUp, Shade};
-use super::bounds::{Bounds, Cover};
+use super::bounds::{Bounds, Cover, LANES, Lanes};
 use crate::environment::PolygonRecord;
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
@@ -21,6 +21,7 @@ struct Placed<'a> {
     mesh_mirrored: bool,
     plain: bool,
     object: u32,
+    first_slot: u32,
 }
 
 impl<'a> Placed<'a> {
@@ -30,8 +31,9 @@ impl<'a> Placed<'a> {
             PixelGrid::Rays(_) => (DMat3::IDENTITY, DMat3::IDENTITY),
         };
         let ray_from_mesh = ray_from_image * instance.image_from_mesh;
+        let object = &plan.environment().objects()[instance.object as usize];
         Self {
-            mesh: &plan.environment().objects()[instance.object as usize].mesh,
+            mesh: &object.mesh,
             ray_from_mesh,
             m_from_normal: image_from_ray.transpose() * instance.normal_from_mesh,
             normal_from_mesh: instance.normal_from_mesh,
@@ -40,6 +42,7 @@ impl<'a> Placed<'a> {
             mesh_mirrored: instance.image_from_mesh.determinant() < 0.0,
             plain: instance.plain,
             object: instance.object,
+            first_slot: object.first_slot,
         }
     }
 }
@@ -49,28 +52,61 @@ impl<'a> Placed<'a> {
 pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
-    let mut corners = [DVec3::ZERO; limits::MAX_CORNERS];
+    let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
     let mut placed: Option<(u32, Placed<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
         let (_, at) = placed
             .insert(known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))));
-        for polygon in run.first..run.first + run.count {
-            set_up(batch, plan, &bounds, at, polygon, &mut corners);
+        let end = run.first + run.count;
+        for first in (run.first..end).step_by(LANES) {
+            let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
+            let covers = cover_lanes(&bounds, at, records, &mut corners);
+            for (i, cover) in covers.into_iter().take(records.len()).enumerate() {
+                if !cover[0].is_empty() {
+                    set_up(batch, plan, at, first + i as u32, cover);
+                }
+            }
         }
     }
     batch.bin(bands);
 }
 
+/// Corners of [`LANES`] polygons, x, y and z apart.
+type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
+
+/// The covers of up to [`LANES`] polygons; lanes without one repeat the last.
 #[inline(always)]
-fn set_up(
-    batch: &mut Batch,
-    plan: &FramePlan,
+fn cover_lanes(
     bounds: &Bounds<'_>,
     at: &Placed<'_>,
-    polygon: u32,
-    corners: &mut [DVec3; limits::MAX_CORNERS],
-) {
+    records: &[PolygonRecord],
+    corners: &mut CornerLanes,
+) -> [Cover; LANES] {
+    let (vertices, all_corners) = (at.mesh.vertices(), at.mesh.all_corners());
+    let record = |l: usize| &records[l.min(records.len() - 1)];
+    let first: [u32; LANES] = std::array::from_fn(|l| record(l).first_corner);
+    let last: [u32; LANES] = std::array::from_fn(|l| u32::from(record(l).corner_count) - 1);
+    let count = last.iter().max().map_or(0, |&m| m as usize + 1);
+    let (m, center) = (at.ray_from_mesh, at.center);
+    for (i, corner) in corners[..count].iter_mut().enumerate() {
+        let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for l in 0..LANES {
+            let p = vertices[all_corners[(first[l] + last[l].min(i as u32)) as usize] as usize];
+            (x[l], y[l], z[l]) = (f64::from(p.x), f64::from(p.y), f64::from(p.z));
+        }
+        for l in 0..LANES {
+            let (x, y, z) = (x[l] - center.x, y[l] - center.y, z[l] - center.z);
+            corner[0][l] = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
+            corner[1][l] = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
+            corner[2][l] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
+        }
+    }
+    bounds.cover(&corners[..count])
+}
+
+#[inline(always)]
+fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, cover: Cover) {
     let record = &at.mesh.polygons()[polygon as usize];
     let facing = if at.plain { None } else { Some(plan.facings[usize::from(record.material)]) };
     if facing.is_some_and(|f| !f.opaque) {
@@ -78,14 +114,6 @@ fn set_up(
     }
     let indices = corner_indices(at, record);
     let vertices = at.mesh.vertices();
-    for (corner, &i) in corners.iter_mut().zip(indices) {
-        *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
-    }
-    let corners = &corners[..indices.len()];
-    let cover = bounds.cover(corners);
-    if let Cover::Nothing = cover {
-        return;
-    }
     let plane = at.mesh.planes()[polygon as usize];
     // The plane's distance from the sensor, along the mesh normal; its sign is the side, and must be proven. Taken at the
     // nearest corner, and the sensor must be farther off the plane than the corners are: else the edges span no cone.
@@ -106,12 +134,12 @@ fn set_up(
     if facing.is_some_and(|f| f.one_sided) && (d > 0.0) != at.mesh_mirrored {
         return;
     }
+    let mut corners = [DVec3::ZERO; limits::MAX_CORNERS];
+    for (corner, &i) in corners.iter_mut().zip(indices) {
+        *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
+    }
+    let corners = &corners[..indices.len()];
     let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
-    let (first, second) = match cover {
-        Cover::Nothing => return,
-        Cover::Lines(a) => (a, None),
-        Cover::OverSeam(a, b) => (a, Some(b)),
-    };
     let first_edge = batch.edges.len() as u32;
     let (lower, upper, steep) = match plan.sensor.grid() {
         PixelGrid::Lines(_) => line_edges(batch, indices, corners, outward),
@@ -119,21 +147,13 @@ fn set_up(
     };
     let shade = Shade {
         distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
-        slot: plan.environment().objects()[at.object as usize].first_slot + polygon,
+        slot: at.first_slot + polygon,
         polygon_id: plan.polygon_id(at.object, polygon),
         object_id: at.object + 1,
     };
     let m = at.m_from_normal * plane.normal / d;
-    for lines in std::iter::once(first).chain(second) {
-        batch.polygons.push(SetUp {
-            m,
-            first_line: lines.start as u32,
-            end_line: lines.end as u32,
-            first_edge,
-            lower,
-            upper,
-            steep,
-        });
+    for lines in cover.into_iter().filter(|lines| !lines.is_empty()) {
+        batch.polygons.push(SetUp { m, first_line: lines.start, end_line: lines.end, first_edge, lower, upper, steep });
         batch.shades.push(shade);
     }
 }

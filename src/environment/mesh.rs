@@ -1,7 +1,7 @@
 //! Meshes: convex polygons over shared vertices, in their own frame, stored once for all instances.
 
 use crate::error::{Error, Result};
-use crate::geometry::{Aabb, Plane, plane_of_polygon};
+use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::limits;
 use glam::{DVec3, Vec3};
 
@@ -39,6 +39,29 @@ pub(crate) struct PolygonRecord {
     pub source: u32,
     pub material: u16,
     pub corner_count: u8,
+}
+
+impl PolygonRecord {
+    /// Its part of all corners.
+    pub fn corners(self, all: &[u32]) -> &[u32] {
+        let first = self.first_corner as usize;
+        &all[first..first + usize::from(self.corner_count)]
+    }
+
+    fn bounds(self, all: &[u32], vertices: &[Vec3]) -> Aabb {
+        let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        let corners = self.corners(all).iter().map(|&c| vertices[c as usize]);
+        let (min, max) = corners.fold(start, |(min, max), v| (min.min(v), max.max(v)));
+        Aabb { min: min.as_dvec3(), max: max.as_dvec3() }
+    }
+}
+
+/// Polygons in one piece: records with their planes over one list of corners.
+#[derive(Debug, Default)]
+pub(crate) struct Parts {
+    pub corners: Vec<u32>,
+    pub records: Vec<PolygonRecord>,
+    pub planes: Vec<Plane>,
 }
 
 /// A contiguous run of a mesh's polygons with its box.
@@ -101,45 +124,68 @@ impl Mesh {
                 .map_err(|e| e.at(format!("polygon {i}")).at(format!("mesh {name:?}")))?;
             planes.push(plane);
         }
-        Ok(Self::assemble(name, vertices, &polygons, &planes, order))
-    }
-
-    fn assemble(
-        name: String,
-        vertices: Vec<Vec3>,
-        polygons: &[Polygon],
-        planes: &[Plane],
-        order: PolygonOrder,
-    ) -> Self {
-        let boxes: Vec<Aabb> =
-            polygons.iter().map(|p| Aabb::of(p.corners.iter().map(|&c| vertices[c as usize].as_dvec3()))).collect();
-        let mut sequence: Vec<u32> = (0..polygons.len() as u32).collect();
-        let mut cuts = Vec::new();
-        match order {
-            PolygonOrder::Spatial => split_spatially(&mut sequence, 0, &boxes, &mut cuts),
-            PolygonOrder::Given => cuts.extend((0..polygons.len()).step_by(limits::CLUSTER_POLYGONS)),
-        }
-        let mut mesh = Self {
-            name,
-            vertices,
-            corners: Vec::with_capacity(polygons.iter().map(|p| p.corners.len()).sum()),
-            polygons: Vec::with_capacity(polygons.len()),
-            planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
-            clusters: Vec::with_capacity(cuts.len()),
-            bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
-            material_end: polygons.iter().map(|p| p.material + 1).max().unwrap_or(0),
-        };
-        for &i in &sequence {
-            let polygon = &polygons[i as usize];
-            mesh.polygons.push(PolygonRecord {
-                first_corner: mesh.corners.len() as u32,
+        let mut corners = Vec::with_capacity(polygons.iter().map(|p| p.corners.len()).sum());
+        let mut records = Vec::with_capacity(polygons.len());
+        for polygon in &polygons {
+            records.push(PolygonRecord {
+                first_corner: corners.len() as u32,
                 source: polygon.source,
                 material: polygon.material,
                 corner_count: polygon.corners.len() as u8,
             });
-            mesh.corners.extend_from_slice(&polygon.corners);
+            corners.extend_from_slice(&polygon.corners);
         }
-        cuts.push(sequence.len());
+        Ok(Self::assemble(name, vertices, &Parts { corners, records, planes }, order))
+    }
+
+    /// As [`Mesh::new`], of parts that were proven sound when they were made; only vertices in use are kept, in the
+    /// order of their use.
+    pub(crate) fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
+        let mut mesh = Self::assemble(name, vertices, parts, order);
+        let mut moved = vec![u32::MAX; mesh.vertices.len()];
+        let mut kept = Vec::with_capacity(mesh.vertices.len());
+        for corner in &mut mesh.corners {
+            let to = &mut moved[*corner as usize];
+            if *to == u32::MAX {
+                *to = kept.len() as u32;
+                kept.push(mesh.vertices[*corner as usize]);
+            }
+            *corner = *to;
+        }
+        mesh.vertices = kept;
+        mesh
+    }
+
+    fn assemble(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
+        let Parts { corners, records, planes } = parts;
+        assert_eq!(records.len(), planes.len());
+        let boxes: Vec<Aabb> = records.iter().map(|r| r.bounds(corners, &vertices)).collect();
+        let count = records.len();
+        let sequence: Vec<u32> = match order {
+            PolygonOrder::Spatial => spatial_sequence(&boxes),
+            PolygonOrder::Given => (0..count as u32).collect(),
+        };
+        let mut cuts = Vec::with_capacity(2 * count / limits::CLUSTER_POLYGONS + 2);
+        match order {
+            PolygonOrder::Spatial => halving_cuts(0, count, &mut cuts),
+            PolygonOrder::Given => cuts.extend((0..count).step_by(limits::CLUSTER_POLYGONS)),
+        }
+        let mut mesh = Self {
+            name,
+            vertices,
+            corners: Vec::with_capacity(corners.len()),
+            polygons: Vec::with_capacity(count),
+            planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
+            clusters: Vec::with_capacity(cuts.len()),
+            bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
+            material_end: records.iter().map(|r| r.material + 1).max().unwrap_or(0),
+        };
+        for &i in &sequence {
+            let record = records[i as usize];
+            mesh.polygons.push(PolygonRecord { first_corner: mesh.corners.len() as u32, ..record });
+            mesh.corners.extend_from_slice(record.corners(corners));
+        }
+        cuts.push(count);
         for pair in cuts.windows(2) {
             let bounds = sequence[pair[0]..pair[1]].iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
             mesh.clusters.push(Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds });
@@ -164,9 +210,7 @@ impl Mesh {
 
     /// Vertex indices of a polygon, in winding order.
     pub fn corner_indices(&self, polygon: u32) -> &[u32] {
-        let record = &self.polygons[polygon as usize];
-        let first = record.first_corner as usize;
-        &self.corners[first..first + usize::from(record.corner_count)]
+        self.polygons[polygon as usize].corners(&self.corners)
     }
 
     /// Corner positions of a polygon, in winding order, f64.
@@ -243,7 +287,7 @@ fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Pl
         ));
     }
     let points: Vec<DVec3> = polygon.corners.iter().map(|&c| vertices[c as usize].as_dvec3()).collect();
-    let plane = canonical_plane(&points)
+    let plane = canonical_plane(n, |k| points[k])
         .ok_or_else(|| Error::invalid("the polygon has no area", "drop it or give it distinct vertices"))?;
     if n > 3 {
         check_shape(&points, plane, extent)?;
@@ -252,15 +296,16 @@ fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Pl
 }
 
 /// The plane computed from the loop turned and reversed to a canonical start, so that coincident faces of either
-/// winding get the same bits up to the sign and their ties go to the lower id.
-fn canonical_plane(points: &[DVec3]) -> Option<Plane> {
-    let n = points.len();
-    let key = |i: usize| points[i % n].to_array();
-    let start = (0..n).min_by(|&i, &j| key(i).partial_cmp(&key(j)).unwrap_or(std::cmp::Ordering::Equal))?;
-    let reversed = key(start + n - 1) < key(start + 1);
-    let turned: Vec<DVec3> =
-        (0..n).map(|k| if reversed { points[(start + n - k) % n] } else { points[(start + k) % n] }).collect();
-    let plane = plane_of_polygon(&turned)?;
+/// winding get the same bits up to the sign and their ties go to the lower id. `None` if it has no area.
+pub(crate) fn canonical_plane(n: usize, point: impl Fn(usize) -> DVec3) -> Option<Plane> {
+    let key = |k: usize| point(k).to_array();
+    let start = (1..n).fold(0, |least, k| if key(k) < key(least) { k } else { least });
+    let (before, after) = (if start == 0 { n - 1 } else { start - 1 }, if start + 1 == n { 0 } else { start + 1 });
+    let reversed = key(before) < key(after);
+    let plane = plane_of_loop(n, |k| {
+        let turned = if reversed { start + n - k } else { start + k };
+        point(if turned >= n { turned - n } else { turned })
+    })?;
     Some(if reversed { Plane { normal: -plane.normal, offset: -plane.offset } } else { plane })
 }
 
@@ -301,24 +346,44 @@ fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
     Ok(())
 }
 
-/// Halves `sequence` at the middle centroid along the longest axis until runs fit a cluster.
-fn split_spatially(sequence: &mut [u32], start: usize, boxes: &[Aabb], cuts: &mut Vec<usize>) {
-    if sequence.len() <= limits::CLUSTER_POLYGONS {
-        if !sequence.is_empty() {
-            sequence.sort_unstable();
+/// The polygons halved at the middle centre along the longest axis until runs fit a cluster; rising inside a run.
+fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
+    // Centres beside the indices, in f32: ordering needs no more, and the loops stay in cache.
+    let mut items: Vec<(Vec3, u32)> = boxes.iter().zip(0..).map(|(b, i)| (b.center().as_vec3(), i)).collect();
+    halve(&mut items);
+    items.iter().map(|item| item.1).collect()
+}
+
+fn halve(items: &mut [(Vec3, u32)]) {
+    /// Below this a task of its own costs more than it saves.
+    const PARALLEL: usize = 4096;
+    if items.len() <= limits::CLUSTER_POLYGONS {
+        items.sort_unstable_by_key(|item| item.1);
+        return;
+    }
+    let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (min, max) = items.iter().fold(start, |(min, max), (c, _)| (min.min(*c), max.max(*c)));
+    let axis = (max - min).max_position();
+    let middle = items.len() / 2;
+    items.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
+    let (left, right) = items.split_at_mut(middle);
+    if left.len() >= PARALLEL {
+        rayon::join(|| halve(left), || halve(right));
+    } else {
+        halve(left);
+        halve(right);
+    }
+}
+
+/// Where the runs of [`halve`] start: it depends on nothing but the count.
+fn halving_cuts(start: usize, count: usize, cuts: &mut Vec<usize>) {
+    if count <= limits::CLUSTER_POLYGONS {
+        if count > 0 {
             cuts.push(start);
         }
         return;
     }
-    let spread = Aabb::of(sequence.iter().map(|&i| boxes[i as usize].center()));
-    let extent = spread.max - spread.min;
-    let axis = (0..3).fold(0, |best, a| if extent[a] > extent[best] { a } else { best });
-    let middle = sequence.len() / 2;
-    sequence.select_nth_unstable_by(middle, |&i, &j| {
-        let key = |i: u32| boxes[i as usize].center()[axis];
-        key(i).total_cmp(&key(j)).then(i.cmp(&j))
-    });
-    let (left, right) = sequence.split_at_mut(middle);
-    split_spatially(left, start, boxes, cuts);
-    split_spatially(right, start + middle, boxes, cuts);
+    let middle = count / 2;
+    halving_cuts(start, middle, cuts);
+    halving_cuts(start + middle, count - middle, cuts);
 }

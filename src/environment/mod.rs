@@ -4,8 +4,8 @@ mod material;
 mod mesh;
 
 pub use material::{Appearance, Material};
-pub(crate) use mesh::PolygonRecord;
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
+pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};
 
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};
@@ -121,7 +121,9 @@ impl Environment {
     pub fn add_material(&mut self, material: Material) -> Result<u16> {
         material.check()?;
         let index = u16::try_from(self.materials.len())
-            .map_err(|_| Error::invalid("over 65,535 materials", "merge equal materials"))?;
+            .ok()
+            .filter(|&index| index < u16::MAX)
+            .ok_or_else(|| Error::invalid("over 65,535 materials", "merge equal materials"))?;
         self.materials.push(material);
         Ok(index)
     }

@@ -5,5 +5,6 @@ mod plane;
 mod pose;
 
 pub use aabb::Aabb;
+pub(crate) use plane::plane_of_loop;
 pub use plane::{Plane, plane_of_polygon};
 pub use pose::Pose;

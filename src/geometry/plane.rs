@@ -17,23 +17,33 @@ pub struct Plane {
 /// `n * 2^-52 * l^2`; an area under that says nothing about the direction.
 /// Aspects of 10^6, even 10^9, are far above it.
 pub fn plane_of_polygon(vertices: &[DVec3]) -> Option<Plane> {
-    let origin = *vertices.first()?;
+    plane_of_loop(vertices.len(), |k| vertices[k])
+}
+
+/// [`plane_of_polygon`] of the `count` vertices that `vertex` gives for 0, 1 and so on.
+pub(crate) fn plane_of_loop(count: usize, vertex: impl Fn(usize) -> DVec3) -> Option<Plane> {
+    if count == 0 {
+        return None;
+    }
+    let origin = vertex(0);
     let mut doubled_area = DVec3::ZERO;
+    let mut sum = DVec3::ZERO;
     let mut longest_squared = 0.0f64;
-    for k in 0..vertices.len() {
-        let a = vertices[k] - origin;
-        let b = vertices[(k + 1) % vertices.len()] - origin;
+    let mut a = DVec3::ZERO;
+    for k in 1..=count {
+        let b = if k < count { vertex(k) - origin } else { DVec3::ZERO };
         doubled_area += a.cross(b);
+        sum += b;
         longest_squared = longest_squared.max((b - a).length_squared());
+        a = b;
     }
     let length = doubled_area.length();
-    let rounding = vertices.len() as f64 * f64::EPSILON * longest_squared;
+    let rounding = count as f64 * f64::EPSILON * longest_squared;
     if !(length.is_finite() && length > rounding && length > 0.0) {
         return None;
     }
     let normal = doubled_area / length;
-    let sum: DVec3 = vertices.iter().map(|&v| v - origin).sum();
-    let offset = normal.dot(origin) + normal.dot(sum) / vertices.len() as f64;
+    let offset = normal.dot(origin) + normal.dot(sum) / count as f64;
     Some(Plane { normal, offset })
 }
 

@@ -1,6 +1,6 @@
 //! Sensors by name: a preset, or a file of one of the formats that describe sensors.
 
-use super::sensor_toml;
+use super::{camera_info, sensor_toml};
 use crate::error::{Error, Result};
 use crate::sensor::{PRESETS, Sensor};
 use std::path::Path;
@@ -17,21 +17,21 @@ use std::path::Path;
 /// [`crate::ErrorKind::Usage`] if there is none of this name; the remedy lists the names.
 pub fn preset(name: &str) -> Result<Sensor> {
     let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
-        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", names())));
+        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
     };
     Sensor::new(sensor_toml::parse(preset.toml, preset.name, None)?)
 }
 
-fn names() -> String {
+pub(super) fn preset_names() -> String {
     PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
 }
 
-/// The sensor that `--sensor PRESET|FILE` names: a preset or a sensor TOML, with
-/// notices on what of a file is not used.
+/// The sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML; with notices
+/// on what of a file is not used.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`; otherwise those of
-/// [`sensor_toml::read`].
+/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; otherwise those of
+/// [`sensor_toml::read`] and [`camera_info::read`].
 pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
     if PRESETS.iter().any(|p| p.name == arg) {
         return Ok((preset(arg)?, Vec::new()));
@@ -40,10 +40,11 @@ pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let (spec, notices) = match extension.as_str() {
         "toml" => (sensor_toml::read(path)?, Vec::new()),
+        "yaml" | "yml" => camera_info::read(path)?,
         _ => {
             return Err(Error::usage(
                 format!("{arg:?} is neither a preset nor a sensor file"),
-                format!("choose one of {}, or name a file that ends in .toml", names()),
+                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
             ));
         }
     };
@@ -100,5 +101,23 @@ mod tests {
             assert!(PRESETS.iter().all(|p| e.remedy().contains(p.name)), "{e}");
         }
         assert_eq!(load_sensor("no/such/sensor.toml").unwrap_err().kind(), ErrorKind::Invalid);
+    }
+
+    #[test]
+    fn files_are_read_by_their_extension() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+        std::fs::write(path("eye.toml"), PRESETS[0].toml).unwrap();
+        let yaml = "image_width: 4\nimage_height: 3\ncamera_matrix: {data: [2, 0, 1.5, 0, 2, 1, 0, 0, 1]}\nfoo: 1\n";
+        std::fs::write(path("eye.YAML"), yaml).unwrap();
+        let (sensor, notices) = load_sensor(&path("eye.toml")).unwrap();
+        assert_eq!((sensor.spec().name.as_str(), notices.len()), ("video-camera", 0));
+        let (sensor, notices) = load_sensor(&path("eye.YAML")).unwrap();
+        assert_eq!((sensor.spec().name.as_str(), sensor.width(), sensor.height()), ("eye", 4, 3));
+        assert!(notices.len() == 1 && notices[0].contains("foo"), "{notices:?}");
+        // A fault that only the finished sensor shows names the file too.
+        std::fs::write(path("eye.YAML"), yaml.replace("4", "0")).unwrap();
+        let e = load_sensor(&path("eye.YAML")).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && e.file().is_some() && e.to_string().contains("0 x 3"), "{e}");
     }
 }

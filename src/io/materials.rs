@@ -26,15 +26,14 @@
 //! most models vanish.
 
 use crate::environment::{Appearance, Material};
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::io::text;
 use crate::limits;
 use glam::DVec3;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-const FORMAT: u32 = 1;
 
 /// What a sidecar file says.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,7 +46,8 @@ pub struct Sidecar {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SidecarText {
-    format: u32,
+    #[serde(rename = "format")]
+    _format: i64,
     world_from_scene: Option<[f64; 6]>,
     #[serde(default)]
     material: BTreeMap<String, Properties>,
@@ -85,17 +85,13 @@ impl Sidecar {
     /// Reads the sidecar of a scene; a missing one says nothing.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] naming the line of an unknown key or impossible value,
-    /// [`ErrorKind::Unsupported`] for a newer format.
+    /// [`crate::ErrorKind::Invalid`] naming the line of an unknown key or impossible value,
+    /// [`crate::ErrorKind::Unsupported`] for a newer format.
     pub fn beside(scene: &Path) -> Result<Self> {
         let path = sidecar_path(scene);
-        match std::fs::read_to_string(&path) {
-            Ok(text) => Self::parse(&text).map_err(|e| e.in_file(&path)),
+        match std::fs::metadata(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            Err(e) if e.kind() == std::io::ErrorKind::InvalidData => {
-                Err(Error::invalid("the text is not UTF-8", "save it as UTF-8").in_file(&path))
-            }
-            Err(e) => Err(Error::io(&path, "read the material file", e)),
+            _ => Self::parse(&text::read_text(&path)?).map_err(|e| e.in_file(&path)),
         }
     }
 
@@ -104,26 +100,8 @@ impl Sidecar {
     /// # Errors
     /// As [`Sidecar::beside`].
     pub fn parse(text: &str) -> Result<Self> {
-        #[derive(Deserialize)]
-        struct Version {
-            format: Option<u32>,
-        }
-        // The version first: a newer format may well have keys that are unknown here.
-        if let Ok(Version { format: Some(format) }) = toml::from_str(text)
-            && format != FORMAT
-        {
-            return Err(Error::new(
-                ErrorKind::Unsupported,
-                format!("format = {format} is unknown, this version reads {FORMAT}"),
-                "update presight or write the file for this version",
-            ));
-        }
-        let parsed: SidecarText = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
-            Error::invalid(e.message(), "see presight's documentation of SCENE.materials.toml")
-                .at(format!("line {line}"))
-        })?;
-        debug_assert_eq!(parsed.format, FORMAT);
+        text::check_format(text)?;
+        let parsed: SidecarText = text::toml_from_str(text)?;
         let world_from_scene = match parsed.world_from_scene {
             None => Pose::IDENTITY,
             Some(v) if v.iter().all(|x| x.is_finite() && x.abs() <= limits::MAX_COORDINATE) => Pose::from_xyz_rpy(
@@ -143,12 +121,13 @@ impl Sidecar {
     /// Changes the named materials of a scene.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if a name belongs to no material.
+    /// [`crate::ErrorKind::Invalid`] if a name belongs to no material or a reflection factor is impossible.
     pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
         for (name, properties) in &self.materials {
             let mut known = false;
             for material in materials.iter_mut().filter(|m| &m.name == name) {
                 properties.apply_to(material);
+                material.check()?;
                 known = true;
             }
             if !known {
@@ -166,7 +145,7 @@ impl Sidecar {
 /// Reads the value of `extras` of a glTF material.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are not looked at.
+/// [`crate::ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are not looked at.
 pub fn from_extras(extras: &str) -> Result<Option<Properties>> {
     let value: serde_json::Value = serde_json::from_str(extras)
         .map_err(|e| Error::invalid(e.to_string(), "export the model again").at("extras"))?;
@@ -209,8 +188,8 @@ mod tests {
     #[test]
     fn mistakes_are_errors_with_their_place() {
         let cases = [
-            ("[material.a]\nreflection = 1", "format"),
-            ("format = 2\nnew = 1", "format = 2"),
+            ("[material.a]\nreflection = 1", "format = 1"),
+            ("format = 2\nnew = 1", "format 2"),
             ("format = 1\nmaterials = 3", "line 2"),
             ("format = 1\n[material.a]\nreflektion = 1", "line 3"),
             ("format = 1\n[material.a.classes]\nradar = \"glassy\"", "line 3"),

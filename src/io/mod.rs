@@ -1,9 +1,19 @@
 //! Files: one module per format. Knows the data types and no engine.
 
+pub mod atomic;
+pub mod camera_info;
+pub mod exr;
 pub mod gltf;
 mod load;
 pub mod materials;
+pub mod pcd;
+pub mod ply;
+pub mod png;
+mod points;
+pub mod robot_toml;
 pub mod sensor_toml;
 pub(crate) mod text;
 
 pub use load::{load_sensor, preset};
+pub use points::{PointCloud, PointsFrame};
+pub use robot_toml::{Robot, load_robot};

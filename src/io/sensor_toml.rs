@@ -33,6 +33,12 @@
 //! `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
 //! `file = "X.csv"` beside the sensor file, a direction `x,y,z` a line, `#` for comments.
 
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub use write::to_string;
+
 use super::text::{check_format, read_text, toml_from_str};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;

@@ -1,5 +1,14 @@
-//! Lens distortion models of OpenCV and ROS.
+//! Lens distortion models of OpenCV and ROS, both ways.
+//!
+//! With normalized coordinates (x, y) = (X / Z, Y / Z), r^2 = x^2 + y^2 and p = (p2, p1):
+//! - `plumb_bob`, `rational_polynomial`: (xd, yd) = R(r^2) (x, y) + r^2 p + 2 (p . (x, y)) (x, y) with
+//!   R(s) = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3);
+//! - `equidistant`: the image radius of a ray at angle theta from the axis is theta (1 + k1 theta^2 + k2 theta^4 +
+//!   k3 theta^6 + k4 theta^8); theta may exceed 90 degrees.
+//!
+//! Source: OpenCV, modules `calib3d` and `fisheye`; ROS `sensor_msgs/CameraInfo`.
 
+use super::undistort::Lens;
 use crate::error::{Error, Result};
 use glam::DVec3;
 
@@ -18,11 +27,6 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// True if rays need no table.
-    pub fn is_none(&self) -> bool {
-        *self == Self::None
-    }
-
     /// The model of this name, as ROS and our files write it, with its coefficients in OpenCV's order: `none` (0),
     /// `plumb_bob` (4 or 5), `rational_polynomial` (8), `equidistant` and its alias `kannala_brandt` (4).
     ///
@@ -54,19 +58,71 @@ impl Distortion {
         }
     }
 
+    /// The model's name in files; [`Distortion::from_model`] reads it.
+    pub fn model(&self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::PlumbBob(_) => "plumb_bob",
+            Self::RationalPolynomial(_) => "rational_polynomial",
+            Self::Equidistant(_) => "equidistant",
+        }
+    }
+
+    /// The coefficients in OpenCV's order.
+    pub fn coefficients(&self) -> &[f64] {
+        match self {
+            Self::None => &[],
+            Self::PlumbBob(c) => c,
+            Self::RationalPolynomial(c) => c,
+            Self::Equidistant(c) => c,
+        }
+    }
+
+    /// True if rays need no table: straight lines stay straight. An equidistant lens bends them without coefficients.
+    pub fn is_none(&self) -> bool {
+        !matches!(self, Self::Equidistant(_)) && self.coefficients().iter().all(|c| *c == 0.0)
+    }
+
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] on NaN, infinity, or numbers whose powers would overflow.
     pub(super) fn check(&self) -> Result<()> {
-        if self.is_none() {
-            return Ok(());
+        match self.coefficients().iter().position(|c| !(c.abs() <= 1e9)) {
+            None => Ok(()),
+            Some(i) => Err(Error::invalid(
+                format!("distortion coefficient {i} is {}", self.coefficients()[i]),
+                "give finite coefficients of at most 1e9",
+            )),
         }
-        if self.is_none() {
-            return Ok(());
-        }
-        Err(Error::invalid("lens distortion is not there yet", ""))
+    }
+
+    /// The model with the region found in which it is one to one, for many points.
+    pub fn lens(&self) -> Lens {
+        Lens::new(self)
     }
 
     /// The ray (not normalized, z may be 0 or negative for fisheyes) that is imaged at distorted normalized
-    /// coordinates, or `None` where the model folds over.
+    /// coordinates, or `None` where the model folds over: beyond the image of the region around the axis in which
+    /// the model is one to one. [`Distortion::distort`] gives the coordinates back to 1e-12.
+    ///
+    /// Finding that region costs more than using it: for many points use [`Distortion::lens`].
+    ///
+    /// ```
+    /// use presight::Distortion;
+    /// let barrel = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
+    /// let ray = barrel.undistort(0.4, -0.2).unwrap();
+    /// let (xd, yd) = barrel.distort(ray).unwrap();
+    /// assert!((xd - 0.4).abs() < 1e-12 && (yd + 0.2).abs() < 1e-12);
+    /// // r (1 - 0.3 r^2) never exceeds 0.703: nothing is imaged further out.
+    /// assert!(barrel.undistort(0.71, 0.0).is_none());
+    /// ```
     pub fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
-        Some(DVec3::new(xd, yd, 1.0))
+        self.lens().undistort(xd, yd)
+    }
+
+    /// Distorted normalized coordinates of a point of the optical frame (any length): pixel = (fx xd + cx,
+    /// fy yd + cy). `None` for points that the model does not image: behind a lens that is no fisheye, or outside
+    /// the region around the axis in which the model is one to one.
+    pub fn distort(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
+        self.lens().distort(p_in_optical)
     }
 }

@@ -4,6 +4,7 @@ use glam::{DMat3, DVec3};
 
 /// All rays of a sensor, in the image frame.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each sensor, and it lives behind an Arc")]
 pub enum PixelGrid {
     /// Pinhole cameras and scanners.
     Lines(LineGrid),
@@ -136,12 +137,12 @@ impl Finder {
         let mut finite = positions.iter().copied().filter(|t| t.is_finite());
         let start = finite.next().unwrap_or(0.0);
         let end = finite.next_back().unwrap_or(start);
-        let cells = 2 * positions.len();
+        let cells = 4 * positions.len();
         let cells_per_unit = if end > start { cells as f64 / (end - start) } else { 0.0 };
         let below = (0..=cells)
             .map(|cell| {
-                // One cell low, so that rounding in `find` cannot start too high.
-                let t = if cells_per_unit > 0.0 { start + (cell as f64 - 1.0) / cells_per_unit } else { start };
+                // A little low, so that rounding in `find` cannot start too high.
+                let t = if cells_per_unit > 0.0 { start + (cell as f64 - 1e-3) / cells_per_unit } else { start };
                 positions.partition_point(|&p| p < t) as u32
             })
             .collect();

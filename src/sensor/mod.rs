@@ -3,9 +3,11 @@
 mod camera;
 mod distortion;
 mod grid;
+mod polynomial;
 mod presets;
 mod rays;
 mod scanner;
+mod undistort;
 
 pub use camera::Camera;
 pub use distortion::Distortion;
@@ -13,6 +15,7 @@ pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
 pub use presets::{PRESETS, Preset};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
+pub use undistort::Lens;
 
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -149,9 +152,10 @@ impl Sensor {
         if self.is_camera() { body_from_optical() } else { DMat3::IDENTITY }
     }
 
-    /// Unit ray of a pixel in the image frame, f64; `None` where the sensor has no ray.
+    /// Unit ray of a pixel in the image frame, f64; `None` where the sensor has no ray, and outside the image.
     pub fn ray(&self, column: u32, row: u32) -> Option<DVec3> {
-        self.0.grid.ray(column, row)
+        let inside = column < self.0.width && row < self.0.height;
+        inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 }
 
@@ -192,6 +196,9 @@ fn check(spec: &SensorSpec) -> Result<()> {
             format!("range limits {}..{}", spec.range_min, spec.range_max),
             "give 0 <= range_min < range_max, in metres",
         ));
+    }
+    if !(spec.mount.translation.is_finite() && spec.mount.rotation.is_finite()) {
+        return Err(Error::invalid("the mount is not finite", "give robot_from_sensor in finite numbers"));
     }
     if let Some(angle) = spec.max_incidence
         && !(angle > 0.0 && angle <= std::f64::consts::FRAC_PI_2)

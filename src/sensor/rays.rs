@@ -4,11 +4,21 @@ use crate::error::{Error, Result};
 use glam::DVec3;
 
 /// Ray directions of a single-centre sensor, row-major, body axes.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct RayTable {
     width: u32,
     height: u32,
     directions: Vec<DVec3>,
+}
+
+/// Two pixels without a ray are equal, though NaN is not equal to itself.
+impl PartialEq for RayTable {
+    fn eq(&self, other: &Self) -> bool {
+        let same = |(a, b): (&DVec3, &DVec3)| a == b || (a.is_nan() && b.is_nan());
+        (self.width, self.height) == (other.width, other.height)
+            && self.directions.len() == other.directions.len()
+            && self.directions.iter().zip(&other.directions).all(same)
+    }
 }
 
 impl RayTable {
@@ -36,7 +46,10 @@ impl RayTable {
                     "give a finite direction with a length, or NaN for no ray",
                 ));
             }
-            *d = (*d / longest).normalize();
+            // Unit directions keep their bits, so that a table written to a file reads back equal.
+            if (d.length_squared() - 1.0).abs() > 1e-15 {
+                *d = (*d / longest).normalize();
+            }
         }
         Ok(Self { width, height, directions: unit })
     }
@@ -54,5 +67,35 @@ impl RayTable {
     /// Unit directions, row-major, body axes; NaN is no ray.
     pub fn directions(&self) -> &[DVec3] {
         &self.directions
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn faulty_directions_are_refused() {
+        for bad in [DVec3::ZERO, DVec3::new(f64::INFINITY, 0.0, 0.0), DVec3::new(0.0, 0.0, f64::NEG_INFINITY)] {
+            let e = RayTable::new(1, 2, vec![DVec3::X, bad]).unwrap_err();
+            assert!(e.to_string().contains("direction 1"), "{e}");
+        }
+        assert!(RayTable::new(2, 2, vec![DVec3::X; 3]).is_err());
+        assert!(RayTable::new(u32::MAX, u32::MAX, vec![DVec3::X]).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn directions_are_unit_and_making_them_so_twice_changes_no_bit(
+            x in -1.0..1.0f64, y in -1.0..1.0f64, z in 0.001..1.0f64, e in -300..300i32,
+        ) {
+            let d = DVec3::new(x, y, z);
+            let once = RayTable::new(1, 1, vec![d * 10f64.powi(e)]).unwrap();
+            let u = once.directions()[0];
+            prop_assert!((u.length() - 1.0).abs() < 1e-15 && u.distance(d.normalize()) < 1e-14);
+            let twice = RayTable::new(1, 1, vec![u]).unwrap();
+            prop_assert_eq!(u, twice.directions()[0]);
+        }
     }
 }

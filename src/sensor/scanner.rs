@@ -63,6 +63,26 @@ impl Scanner {
         rows
     }
 
+    /// Columns go round once at most, in one direction: no direction is there twice, and an interval of angles is an
+    /// interval of columns.
+    fn check_azimuths(&self, azimuths: &[f64]) -> Result<()> {
+        let [first, .., last] = azimuths else { return Ok(()) };
+        let rising = last > first;
+        if let Angles::Listed(_) = self.azimuth
+            && !azimuths.windows(2).all(|pair| if rising { pair[0] < pair[1] } else { pair[0] > pair[1] })
+        {
+            return Err(Error::invalid("the azimuths listed are not in order", "list them all rising or all falling"));
+        }
+        // A little less than once: 360 degrees in rounded steps are the first direction again.
+        if last == first || (last - first).abs() >= 360.0 - 1e-9 {
+            return Err(Error::invalid(
+                format!("azimuths from {first} to {last} deg, {} of them", azimuths.len()),
+                "give a step that goes round less than once",
+            ));
+        }
+        Ok(())
+    }
+
     pub(super) fn grid(&self) -> Result<PixelGrid> {
         let (n, m) = (self.azimuth.len(), self.elevation.len());
         debug_assert!(n <= limits::MAX_IMAGE_SIDE as usize && m <= limits::MAX_IMAGE_SIDE as usize);
@@ -83,13 +103,24 @@ impl Scanner {
                 "give every elevation once",
             ));
         }
-        if let Angles::Uniform { step_deg, count, .. } = self.azimuth
-            && count > 1
-            && (step_deg == 0.0 || step_deg.abs() * f64::from(count - 1) >= 360.0)
-        {
+        self.check_azimuths(&azimuths)?;
+        let height = self.beam_height_deg.unwrap_or(0.0);
+        if !(height >= 0.0 && height.is_finite()) {
+            return Err(Error::invalid(format!("beam_height of {height} deg"), "give finite degrees of at least 0"));
+        }
+        let weights: Vec<[f64; 2]> = rows
+            .iter()
+            .map(|&e| {
+                let [cos, sin] = cos_sin_deg(e);
+                // abs: the cosine of 90 degrees may be -0, which would put the zenith below the nadir.
+                [cos.abs(), -sin]
+            })
+            .collect();
+        let too_close = |i: &usize| !(weights[*i][1] / weights[*i][0] < weights[i + 1][1] / weights[i + 1][0]);
+        if let Some(i) = (0..m.saturating_sub(1)).find(too_close) {
             return Err(Error::invalid(
-                format!("azimuth step of {step_deg} deg, {count} times"),
-                "give a step that goes round less than once",
+                format!("elevations {} and {} deg cannot be told apart", rows[i], rows[i + 1]),
+                "keep them 1e-6 deg apart",
             ));
         }
         // Line frame: (x, y, -z), so that the sample position -tan(elevation) rises with the row.
@@ -97,33 +128,41 @@ impl Scanner {
             LineAxis::Columns,
             DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)),
             azimuths.iter().map(|&a| cos_sin_deg(a)).collect(),
-            rows.iter()
-                .map(|&e| {
-                    let [cos, sin] = cos_sin_deg(e);
-                    // abs: the cosine of 90 degrees may be -0, which would put the zenith below the nadir.
-                    [cos.abs(), -sin]
-                })
-                .collect(),
+            weights,
         )))
     }
 }
 
-/// Cosine and sine of an angle in degrees, exact at multiples of 90.
+/// Cosine and sine of an angle in degrees, exact at multiples of 90 and never -0 there: a pole's w1 / w0 is infinite,
+/// with the sign of w1.
 fn cos_sin_deg(degrees: f64) -> [f64; 2] {
-    let turned = degrees.rem_euclid(360.0);
-    let quarter = (turned / 90.0).round();
-    let (sin, cos) = (turned - 90.0 * quarter).to_radians().sin_cos();
-    match quarter as u32 % 4 {
+    let quarter = (degrees / 90.0).round();
+    // Exact: the difference is a multiple of the last place of `degrees`, and no larger.
+    let (sin, cos) = (degrees - 90.0 * quarter).to_radians().sin_cos();
+    let [x, y] = match quarter.rem_euclid(4.0) as u32 {
         0 => [cos, sin],
         1 => [-sin, cos],
         2 => [-cos, -sin],
         _ => [sin, -cos],
-    }
+    };
+    [x + 0.0, y + 0.0]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    use crate::sensor::{Geometry, Sensor, SensorSpec};
+    use proptest::prelude::*;
+
+    fn uniform(start_deg: f64, step_deg: f64, count: u32) -> Angles {
+        Angles::Uniform { start_deg, step_deg, count }
+    }
+
+    fn sensor(azimuth: Angles, elevation: Angles) -> Result<Sensor> {
+        let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
+        Sensor::new(SensorSpec::new("s", "laser", Geometry::Scanner(scanner)))
+    }
 
     #[test]
     fn quarter_turns_are_exact() {
@@ -133,5 +172,85 @@ mod tests {
         let [c, s] = cos_sin_deg(37.5);
         assert!((c - 37.5f64.to_radians().cos()).abs() < 1e-15);
         assert!((s - 37.5f64.to_radians().sin()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn zeros_have_no_sign() {
+        for quarter in -8..=8 {
+            for x in cos_sin_deg(90.0 * f64::from(quarter)) {
+                assert!(x != 0.0 || x.is_sign_positive(), "{quarter} quarter turns");
+            }
+        }
+    }
+
+    #[test]
+    fn poles_are_the_first_and_the_last_row() {
+        let s = sensor(uniform(-180.0, 90.0, 4), Angles::Listed(vec![0.0, -90.0, 90.0])).unwrap();
+        for column in 0..4 {
+            assert_eq!(s.ray(column, 0), Some(DVec3::Z));
+            assert_eq!(s.ray(column, 2), Some(DVec3::NEG_Z));
+        }
+        let PixelGrid::Lines(grid) = s.grid() else { panic!("no lines") };
+        assert_eq!(grid.positions(), [f64::NEG_INFINITY, 0.0, f64::INFINITY]);
+        assert_eq!(s.ray(0, 1), Some(DVec3::NEG_X));
+        assert_eq!(s.ray(1, 1), Some(DVec3::NEG_Y));
+        assert_eq!(s.ray(4, 1), None);
+        assert_eq!(s.ray(0, 3), None);
+    }
+
+    #[test]
+    fn a_direction_twice_is_refused() {
+        let one = || uniform(0.0, 0.0, 1);
+        let refused = [
+            sensor(uniform(-180.0, 1.0, 361), one()),
+            sensor(uniform(180.0, -1.0, 361), one()),
+            sensor(uniform(0.0, 360.0 / 7.0, 8), one()),
+            sensor(uniform(0.0, 1.0, 1000), one()),
+            sensor(uniform(0.0, 0.0, 2), one()),
+            sensor(Angles::Listed(vec![-180.0, 0.0, 180.0]), one()),
+            sensor(Angles::Listed(vec![0.0, 20.0, 10.0]), one()),
+            sensor(Angles::Listed(vec![0.0, f64::NAN]), one()),
+            sensor(one(), uniform(1.0, 0.0, 2)),
+            sensor(one(), Angles::Listed(vec![0.0, 5.0, -0.0])),
+            sensor(one(), Angles::Listed(vec![1e-323, 5e-324])),
+            sensor(one(), uniform(-90.0, 1.0, 182)),
+        ];
+        for (i, result) in refused.into_iter().enumerate() {
+            assert!(result.is_err(), "{i}");
+        }
+        assert!(sensor(uniform(-180.0, 1.0, 360), uniform(-90.0, 1.0, 181)).is_ok());
+        assert!(sensor(uniform(180.0, -1.0, 360), uniform(90.0, -1.0, 181)).is_ok());
+        assert!(sensor(Angles::Listed(vec![30.0, 0.0, -3.0]), one()).is_ok());
+    }
+
+    proptest! {
+        #[test]
+        fn rays_are_the_textbooks(
+            start in -360.0..360.0f64, step in prop_oneof![-3.0..-0.01f64, 0.01..3.0f64], columns in 1..100u32,
+            listed in prop::collection::vec(-90.0..=90.0f64, 1..20),
+        ) {
+            let mut falling = listed.clone();
+            falling.sort_by(|a, b| b.total_cmp(a));
+            prop_assume!(falling.windows(2).all(|w| w[0] - w[1] > 1e-5));
+            let s = sensor(uniform(start, step, columns), Angles::Listed(listed)).unwrap();
+            let PixelGrid::Lines(grid) = s.grid() else { return Err(TestCaseError::fail("no lines")) };
+            prop_assert!(grid.positions().windows(2).all(|t| t[0] < t[1]));
+            for column in [0, columns / 2, columns - 1] {
+                for (row, elevation) in falling.iter().enumerate() {
+                    let row = row as u32;
+                    let ray = s.ray(column, row).unwrap();
+                    // Reduced exactly first: sin_cos of 300 degrees in radians is off by more than the bound.
+                    let azimuth = (start + f64::from(column) * step) % 360.0;
+                    let azimuth = if azimuth.abs() > 180.0 { azimuth - 360.0f64.copysign(azimuth) } else { azimuth };
+                    let ((sa, ca), (se, ce)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
+                    prop_assert!(ray.distance(DVec3::new(ce * ca, ce * sa, se)) < 1e-15, "{} {}", column, row);
+                    let (line, sample) = grid.line_sample(column, row);
+                    let of_line = grid.image_from_line() * grid.line_ray(line, sample);
+                    prop_assert!(of_line.distance(ray) < 1e-15);
+                    let [w0, w1] = grid.weights()[sample];
+                    prop_assert!(w0 >= 0.0 && grid.positions()[sample] == w1 / w0);
+                }
+            }
+        }
     }
 }

@@ -64,6 +64,25 @@ impl<'a> Document<'a> {
         })
     }
 
+    /// The count of an accessor once its data is proven to be there, before anything is read.
+    pub fn proven_count(&self, index: json::Index<Accessor>) -> Result<u64> {
+        let accessor = self.accessor(index)?;
+        let prove = || {
+            let count = accessor.count.0;
+            let components = if matches!(accessor.type_, Checked::Valid(Type::Vec3)) { 3 } else { 1 };
+            let size = components * component_of(accessor)?.size();
+            match accessor.buffer_view {
+                None => zero_filled(count).map(drop)?,
+                Some(view) => {
+                    let offset = accessor.byte_offset.map_or(0, |o| o.0);
+                    self.elements(view.value(), offset, count, size, components == 3).map(drop)?;
+                }
+            }
+            Ok(count)
+        };
+        prove().map_err(|e: Error| e.at(format!("accessor {}", index.value())))
+    }
+
     /// The bytes of a view from `offset` on, proven to hold `count` elements.
     fn elements(&self, view: usize, offset: u64, count: u64, size: usize, strided: bool) -> Result<Elements<'_>> {
         let place = |e: Error| e.at(format!("buffer view {view}"));

@@ -1,6 +1,7 @@
 //! The triangles of a glTF mesh: all topologies, all its primitives together, equal positions welded.
 
 use super::accessor::{Document, Positions};
+use super::quoted;
 use crate::acquire::{ProblemKind, TriangleMesh, Welder};
 use crate::error::{Error, Result};
 use glam::Vec3;
@@ -39,11 +40,11 @@ fn mode_of(primitive: &Primitive) -> Result<Mode> {
 /// Words for a mesh in messages.
 pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
     let name = root.meshes.get(mesh).and_then(|m| m.name.as_deref()).unwrap_or("");
-    format!("mesh {mesh} {name:?}")
+    format!("mesh {mesh} {}", quoted(name))
 }
 
 impl Document<'_> {
-    /// Triangles that a mesh claims to have, from the accessors' counts alone.
+    /// Triangles that a mesh claims to have, from the accessors' counts alone; the data is proven to be there.
     pub fn claimed_triangles(&self, mesh: usize) -> Result<u64> {
         let place = |e: Error| e.at(mesh_words(&self.root, mesh));
         let Some(m) = self.root.meshes.get(mesh) else {
@@ -54,7 +55,7 @@ impl Document<'_> {
         for (i, primitive) in m.primitives.iter().enumerate() {
             let inner = |e: Error| place(e.at(format!("primitive {i}")));
             let Some(positions) = position_accessor(primitive) else { continue };
-            let corners = self.accessor(primitive.indices.unwrap_or(positions)).map_err(inner)?.count.0;
+            let corners = self.proven_count(primitive.indices.unwrap_or(positions)).map_err(inner)?;
             sum = sum.saturating_add(triangle_count(mode_of(primitive).map_err(inner)?, corners).unwrap_or(0));
         }
         Ok(sum)
@@ -64,11 +65,10 @@ impl Document<'_> {
     pub fn read_mesh(&self, mesh: usize, default_material: u16) -> Result<Read> {
         let mut read = Read { triangles: TriangleMesh::default(), notes: Vec::new() };
         let mut welder = Welder::default();
-        // Primitives often share one accessor of positions: each of its vertices is welded once.
-        let mut welded: Vec<(usize, Vec<u32>)> = Vec::new();
+        let mut shared = None;
         for (i, primitive) in self.root.meshes[mesh].primitives.iter().enumerate() {
             let words = || format!("{}: primitive {i}", mesh_words(&self.root, mesh));
-            self.read_primitive(primitive, default_material, &mut welder, &mut welded, &mut read)
+            self.read_primitive(primitive, default_material, &mut welder, &mut shared, &mut read)
                 .map_err(|e| e.at(words()))?
                 .into_iter()
                 .for_each(|(kind, what)| read.notes.push((kind, format!("{}: {what}", words()))));
@@ -77,12 +77,12 @@ impl Document<'_> {
         Ok(read)
     }
 
-    fn read_primitive(
-        &self,
+    fn read_primitive<'a>(
+        &'a self,
         primitive: &Primitive,
         default_material: u16,
         welder: &mut Welder,
-        welded: &mut Vec<(usize, Vec<u32>)>,
+        shared: &mut Option<Shared<'a>>,
         read: &mut Read,
     ) -> Result<Vec<(ProblemKind, String)>> {
         let mut notes = Vec::new();
@@ -90,9 +90,16 @@ impl Document<'_> {
         let Some(accessor) = position_accessor(primitive) else {
             return Ok(vec![(ProblemKind::IgnoredPrimitive, "no positions".into())]);
         };
-        let positions = self.positions(accessor)?;
+        let positions = match shared.take().filter(|s| s.accessor == accessor.value()) {
+            Some(known) => shared.insert(known),
+            None => shared.insert(Shared {
+                accessor: accessor.value(),
+                positions: self.positions(accessor)?,
+                welded: Vec::new(),
+            }),
+        };
         let indices = primitive.indices.map(|i| self.indices(i)).transpose()?;
-        let corners = indices.as_ref().map_or(positions.count(), Vec::len);
+        let corners = indices.as_ref().map_or(positions.positions.count(), Vec::len);
         let Some(count) = triangle_count(mode, corners as u64) else {
             return Ok(vec![(ProblemKind::IgnoredPrimitive, format!("{mode:?} with {corners} indices"))]);
         };
@@ -117,15 +124,8 @@ impl Document<'_> {
                 return Err(Error::invalid(what, REPAIR));
             }
         };
-        let known = match welded.iter().position(|(a, _)| *a == accessor.value()) {
-            Some(k) => k,
-            None => {
-                welded.push((accessor.value(), vec![u32::MAX; positions.count()]));
-                welded.len() - 1
-            }
-        };
-        let mut corner =
-            Corners { positions: &positions, indices: indices.as_deref(), welder, welded: &mut welded[known].1 };
+        positions.prepare(corners);
+        let mut corner = Corners { shared: positions, indices: indices.as_deref(), welder };
         let mesh = &mut read.triangles;
         for t in 0..count as usize {
             let at = match mode {
@@ -143,33 +143,53 @@ impl Document<'_> {
     }
 }
 
-/// From the corner numbers of a primitive to welded vertices.
-struct Corners<'a> {
-    positions: &'a Positions<'a>,
-    indices: Option<&'a [u32]>,
-    welder: &'a mut Welder,
-    /// By vertex of the accessor; `u32::MAX` is not welded yet.
-    welded: &'a mut [u32],
+/// The positions of the last accessor: primitives of a mesh often share one.
+struct Shared<'a> {
+    accessor: usize,
+    positions: Positions<'a>,
+    /// Welded vertex by vertex of the accessor, `u32::MAX` where not welded yet; empty where not worth its memory.
+    welded: Vec<u32>,
 }
 
-impl Corners<'_> {
+impl Shared<'_> {
+    /// Makes room to weld each vertex once, unless only a small part of a large accessor is in use.
+    fn prepare(&mut self, corners: usize) {
+        let count = self.positions.count();
+        if self.welded.is_empty() && count <= 4 * corners {
+            self.welded = vec![u32::MAX; count];
+        }
+    }
+}
+
+/// From the corner numbers of a primitive to welded vertices.
+struct Corners<'a, 'b> {
+    shared: &'a mut Shared<'b>,
+    indices: Option<&'a [u32]>,
+    welder: &'a mut Welder,
+}
+
+impl Corners<'_, '_> {
     fn vertex(&mut self, corner: usize, vertices: &mut Vec<Vec3>) -> Result<u32> {
         let vertex = self.indices.map_or(corner, |i| i[corner] as usize);
-        let Some(known) = self.welded.get_mut(vertex) else {
+        let count = self.shared.positions.count();
+        if vertex >= count {
             return Err(Error::invalid(
-                format!("index {corner} is {vertex}, out of range: there are {} vertices", self.positions.count()),
+                format!("index {corner} is {vertex}, out of range: there are {count} vertices"),
                 REPAIR,
             ));
-        };
-        if *known == u32::MAX {
-            let position = self.positions.get(vertex);
-            let reach = f64::from(position.abs().max_element());
-            if !position.is_finite() || reach > crate::limits::MAX_COORDINATE {
-                let what = format!("vertex {vertex} is {position}, not a finite position");
-                return Err(Error::invalid(what, REPAIR));
-            }
-            *known = self.welder.weld(position, vertices);
         }
-        Ok(*known)
+        if let Some(&known) = self.shared.welded.get(vertex).filter(|&&known| known != u32::MAX) {
+            return Ok(known);
+        }
+        let position = self.shared.positions.get(vertex);
+        let reach = f64::from(position.abs().max_element());
+        if !position.is_finite() || reach > crate::limits::MAX_COORDINATE {
+            return Err(Error::invalid(format!("vertex {vertex} is {position}, not a finite position"), REPAIR));
+        }
+        let welded = self.welder.weld(position, vertices);
+        if let Some(known) = self.shared.welded.get_mut(vertex) {
+            *known = welded;
+        }
+        Ok(welded)
     }
 }

@@ -10,8 +10,8 @@ mod container;
 mod mesh;
 mod nodes;
 
-use crate::acquire::{ImportReport, Imported, ProblemBook, ProblemKind, ProblemList, TriangleMesh};
-use crate::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use crate::acquire::{self, Edges, ImportReport, Imported, ProblemBook, ProblemKind, ProblemList, TriangleMesh};
+use crate::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
@@ -99,6 +99,7 @@ fn import_bytes(bytes: &[u8], path: &Path, sidecar: &Sidecar, options: &ImportOp
     for (&mesh, built) in used.iter().zip(built) {
         let built = built?;
         report.triangles_stored += u64::from(built.source_count);
+        report.merges += built.merges;
         report.polygons_stored += built.mesh.polygon_count() as u64;
         built.notes.iter().for_each(|(kind, words)| book.note(*kind, || words.clone()));
         book.extend(&built.problems, |triangle| {
@@ -113,6 +114,15 @@ fn import_bytes(bytes: &[u8], path: &Path, sidecar: &Sidecar, options: &ImportOp
     }
     report.problems = book.into_problems();
     Ok(Imported { environment, report })
+}
+
+/// A name in quotes for a message, cut where it would not fit a line.
+fn quoted(name: &str) -> String {
+    const LONGEST: usize = 80;
+    match name.char_indices().nth(LONGEST) {
+        None => format!("{name:?}"),
+        Some((end, _)) => format!("{:?}...", &name[..end]),
+    }
 }
 
 fn parse<'de, T: serde::Deserialize<'de>>(text: &'de [u8]) -> Result<T> {
@@ -193,7 +203,7 @@ fn used_meshes(document: &Document<'_>, nodes: &[MeshNode]) -> Result<Vec<usize>
             None => {
                 let count = document
                     .claimed_triangles(node.mesh)
-                    .map_err(|e| e.at(format!("node {} {:?}", node.node, node.path)))?;
+                    .map_err(|e| e.at(format!("node {} {}", node.node, quoted(&node.path))))?;
                 claimed.insert(node.mesh, count);
                 used.push(node.mesh);
                 stored = stored.saturating_add(count);
@@ -249,25 +259,41 @@ struct Built {
     primitive_ends: Vec<u32>,
     problems: ProblemList,
     notes: Vec<(ProblemKind, String)>,
+    merges: u64,
+    /// Metres in the mesh frame.
+    deviation: f64,
 }
 
 impl Built {
     fn place_of(&self, source: u32) -> (u32, u32) {
-        crate::acquire::place_of(&self.primitive_ends, source)
+        acquire::place_of(&self.primitive_ends, source)
     }
 }
 
-fn build_mesh(document: &Document<'_>, index: usize, default_material: u16, _options: &ImportOptions) -> Result<Built> {
+fn build_mesh(document: &Document<'_>, index: usize, default_material: u16, options: &ImportOptions) -> Result<Built> {
     let mesh::Read { triangles, notes } = document.read_mesh(index, default_material)?;
-    let problems = triangles.problems();
-    let TriangleMesh { vertices, triangles, source_count, primitive_ends, .. } = triangles;
+    let edges = Edges::of(&triangles);
+    let twins = edges.twins();
+    let problems = triangles.problems(&edges, &twins);
+    drop(edges);
+    let (merged, order) = match options.merge {
+        true => (acquire::merge(&triangles, twins, options.merge_tolerance), PolygonOrder::Spatial),
+        false => (acquire::unmerged(&triangles), PolygonOrder::Given),
+    };
+    let TriangleMesh { vertices, source_count, primitive_ends, .. } = triangles;
     let name = document.root.meshes[index].name.clone().unwrap_or_else(|| format!("mesh{index}"));
-    let polygons = triangles
-        .iter()
-        .map(|t| Polygon { corners: t.corners.to_vec(), material: t.material, source: t.source })
-        .collect();
-    let mesh = Arc::new(Mesh::new(name, vertices, polygons, PolygonOrder::Given)?);
-    Ok(Built { mesh, source_count, primitive_ends, problems, notes })
+    let mesh = Arc::new(Mesh::from_parts(name, vertices, &merged.parts, order));
+    let (merges, deviation) = (merged.merges, merged.largest_deviation);
+    Ok(Built { mesh, source_count, primitive_ends, problems, notes, merges, deviation })
+}
+
+/// The most a transform can stretch any length: exact for scales along the axes, a bound for shears.
+fn largest_stretch(m: &DMat3) -> f64 {
+    let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis];
+    let longest = x.length().max(y.length()).max(z.length());
+    let skew = x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs());
+    // Of M^T M = D + S with |S| <= 2 max |s|.
+    (longest * longest + 2.0 * skew).sqrt()
 }
 
 fn insert_objects(
@@ -282,7 +308,7 @@ fn insert_objects(
     let mut first_source = 0u32;
     for node in nodes {
         let Some(built) = by_mesh.get(&node.mesh) else { continue };
-        let place = || format!("node {} {:?}", node.node, node.path);
+        let place = || format!("node {} {}", node.node, quoted(&node.path));
         report.triangles_in_scene += u64::from(built.source_count);
         report.polygons_in_scene += built.mesh.polygon_count() as u64;
         if node.skinned {
@@ -294,9 +320,12 @@ fn insert_objects(
             let world_from_mesh = world_from_gltf * node.scene_from_mesh;
             let new = NewObject::from_affine(node.path.clone(), world_from_mesh, built.mesh.clone())
                 .map_err(|e| e.at(place()))?;
+            let deviation = built.deviation * largest_stretch(&world_from_mesh.matrix3);
+            report.largest_deviation_m = report.largest_deviation_m.max(deviation);
             let object = environment.insert(NewObject { first_source, ..new }).map_err(|e| e.at(place()))?;
             let bounds = environment.objects()[object as usize].world_bounds();
-            if !(bounds.min.abs().max(bounds.max.abs()).max_element() <= limits::MAX_COORDINATE) {
+            let reach = bounds.min.abs().max(bounds.max.abs());
+            if !reach.is_finite() || reach.max_element() > limits::MAX_COORDINATE {
                 return Err(Error::invalid(
                     format!("it reaches beyond {} m", limits::MAX_COORDINATE),
                     "check the scale: glTF is in metres",

@@ -1,5 +1,6 @@
 //! The node hierarchy, read and composed in f64: an f32 matrix would lose a site in UTM metres.
 
+use super::quoted;
 use crate::error::{Error, Result};
 use crate::limits;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
@@ -141,7 +142,7 @@ impl NodeText {
 
     fn error(&self, index: usize, what: impl Into<String>) -> Error {
         let name = self.nodes[index].name.as_deref().unwrap_or("");
-        Error::invalid(what, REPAIR).at(format!("node {index} {name:?}"))
+        Error::invalid(what, REPAIR).at(format!("node {index} {}", quoted(name)))
     }
 }
 

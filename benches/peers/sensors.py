@@ -1,0 +1,37 @@
+"""The rays of the compared presets, worked out here from their published definition, apart from presight."""
+
+import numpy as np
+
+
+def scanner(az_start, az_step, az_count, el_high, el_low, el_count):
+    azimuth = np.radians(az_start + az_step * np.arange(az_count))
+    elevation = np.radians(np.linspace(el_high, el_low, el_count))[:, None]
+    flat = np.cos(elevation)
+    up = np.broadcast_to(np.sin(elevation), (el_count, az_count))
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1)
+
+
+def camera(width, height, fx, fy, cx, cy):
+    x = np.broadcast_to((np.arange(width) - cx) / fx, (height, width))
+    y = np.broadcast_to(((np.arange(height) - cy) / fy)[:, None], (height, width))
+    # Optical axes (z forward, x right, y down) to body axes (x forward, y left, z up).
+    rays = np.stack([np.ones((height, width)), -x, -y], axis=-1)
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+# name: (unit rays in body axes with shape (rows, columns, 3), range_max in metres)
+SENSORS = {
+    "microwave-radar-image": lambda: (scanner(-180.0, 0.28125, 1280, 25.0, -25.0, 200), 75.0),
+    "video-camera": lambda: (camera(512, 512, 523.636, 698.182, 255.5, 255.5), np.inf),
+    "laser-range-camera": lambda: (scanner(-30.0, 60.0 / 320.0, 321, 5.0, -55.0, 41), 10.0),
+    "microwave-radar-scan": lambda: (scanner(-180.0, 0.1, 3600, 0.0, 0.0, 1), 75.0),
+}
+
+
+def rotation(roll_deg, pitch_deg, yaw_deg):
+    """Rz(yaw) Ry(pitch) Rx(roll): world_from_sensor."""
+    r, p, y = np.radians([roll_deg, pitch_deg, yaw_deg])
+    rx = np.array([[1, 0, 0], [0, np.cos(r), -np.sin(r)], [0, np.sin(r), np.cos(r)]])
+    ry = np.array([[np.cos(p), 0, np.sin(p)], [0, 1, 0], [-np.sin(p), 0, np.cos(p)]])
+    rz = np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]])
+    return rz @ ry @ rx

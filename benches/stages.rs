@@ -1,0 +1,90 @@
+//! The CPU engine by stage: `cargo bench --bench stages [-- FILTER]`, with names such as
+//! `prediction/hospital/video-camera`. Scenes: `scenes/room.glb`, and the hospital and the factory hall where
+//! `PRESIGHT_DATA` (default `../shared/data`) holds them.
+
+#![allow(missing_docs, reason = "criterion's macros make items without docs")]
+
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use glam::DVec3;
+use presight::io::gltf::{ImportOptions, import};
+use presight::{Backend, FramePlan, Options, Pose, Predictor, Request, World, preset};
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+
+const PRESETS: [&str; 4] = ["microwave-radar-image", "video-camera", "laser-range-camera", "microwave-radar-scan"];
+
+struct Scene {
+    name: &'static str,
+    path: PathBuf,
+    world_from_sensor: Pose,
+}
+
+fn pose([x, y, z, roll, pitch, yaw]: [f64; 6]) -> Pose {
+    Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
+}
+
+/// The room, and what is there of the large scenes, at the first pose at which they are compared with Embree.
+fn scenes() -> Vec<Scene> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
+    let text = std::fs::read_to_string(root.join("benches/peers/poses.json")).expect("poses.json is in the repository");
+    let poses: serde_json::Value = serde_json::from_str(&text).expect("poses.json is JSON");
+    let room = pose([0.3, 0.35, 1.65, 0.0, 12.0, 38.0]);
+    let mut all = vec![Scene { name: "room", path: root.join("scenes/room.glb"), world_from_sensor: room }];
+    for name in ["factory_hall", "hospital"] {
+        let path = data.join("env").join(name).with_extension("glb");
+        if path.is_file() {
+            let first = serde_json::from_value(poses["scenes"][name][0].clone()).expect("a pose is six numbers");
+            all.push(Scene { name, path, world_from_sensor: pose(first) });
+        }
+    }
+    all
+}
+
+fn load(scene: &Scene) -> World {
+    let imported = import(&scene.path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    World::new(imported.environment)
+}
+
+fn importing(c: &mut Criterion) {
+    let mut group = c.benchmark_group("import");
+    group.sample_size(10);
+    for scene in scenes() {
+        group.bench_function(scene.name, |b| b.iter(|| load(black_box(&scene))));
+    }
+}
+
+fn selection(c: &mut Criterion) {
+    let mut group = c.benchmark_group("selection");
+    for scene in scenes() {
+        let world = load(&scene);
+        for name in PRESETS {
+            let sensor = preset(name).expect("a preset");
+            let request = Request::default();
+            let mut plan = FramePlan::new(&world, &sensor, &scene.world_from_sensor, &request);
+            group.bench_function(BenchmarkId::new(scene.name, name), |b| {
+                b.iter(|| plan.renew(&world, &sensor, black_box(&scene.world_from_sensor), &request));
+            });
+        }
+    }
+}
+
+fn prediction(c: &mut Criterion) {
+    let mut group = c.benchmark_group("prediction");
+    group.sample_size(20);
+    for scene in scenes() {
+        let world = load(&scene);
+        for name in PRESETS {
+            let sensor = preset(name).expect("a preset");
+            let options = Options { backend: Backend::Cpu, ..Options::default() };
+            let mut predictor = Predictor::new(options).expect("the CPU engine starts");
+            let request = Request::default();
+            group.bench_function(BenchmarkId::new(scene.name, name), |b| {
+                b.iter(|| predictor.predict(&world, &sensor, black_box(&scene.world_from_sensor), &request));
+            });
+        }
+    }
+}
+
+criterion_group!(stages, importing, selection, prediction);
+criterion_main!(stages);

@@ -1,0 +1,157 @@
+//! `presight inspect`: what is in a model, and what is wrong with it.
+
+use super::load::{self, Scene};
+use super::{Verdict, print};
+use crate::environment::{Appearance, Environment, Material, Object};
+use crate::error::{Error, Result};
+use crate::geometry::Aabb;
+use crate::io::gltf::ImportOptions;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight inspect hall.glb
+  presight inspect hall.glb --json | jq '.problems[] | {kind, total}'";
+
+/// The version of the inspection JSON.
+const FORMAT: u32 = 1;
+
+/// Show objects, polygons, bounds, materials and every problem of a model
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The model: a .glb or .gltf file
+    scene: PathBuf,
+
+    /// Merge coplanar neighbours within this part of an object's size [default: 1e-6]
+    #[arg(long, value_name = "X")]
+    merge_tolerance: Option<f64>,
+
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command. Problems of a model are worth knowing but no error: real models have them.
+///
+/// # Errors
+/// Those of the import.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let mut options = ImportOptions::default();
+    options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
+    let scene = load::scene(&args.scene, &options)?;
+    let text = if args.json {
+        let value = as_json(&args.scene, &scene);
+        let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);
+        serde_json::to_string_pretty(&value).map_err(wrong)? + "\n"
+    } else {
+        in_words(&args.scene, &scene)
+    };
+    print::data(&text)?;
+    Ok(Verdict::Done)
+}
+
+/// Polygons of each material, over all objects.
+fn polygons_by_material(environment: &Environment) -> Vec<u64> {
+    let mut counts = vec![0; environment.materials().len()];
+    for object in environment.objects() {
+        for polygon in 0..object.mesh.polygon_count() as u32 {
+            counts[usize::from(object.mesh.material(polygon))] += 1;
+        }
+    }
+    counts
+}
+
+fn bounds_json(b: &Aabb) -> Value {
+    if b.is_empty() { Value::Null } else { json!({ "min": b.min.to_array(), "max": b.max.to_array() }) }
+}
+
+fn as_json(path: &Path, scene: &Scene) -> Value {
+    let environment = scene.world.environment();
+    let object = |(index, o): (usize, &Object)| {
+        let (t, q) = (o.world_from_object.translation, o.world_from_object.rotation);
+        json!({
+            "id": index + 1,
+            "name": o.name,
+            "mesh": o.mesh.name(),
+            "polygons": o.mesh.polygon_count(),
+            "first_polygon_id": o.first_slot + 1,
+            "first_source_id": o.first_source + 1,
+            "world_from_object": [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
+            "bounds": bounds_json(&o.world_bounds()),
+        })
+    };
+    let counts = polygons_by_material(environment);
+    let material = |(m, polygons): (&Material, u64)| {
+        json!({
+            "name": m.name,
+            "polygons": polygons,
+            "reflection": m.reflection,
+            "one_sided": m.one_sided,
+            "color": m.color,
+            "appearance": m.appearance,
+        })
+    };
+    let report = &scene.report;
+    json!({
+        "format": FORMAT,
+        "scene": path.display().to_string(),
+        "triangles_in_scene": report.triangles_in_scene,
+        "triangles_stored": report.triangles_stored,
+        "polygons_in_scene": report.polygons_in_scene,
+        "polygons_stored": report.polygons_stored,
+        "merges": report.merges,
+        "largest_deviation_m": report.largest_deviation_m,
+        "bounds": bounds_json(&environment.bounds()),
+        "objects": environment.objects().iter().enumerate().map(object).collect::<Vec<_>>(),
+        "materials": environment.materials().iter().zip(counts).map(material).collect::<Vec<_>>(),
+        "problems": report.problems,
+    })
+}
+
+fn in_words(path: &Path, scene: &Scene) -> String {
+    let environment = scene.world.environment();
+    let report = &scene.report;
+    let mut lines = vec![path.display().to_string()];
+    lines.push(format!("objects    {}", environment.objects().len()));
+    lines.push(format!(
+        "polygons   {} from {} triangles in the scene, {} from {} stored",
+        report.polygons_in_scene, report.triangles_in_scene, report.polygons_stored, report.triangles_stored
+    ));
+    lines.push(format!("merging    {} merges, largest deviation {:.3e} m", report.merges, report.largest_deviation_m));
+    lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
+    lines.push("\nobjects (id, polygons, bounds in the world, name)".into());
+    for (index, o) in environment.objects().iter().enumerate() {
+        let (polygons, bounds) = (o.mesh.polygon_count(), bounds_in_words(&o.world_bounds()));
+        lines.push(format!("  {:>5}  {polygons:>8}  {bounds}  {}", index + 1, o.name));
+    }
+    lines.push("\nmaterials (polygons, properties, name)".into());
+    for (m, polygons) in environment.materials().iter().zip(polygons_by_material(environment)) {
+        lines.push(format!("  {polygons:>8}  {}  {}", properties(m), m.name));
+    }
+    if report.problems.is_empty() {
+        lines.push("\nno problems".into());
+    } else {
+        lines.push("\nproblems".into());
+    }
+    lines.extend(report.problems.iter().map(|p| format!("  {}", p.to_string().replace('\n', "\n  "))));
+    lines.join("\n") + "\n"
+}
+
+fn bounds_in_words(b: &Aabb) -> String {
+    if b.is_empty() {
+        return "empty".into();
+    }
+    let side = |low: f64, high: f64| format!("{low:.3}..{high:.3}");
+    format!("x {} y {} z {} m", side(b.min.x, b.max.x), side(b.min.y, b.max.y), side(b.min.z, b.max.z))
+}
+
+fn properties(m: &Material) -> String {
+    let mut words = vec![format!("reflection {}", m.reflection)];
+    words.extend(m.one_sided.then(|| "one-sided".to_owned()));
+    words.extend(m.appearance.iter().filter(|(_, a)| **a != Appearance::Opaque).map(|(class, a)| {
+        let word = if *a == Appearance::Transparent { "transparent" } else { "invisible" };
+        format!("{word} to {class}")
+    }));
+    words.join(", ")
+}

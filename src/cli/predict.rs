@@ -1,0 +1,333 @@
+//! `presight predict`: what a sensor at a pose sees.
+
+use super::load::{self, Scene};
+use super::pose::{GivenPose, PoseArgs};
+use super::statistics::{Statistics, Subject};
+use super::{Verdict, print};
+use crate::error::{Error, Result};
+use crate::io::atomic::write_atomically;
+use crate::io::gltf::ImportOptions;
+use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor_toml};
+use crate::plan::{IdScheme, Output, Outputs, Request};
+use crate::predict::{Backend, Options, Prediction, Predictor, Stats};
+use crate::sensor::Sensor;
+use clap::ValueEnum;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const EXAMPLES: &str = "Examples:
+  A picture of what a radar sees from 1.2 m above the point (2, 1), looking along +y:
+    presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
+
+  All images of a camera looking 10 degrees down, as OpenEXR:
+    presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --out view.exr
+
+  A point cloud in world coordinates, and a depth image for ROS:
+    presight predict hall.glb --sensor realsense-d435 --pose 0,0,1,0,0,0 \\
+      --points cloud.ply --points-frame world --depth-png depth.png
+
+  How fast, and what was left out:
+    presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
+
+/// Predict the images of a sensor at a pose
+///
+/// Without an output flag a one-line summary is printed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The model: a .glb or .gltf file
+    scene: PathBuf,
+
+    /// A preset (see `presight sensors`) or a sensor file
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: String,
+
+    #[command(flatten)]
+    pose: PoseArgs,
+
+    /// Which engine predicts
+    #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
+    backend: BackendArg,
+
+    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence
+    #[arg(long, value_name = "LIST", default_value = "range,polygon_id,object_id,cos_incidence")]
+    outputs: Outputs,
+
+    /// Write the images as OpenEXR, lossless
+    #[arg(long, value_name = "FILE.exr")]
+    out: Option<PathBuf>,
+
+    /// Write a preview for people
+    #[arg(long, value_name = "FILE.png")]
+    png: Option<PathBuf>,
+
+    /// What the preview shows
+    #[arg(long, value_name = "OUTPUT", default_value = "range", value_parser = parse_output, requires = "png")]
+    png_of: Output,
+
+    /// Write a 16-bit depth image in millimetres, 0 = no value (a camera's depth_z, otherwise range)
+    #[arg(long, value_name = "FILE.png")]
+    depth_png: Option<PathBuf>,
+
+    /// Write the seen points as a point cloud
+    #[arg(long, value_name = "FILE.ply|FILE.pcd")]
+    points: Option<PathBuf>,
+
+    /// In which frame the points are
+    #[arg(long, value_enum, default_value_t = PointsFrameArg::Sensor, requires = "points")]
+    points_frame: PointsFrameArg,
+
+    /// What polygon_id numbers: merged polygons of the model, or triangles of the file
+    #[arg(long, value_enum, default_value_t = IdsArg::Model)]
+    ids: IdsArg,
+
+    /// Merge coplanar neighbours within this part of an object's size [default: 1e-6]
+    #[arg(long, value_name = "X")]
+    merge_tolerance: Option<f64>,
+
+    /// CPU threads, 0 = all cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+
+    /// Print what was done, what it cost, what was left out and why
+    #[arg(long)]
+    explain: bool,
+
+    /// Predict N times more after a first one that warms up, and report on these
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    repeat: Option<u32>,
+
+    /// Write statistics of the repeated predictions
+    #[arg(long, value_name = "FILE.json")]
+    stats: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BackendArg {
+    /// A hardware GPU if there is one, otherwise the CPU engine
+    Auto,
+    /// The CPU engine
+    Cpu,
+    /// wgpu on any adapter, a software one too
+    Gpu,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum IdsArg {
+    /// Polygons of the model, coplanar triangles merged
+    Model,
+    /// Triangles of the source file, nothing merged
+    Source,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum PointsFrameArg {
+    /// The sensor's body axes: x forward, y left, z up
+    Sensor,
+    /// The world
+    World,
+}
+
+fn parse_output(name: &str) -> Result<Output> {
+    let names = Output::ALL.map(Output::name).join(", ");
+    let found = Output::ALL.into_iter().find(|o| o.name() == name);
+    found.ok_or_else(|| Error::usage("unknown output", format!("choose from {names}")))
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PointsFormat {
+    Ply,
+    Pcd,
+}
+
+/// The arguments, checked as far as they go without touching the world.
+struct Job {
+    pose: GivenPose,
+    points_format: Option<PointsFormat>,
+    import: ImportOptions,
+    options: Options,
+}
+
+impl Args {
+    fn check(&self) -> Result<Job> {
+        let points_format = self.points.as_deref().map(points_format).transpose()?;
+        Ok(Job {
+            pose: self.pose.parse()?,
+            points_format,
+            import: self.import_options()?,
+            options: Options { backend: self.backend.into(), threads: self.threads },
+        })
+    }
+
+    fn import_options(&self) -> Result<ImportOptions> {
+        let default = ImportOptions::default();
+        match (self.ids, self.merge_tolerance) {
+            (IdsArg::Source, Some(_)) => {
+                let remedy = "drop --merge-tolerance or --ids source";
+                Err(Error::usage("--merge-tolerance: source ids are of unmerged triangles", remedy))
+            }
+            (IdsArg::Source, None) => Ok(ImportOptions { merge: false, ..default }),
+            (IdsArg::Model, given) => {
+                Ok(ImportOptions { merge_tolerance: given.unwrap_or(default.merge_tolerance), ..default })
+            }
+        }
+    }
+
+    /// The images to predict: what was asked for, and what the other files are drawn from.
+    fn request(&self, sensor: &Sensor) -> Result<Request> {
+        let mut wanted: Vec<Output> = self.outputs.iter().collect();
+        if self.png.is_some() {
+            wanted.extend(png::preview_needs(sensor, self.png_of).iter());
+        }
+        if self.points.is_some() {
+            wanted.extend([Output::Range, Output::PolygonId]);
+        }
+        if wanted.contains(&Output::DepthZ) && !sensor.is_camera() {
+            let what = format!("depth_z: sensor {:?} is no camera and has no optical axis", sensor.spec().name);
+            return Err(Error::usage(what, "ask for range"));
+        }
+        if self.depth_png.is_some() {
+            wanted.push(png::depth_output(sensor));
+        }
+        let ids = if self.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model };
+        Ok(Request { outputs: Outputs::of(&wanted), ids })
+    }
+
+    fn writes_something(&self) -> bool {
+        let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
+        self.explain || files.iter().any(|f| f.is_some())
+    }
+}
+
+fn points_format(path: &Path) -> Result<PointsFormat> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match extension.as_str() {
+        "ply" => Ok(PointsFormat::Ply),
+        "pcd" => Ok(PointsFormat::Pcd),
+        _ => Err(Error::usage(format!("--points {}: unknown format", path.display()), "end the name in .ply or .pcd")),
+    }
+}
+
+impl From<BackendArg> for Backend {
+    fn from(backend: BackendArg) -> Self {
+        match backend {
+            BackendArg::Auto => Self::Auto,
+            BackendArg::Cpu => Self::Cpu,
+            BackendArg::Gpu => Self::Gpu,
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Wrong usage, those of scene and sensor, of the engine, and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let job = args.check()?;
+    let (sensor, notices) = load_sensor(&args.sensor)?;
+    print::notices(&notices);
+    let request = args.request(&sensor)?;
+    let mut predictor = Predictor::new(job.options)?;
+    let scene = load::scene(&args.scene, &job.import)?;
+    let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
+    let mut predict = || -> Result<(f64, Prediction)> {
+        let start = Instant::now();
+        let prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
+        Ok((start.elapsed().as_secs_f64() * 1e3, prediction))
+    };
+    let (first_ms, mut prediction) = predict()?;
+    let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
+    let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
+    for _ in 0..repeat {
+        let (ms, again) = predict()?;
+        times_ms.push(ms);
+        runs.push(again.stats.clone());
+        prediction = again;
+    }
+    if repeat == 0 {
+        times_ms.push(first_ms);
+        runs.push(prediction.stats.clone());
+    }
+    print::notices(&prediction.stats.notices);
+    let subject = Subject {
+        scene: args.scene.display().to_string(),
+        sensor: sensor.spec().name.clone(),
+        size: (sensor.width(), sensor.height()),
+        outputs: request.outputs.iter().map(Output::name).collect(),
+    };
+    let statistics = Statistics::of(subject, &times_ms, &runs);
+    write_files(args, job.points_format, &scene, &prediction)?;
+    if let Some(path) = &args.stats {
+        let json = serde_json::to_string_pretty(&statistics)
+            .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
+        write_atomically(path, |file| writeln!(file, "{json}"))?;
+    }
+    if args.explain {
+        print::data(&statistics.explanation())?;
+    } else if !args.writes_something() {
+        print::data(&summary(&scene, &prediction, &statistics))?;
+    }
+    Ok(Verdict::Done)
+}
+
+fn write_files(args: &Args, points_format: Option<PointsFormat>, scene: &Scene, prediction: &Prediction) -> Result<()> {
+    let (sensor, images) = (&prediction.sensor, &prediction.images);
+    if let Some(path) = &args.out {
+        let attributes = attributes(args, scene, prediction)?;
+        exr::write(path, images, args.outputs, &attributes)?;
+    }
+    if let Some(path) = &args.png {
+        png::write_preview(path, images, sensor, args.png_of)?;
+    }
+    if let Some(path) = &args.depth_png {
+        print::notices(&png::write_depth(path, images, sensor)?);
+    }
+    if let (Some(path), Some(format)) = (&args.points, points_format) {
+        let frame = match args.points_frame {
+            PointsFrameArg::Sensor => PointsFrame::Sensor,
+            PointsFrameArg::World => PointsFrame::World,
+        };
+        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?;
+        match format {
+            PointsFormat::Ply => ply::write(path, &cloud)?,
+            PointsFormat::Pcd => pcd::write(path, &cloud)?,
+        }
+    }
+    Ok(())
+}
+
+fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr::Attributes> {
+    let objects = scene.world.environment().objects();
+    Ok(exr::Attributes {
+        sensor: Some(sensor_toml::to_string(prediction.sensor.spec())),
+        world_from_sensor: Some(prediction.world_from_sensor),
+        scene: Some(args.scene.display().to_string()),
+        scene_blake3: Some(load::blake3_of(&args.scene)?),
+        ids: Some(if args.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model }),
+        objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
+    })
+}
+
+/// One line: what was predicted, what is in it, what it took.
+fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> String {
+    let (sensor, images) = (&prediction.sensor, &prediction.images);
+    let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
+    let percent = |n: usize| 100.0 * n as f64 / images.pixels() as f64;
+    if !images.range.is_empty() {
+        let seen = || images.range.iter().copied().filter(|r| r.is_finite());
+        let (near, far) = seen().fold((f32::INFINITY, 0f32), |(lo, hi), r| (lo.min(r), hi.max(r)));
+        parts.push(match seen().count() {
+            0 => "no ray hits".into(),
+            hits => format!("{:.1} % of rays hit at {near:.3}..{far:.3} m", percent(hits)),
+        });
+    }
+    if !images.object_id.is_empty() {
+        let mut ids: Vec<u32> = images.object_id.iter().copied().filter(|id| *id != 0).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        parts.push(format!("{} of {} objects seen", ids.len(), scene.world.environment().objects().len()));
+    }
+    parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
+    parts.join(", ") + "\n"
+}

@@ -1,0 +1,31 @@
+//! Printing that survives a reader who went away.
+
+use crate::error::{Error, ErrorKind, Result};
+use std::io::{self, Write};
+
+/// Prints a text to stdout. A closed pipe (`presight sensors | head -1`) is no error: nobody wants more.
+///
+/// # Errors
+/// [`ErrorKind::System`] if stdout cannot be written for another reason (a full disk behind it).
+pub fn data(text: &str) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
+            let what = format!("cannot write: {e}");
+            Err(Error::new(ErrorKind::System, what, "check where stdout goes").at("stdout").caused_by(e))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Prints one line to stderr. If stderr is gone nobody can be told.
+pub fn message(line: &str) {
+    let _ = writeln!(io::stderr().lock(), "{line}");
+}
+
+/// Prints things to know that stopped nothing, one line each.
+pub fn notices<'a>(notices: impl IntoIterator<Item = &'a String>) {
+    for notice in notices {
+        message(&format!("note: {notice}"));
+    }
+}

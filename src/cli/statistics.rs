@@ -1,0 +1,170 @@
+//! Statistics over repeated predictions, as JSON and in words.
+
+use crate::plan::LeftOut;
+use crate::predict::Stats;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The version of the statistics JSON.
+const FORMAT: u32 = 1;
+
+/// Milliseconds over all measured predictions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Milliseconds {
+    /// The middle one (the mean of the two middle ones).
+    pub median: f64,
+    /// 95 % took at most this long (nearest rank).
+    pub p95: f64,
+    /// The fastest.
+    pub min: f64,
+}
+
+impl Milliseconds {
+    /// Of at least one time; all zero of none.
+    pub fn of(times: &[f64]) -> Self {
+        let mut sorted = times.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let n = sorted.len();
+        let at = |i: usize| sorted.get(i).copied().unwrap_or(0.0);
+        let rank_95 = (n * 95).div_ceil(100).max(1) - 1;
+        Self { median: (at(n.saturating_sub(1) / 2) + at(n / 2)) / 2.0, p95: at(rank_95), min: at(0) }
+    }
+}
+
+/// What the statistics JSON holds.
+#[derive(Debug, Serialize)]
+pub struct Statistics {
+    format: u32,
+    versions: BTreeMap<&'static str, &'static str>,
+    scene: String,
+    sensor: String,
+    width: u32,
+    height: u32,
+    outputs: Vec<&'static str>,
+    engine: String,
+    adapter: Option<String>,
+    threads: usize,
+    /// Measured predictions; one before them, unmeasured, warmed up.
+    repeat: usize,
+    prediction_ms: Milliseconds,
+    /// Medians.
+    stages_ms: OrderedMap<f64>,
+    counts: OrderedMap<u64>,
+    left_out: Vec<LeftOut>,
+    notices: Vec<String>,
+}
+
+/// A JSON object in the order of its entries.
+#[derive(Debug)]
+struct OrderedMap<T>(Vec<(String, T)>);
+
+impl<T: Serialize> Serialize for OrderedMap<T> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(k, v)| (k, v)))
+    }
+}
+
+/// What was predicted, for the head of the statistics.
+#[derive(Debug)]
+pub struct Subject {
+    /// The scene's path as given.
+    pub scene: String,
+    /// The sensor's name.
+    pub sensor: String,
+    /// Columns and rows.
+    pub size: (u32, u32),
+    /// Images asked for.
+    pub outputs: Vec<&'static str>,
+}
+
+impl Statistics {
+    /// Of measured predictions: the whole time of each in ms, and what each says of itself.
+    pub fn of(subject: Subject, times_ms: &[f64], runs: &[Stats]) -> Self {
+        let last = runs.last().cloned().unwrap_or_default();
+        let names: Vec<String> = last.stages_ms.iter().map(|(name, _)| name.clone()).collect();
+        let stage = |name: String| {
+            let of_run = |s: &Stats| s.stages_ms.iter().filter(|(n, _)| *n == name).map(|(_, ms)| ms).sum::<f64>();
+            let times: Vec<f64> = runs.iter().map(of_run).collect();
+            (name, Milliseconds::of(&times).median)
+        };
+        Self {
+            format: FORMAT,
+            versions: BTreeMap::from([("presight", env!("CARGO_PKG_VERSION"))]),
+            scene: subject.scene,
+            sensor: subject.sensor,
+            width: subject.size.0,
+            height: subject.size.1,
+            outputs: subject.outputs,
+            engine: last.engine,
+            adapter: last.adapter,
+            threads: last.threads,
+            repeat: times_ms.len(),
+            prediction_ms: Milliseconds::of(times_ms),
+            stages_ms: OrderedMap(names.into_iter().map(stage).collect()),
+            counts: OrderedMap(last.counts),
+            left_out: last.left_out,
+            notices: last.notices,
+        }
+    }
+
+    /// The middle time of a prediction.
+    pub fn median_ms(&self) -> f64 {
+        self.prediction_ms.median
+    }
+
+    /// `cpu with 2 threads`, `gpu on <adapter>`.
+    pub fn engine_in_words(&self) -> String {
+        match &self.adapter {
+            Some(adapter) => format!("{} on {adapter}", self.engine),
+            None if self.threads == 1 => format!("{} with 1 thread", self.engine),
+            None => format!("{} with {} threads", self.engine, self.threads),
+        }
+    }
+
+    /// What was done, what it cost, what was left out and why: the answer to `--explain`.
+    pub fn explanation(&self) -> String {
+        let mut lines = vec![
+            format!("scene     {}", self.scene),
+            format!("sensor    {}, {} x {}", self.sensor, self.width, self.height),
+            format!("outputs   {}", self.outputs.join(", ")),
+            format!("engine    {}", self.engine_in_words()),
+        ];
+        let ms = &self.prediction_ms;
+        lines.push(match self.repeat {
+            1 => format!("time      {:.2} ms", ms.median),
+            n => format!("time      {:.2} ms median, {:.2} p95, {:.2} min of {n}", ms.median, ms.p95, ms.min),
+        });
+        let width = self.stages_ms.0.iter().map(|s| s.0.len()).chain(self.counts.0.iter().map(|c| c.0.len())).max();
+        let width = width.unwrap_or(0);
+        lines.push("stages".into());
+        lines.extend(self.stages_ms.0.iter().map(|(name, ms)| format!("  {name:width$}  {ms:>10.3} ms")));
+        if !self.counts.0.is_empty() {
+            lines.push("counts".into());
+            lines.extend(self.counts.0.iter().map(|(name, n)| format!("  {name:width$}  {n:>10}")));
+        }
+        lines.push("left out".into());
+        lines.extend(self.left_out.iter().map(|l| format!("  {}: {}", l.what, l.why)));
+        if self.left_out.is_empty() {
+            lines.push("  nothing".into());
+        }
+        if !self.notices.is_empty() {
+            lines.push("notices".into());
+            lines.extend(self.notices.iter().map(|n| format!("  {n}")));
+        }
+        lines.join("\n") + "\n"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_by_nearest_rank() {
+        let times: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(Milliseconds::of(&times), Milliseconds { median: 50.5, p95: 95.0, min: 1.0 });
+        assert_eq!(Milliseconds::of(&[3.0]), Milliseconds { median: 3.0, p95: 3.0, min: 3.0 });
+        assert_eq!(Milliseconds::of(&[2.0, 1.0]), Milliseconds { median: 1.5, p95: 2.0, min: 1.0 });
+        assert_eq!(Milliseconds::of(&[]).median, 0.0);
+    }
+}

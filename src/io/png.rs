@@ -1,0 +1,117 @@
+//! PNG pictures: previews for people, and 16-bit depth images for programs.
+
+mod canvas;
+mod color;
+mod font;
+mod polar;
+mod scale;
+mod view;
+
+use super::atomic::write_atomically;
+use crate::error::{Error, Result};
+use crate::plan::{Images, Output, Outputs};
+use crate::sensor::{Geometry, Sensor};
+use canvas::Canvas;
+use color::Palette;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use scale::Scale;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+/// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if it is there),
+/// a title and a scale bar.
+///
+/// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence grey.
+/// Pixels get the shape of their angles. Scanners that turn counter-clockwise are mirrored, so that left is left.
+/// A scan of one row is drawn from above, x forward being up.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size,
+/// [`crate::ErrorKind::System`] if the file cannot be written.
+pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
+    let canvas = preview(images, sensor, output).map_err(|e| e.in_file(path))?;
+    write_atomically(path, |file| {
+        let out = BufWriter::new(file);
+        encode(out, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+    })
+}
+
+fn preview(images: &Images, sensor: &Sensor, output: Output) -> Result<Canvas> {
+    let (width, height) = (sensor.width(), sensor.height());
+    let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len)).unwrap_or(0);
+    if len != width as usize * height as usize {
+        return Err(Error::invalid(
+            format!("the {} image has {len} pixels, the sensor {width} x {height}", output.name()),
+            "ask for this output",
+        ));
+    }
+    let scale = Scale::of(images, output);
+    let palette = Palette::new(images, output, &scale);
+    Ok(if is_one_row_scan(sensor) && images.range.len() == len {
+        polar::draw(images, sensor, output, &palette, &scale)
+    } else {
+        view::draw(images, sensor, output, &palette, &scale)
+    })
+}
+
+fn is_one_row_scan(sensor: &Sensor) -> bool {
+    sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_))
+}
+
+/// The images that a preview of one output is drawn from.
+pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
+    let places = if is_one_row_scan(sensor) { Output::Range } else { output };
+    Outputs::of(&[output, Output::PolygonId, places])
+}
+
+/// What a depth image of a sensor shows: depth_z of a camera (REP-118), otherwise range.
+pub fn depth_output(sensor: &Sensor) -> Output {
+    if sensor.is_camera() { Output::DepthZ } else { Output::Range }
+}
+
+/// Writes a 16-bit grey image in millimetres, 0 where there is no value (REP-118): nothing seen, too near, no ray,
+/// or beyond the 65.535 m that 16 bits can hold. The answer has a notice on the last.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if [`depth_output`]'s image is not there, [`crate::ErrorKind::System`] if the file
+/// cannot be written.
+pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<String>> {
+    let output = depth_output(sensor);
+    let Some(metres) = images.floats(output).filter(|image| image.len() == images.pixels()) else {
+        return Err(Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path));
+    };
+    let (millimetres, beyond) = to_millimetres(metres);
+    let bytes: Vec<u8> = millimetres.iter().flat_map(|mm| mm.to_ne_bytes()).collect();
+    write_atomically(path, |file| {
+        encode(BufWriter::new(file), &bytes, images.width, images.height, ExtendedColorType::L16)
+    })?;
+    let notice = || format!("{}: {beyond} pixels beyond 65.535 m are written as 0", path.display());
+    Ok((beyond > 0).then(notice).into_iter().collect())
+}
+
+/// Rounded millimetres, and how many finite values did not fit.
+fn to_millimetres(metres: &[f32]) -> (Vec<u16>, usize) {
+    let mut beyond = 0;
+    let convert = |m: &f32| {
+        let mm = (f64::from(*m) * 1e3).round();
+        if mm > f64::from(u16::MAX) && mm.is_finite() {
+            beyond += 1;
+        }
+        if (1.0..=f64::from(u16::MAX)).contains(&mm) { mm as u16 } else { 0 }
+    };
+    (metres.iter().map(convert).collect(), beyond)
+}
+
+fn encode(mut out: impl Write, bytes: &[u8], width: u32, height: u32, kind: ExtendedColorType) -> io::Result<()> {
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(bytes, width, height, kind)
+        .map_err(|e| match e {
+            image::ImageError::IoError(e) => e,
+            other => io::Error::other(other),
+        })?;
+    out.flush()
+}
+
+#[cfg(test)]
+mod tests;

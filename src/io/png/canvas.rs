@@ -1,0 +1,113 @@
+//! A picture to draw on: 8-bit sRGB.
+
+use super::font;
+
+/// sRGB.
+pub type Rgb = [u8; 3];
+
+/// The page behind everything.
+pub const PAGE: Rgb = [0x15, 0x17, 0x1c];
+/// Text and ticks.
+pub const INK: Rgb = [0xc8, 0xcd, 0xd6];
+/// Secondary text and lines.
+pub const FAINT: Rgb = [0x6a, 0x72, 0x80];
+/// Text is drawn with pixels of this side.
+const TEXT_SCALE: u32 = 2;
+/// Height of a line of text, pixels.
+pub const TEXT_HEIGHT: u32 = font::HEIGHT * TEXT_SCALE;
+
+/// An RGB picture; drawing outside of it is cut off.
+pub struct Canvas {
+    width: u32,
+    height: u32,
+    bytes: Vec<u8>,
+}
+
+impl Canvas {
+    /// A blank page.
+    pub fn new(width: u32, height: u32) -> Self {
+        Self { width, height, bytes: PAGE.repeat(width as usize * height as usize) }
+    }
+
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Row-major RGB.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    pub fn set(&mut self, x: i64, y: i64, color: Rgb) {
+        if let Some(at) = self.index(x, y) {
+            self.bytes[at..at + 3].copy_from_slice(&color);
+        }
+    }
+
+    /// The colour of a pixel, the page's outside.
+    pub fn get(&self, x: i64, y: i64) -> Rgb {
+        self.index(x, y).map_or(PAGE, |at| [self.bytes[at], self.bytes[at + 1], self.bytes[at + 2]])
+    }
+
+    fn index(&self, x: i64, y: i64) -> Option<usize> {
+        let inside = (0..i64::from(self.width)).contains(&x) && (0..i64::from(self.height)).contains(&y);
+        inside.then(|| (y as usize * self.width as usize + x as usize) * 3)
+    }
+
+    pub fn fill(&mut self, x: u32, y: u32, width: u32, height: u32, color: Rgb) {
+        for row in y..y + height {
+            for column in x..x + width {
+                self.set(column.into(), row.into(), color);
+            }
+        }
+    }
+
+    /// A disc about a point; its edge is smooth.
+    pub fn disc(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
+        let reach = radius.ceil() as i64 + 1;
+        let (cx, cy) = (center[0].round() as i64, center[1].round() as i64);
+        for y in cy - reach..=cy + reach {
+            for x in cx - reach..=cx + reach {
+                let away = (x as f64 - center[0]).hypot(y as f64 - center[1]);
+                let cover = (radius + 0.5 - away).clamp(0.0, 1.0);
+                if cover > 0.0 {
+                    self.set(x, y, mix(self.get(x, y), color, cover));
+                }
+            }
+        }
+    }
+
+    /// A line of discs.
+    pub fn stroke(&mut self, from: [f64; 2], to: [f64; 2], radius: f64, color: Rgb) {
+        let steps = (to[0] - from[0]).hypot(to[1] - from[1]).min(1e5).ceil().max(1.0);
+        for i in 0..=steps as u32 {
+            let t = f64::from(i) / steps;
+            let point = [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])];
+            self.disc(point, radius, color);
+        }
+    }
+
+    /// A line of text from its top left corner.
+    pub fn text(&mut self, x: u32, y: u32, text: &str, color: Rgb) {
+        for (i, c) in text.chars().enumerate() {
+            let left = x + i as u32 * font::ADVANCE * TEXT_SCALE;
+            for (column, row) in font::dots(c) {
+                self.fill(left + column * TEXT_SCALE, y + row * TEXT_SCALE, TEXT_SCALE, TEXT_SCALE, color);
+            }
+        }
+    }
+}
+
+/// Width of a line of text, pixels.
+pub fn text_width(text: &str) -> u32 {
+    (text.chars().count() as u32 * font::ADVANCE).saturating_sub(1) * TEXT_SCALE
+}
+
+/// From `a` (share 0) to `b` (share 1).
+pub fn mix(a: Rgb, b: Rgb, share: f64) -> Rgb {
+    std::array::from_fn(|i| (f64::from(a[i]) + share * (f64::from(b[i]) - f64::from(a[i]))).round() as u8)
+}

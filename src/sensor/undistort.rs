@@ -1,0 +1,360 @@
+//! The inverse of the lens models, inside the region where there is one.
+//!
+//! The polynomials of lens models are fitted inside the image and turn back somewhere outside: from there on several
+//! rays share one image point. The model is used in the connected region around the axis where it is one to one:
+//! - without tangential terms this is a disc; it ends where the derivative of the image radius first falls to zero,
+//!   or the denominator does (roots of polynomials, see [`super::polynomial`]); the inverse is a root in one unknown;
+//! - with them the Jacobian J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x) I is still symmetric: the model is a
+//!   gradient, and one to one on every convex region in which J is positive definite. That holds as long as det J has
+//!   not fallen to zero on the way out from the axis, where J is the identity. With u the unit vector towards x,
+//!   a = p . u and b = p x u: det J = (g' + 6 a r) (R + 2 a r) - 4 b^2 r^2, g' the radial derivative.
+
+#[cfg(test)]
+mod tests;
+
+use super::distortion::Distortion;
+use super::polynomial::{derivative, evaluate, product, sign_changes};
+use glam::{DMat2, DVec2, DVec3};
+
+/// Radii beyond this (within a microradian of 90 degrees from the axis) are not imaged by any lens that is no fisheye.
+const RADIUS_LIMIT: f64 = 1e6;
+
+/// How far a solution may miss its image point, relative to the point's radius (1 if that is less).
+const RESIDUAL: f64 = 1e-13;
+
+/// A lens model with what its inverse needs, made once for all pixels by [`Distortion::lens`].
+#[derive(Clone, Debug)]
+pub struct Lens(Kind);
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Pinhole,
+    Brown(Brown),
+    Fisheye(Fisheye),
+}
+
+impl Lens {
+    pub(super) fn new(model: &Distortion) -> Self {
+        Self(match *model {
+            Distortion::None => Kind::Pinhole,
+            Distortion::PlumbBob([k1, k2, p1, p2, k3]) => Kind::Brown(Brown::new([k1, k2, k3], [0.0; 3], p1, p2)),
+            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                Kind::Brown(Brown::new([k1, k2, k3], [k4, k5, k6], p1, p2))
+            }
+            Distortion::Equidistant(k) => Kind::Fisheye(Fisheye::new(k)),
+        })
+    }
+
+    /// See [`Distortion::undistort`].
+    pub fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
+        if !(xd.is_finite() && yd.is_finite()) {
+            return None;
+        }
+        match &self.0 {
+            Kind::Pinhole => Some(DVec3::new(xd, yd, 1.0)),
+            Kind::Brown(brown) => brown.undistort(DVec2::new(xd, yd)).map(|p| p.extend(1.0)),
+            Kind::Fisheye(fisheye) => fisheye.undistort(xd, yd),
+        }
+    }
+
+    /// See [`Distortion::distort`].
+    pub fn distort(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
+        let p = p_in_optical;
+        if let Kind::Fisheye(fisheye) = &self.0 {
+            return fisheye.distort(p);
+        }
+        let x = (p.is_finite() && p.z > 0.0).then(|| DVec2::new(p.x / p.z, p.y / p.z))?;
+        match &self.0 {
+            Kind::Brown(brown) => brown.contains(x).then(|| brown.forward(x).into()),
+            _ => Some(x.into()),
+        }
+    }
+}
+
+/// `plumb_bob` and `rational_polynomial`.
+#[derive(Clone, Debug)]
+struct Brown {
+    /// 1, k1, k2, k3.
+    numerator: [f64; 4],
+    /// 1, k4, k5, k6.
+    denominator: [f64; 4],
+    /// (p2, p1).
+    tangential: DVec2,
+    /// Radius at which the radial part alone turns back.
+    radial_fold: f64,
+    /// Radius at which the denominator falls to zero.
+    pole: f64,
+    /// Radius up to which the model is one to one in every direction.
+    safe: f64,
+    /// Image radius beyond which nothing is imaged; infinite where no such bound is known.
+    reach: f64,
+}
+
+/// The radial part at one radius.
+struct Radial {
+    /// R(r^2), the stretch.
+    stretch: f64,
+    /// Derivative of R with respect to r^2.
+    slope: f64,
+}
+
+impl Brown {
+    fn new(numerator: [f64; 3], denominator: [f64; 3], p1: f64, p2: f64) -> Self {
+        let with_one = |[a, b, c]: [f64; 3]| [1.0, a, b, c];
+        let (n, d) = (with_one(numerator), with_one(denominator));
+        let first = |a: &[f64]| {
+            let upper = RADIUS_LIMIT * RADIUS_LIMIT;
+            sign_changes(a, upper).first().copied().unwrap_or(upper).sqrt()
+        };
+        // With s = r^2 the derivative of r N(s) / D(s) has the sign of (N + 2 s N') D - 2 s N D'.
+        let twice_s = [0.0, 2.0];
+        let rising = add(&n, &product(&twice_s, &derivative(&n)));
+        let falling = product(&product(&twice_s, &n), &derivative(&d));
+        let turn = add(&product(&rising, &d), &falling.iter().map(|c| -c).collect::<Vec<_>>());
+        let pole = first(&d);
+        let mut brown = Self {
+            numerator: n,
+            denominator: d,
+            tangential: DVec2::new(p2, p1),
+            radial_fold: first(&turn).min(pole),
+            pole,
+            safe: 0.0,
+            reach: f64::INFINITY,
+        };
+        brown.safe = brown.safe_radius();
+        if brown.tangential != DVec2::ZERO {
+            brown.reach = brown.image_reach();
+        }
+        brown
+    }
+
+    fn radial(&self, s: f64) -> Radial {
+        let [_, n1, n2, n3] = self.numerator;
+        let [_, d1, d2, d3] = self.denominator;
+        let (n, d) = (evaluate(&self.numerator, s), evaluate(&self.denominator, s));
+        let (dn, dd) = (n1 + s * (2.0 * n2 + 3.0 * s * n3), d1 + s * (2.0 * d2 + 3.0 * s * d3));
+        Radial { stretch: n / d, slope: (dn * d - n * dd) / (d * d) }
+    }
+
+    fn forward(&self, x: DVec2) -> DVec2 {
+        let s = x.length_squared();
+        x * (self.radial(s).stretch + 2.0 * self.tangential.dot(x)) + s * self.tangential
+    }
+
+    fn jacobian(&self, x: DVec2) -> DMat2 {
+        let Radial { stretch, slope } = self.radial(x.length_squared());
+        let p = self.tangential;
+        let diagonal = stretch + 2.0 * p.dot(x);
+        let cross = 2.0 * (slope * x.x * x.y + p.x * x.y + p.y * x.x);
+        let xx = diagonal + 2.0 * slope * x.x * x.x + 4.0 * p.x * x.x;
+        let yy = diagonal + 2.0 * slope * x.y * x.y + 4.0 * p.y * x.y;
+        DMat2::from_cols(DVec2::new(xx, cross), DVec2::new(cross, yy))
+    }
+
+    /// True if J is positive definite at radius r where p has the components a along and b across the direction.
+    fn definite(&self, r: f64, a: f64, b: f64) -> bool {
+        let Radial { stretch, slope } = self.radial(r * r);
+        let along = stretch + 2.0 * slope * r * r + 6.0 * a * r;
+        let across = stretch + 2.0 * a * r;
+        along > 0.0 && across > 0.0 && along * across > 4.0 * b * b * r * r
+    }
+
+    /// The radius up to which J is positive definite whatever the direction of the tangential terms.
+    fn safe_radius(&self) -> f64 {
+        let p = self.tangential.length();
+        if p == 0.0 {
+            return self.radial_fold;
+        }
+        // |a| and |b| are at most |p|, and not both; this asks for a little more than is needed.
+        let mut good = 0.0;
+        let mut bad = 1e-3;
+        while bad < self.radial_fold && self.definite(bad, -p, p) {
+            (good, bad) = (bad, bad * 1.002);
+        }
+        bad = bad.min(self.radial_fold);
+        for _ in 0..60 {
+            let middle = 0.5 * (good + bad);
+            if self.definite(middle, -p, p) { good = middle } else { bad = middle }
+        }
+        good
+    }
+
+    /// True in the region around the axis where the model is one to one.
+    fn contains(&self, x: DVec2) -> bool {
+        let radius = x.length();
+        radius <= self.safe
+            || self.tangential != DVec2::ZERO && radius < self.pole && self.fold(x / radius, radius).is_none()
+    }
+
+    /// The first radius towards a unit vector, beyond the safe one and up to `end`, at which J is not positive definite.
+    fn fold(&self, towards: DVec2, end: f64) -> Option<f64> {
+        let (a, b) = (self.tangential.dot(towards), self.tangential.perp_dot(towards));
+        let mut r = self.safe;
+        while r < end {
+            r = (r * 1.002).clamp(1e-6, end);
+            if !self.definite(r, a, b) {
+                return Some(r);
+            }
+        }
+        None
+    }
+
+    /// The largest image radius on the boundary of the region; its outline is smooth, so some directions suffice.
+    fn image_reach(&self) -> f64 {
+        let mut reach: f64 = 0.0;
+        for k in 0..90 {
+            let towards = DVec2::from_angle(f64::from(4 * k).to_radians());
+            match self.fold(towards, self.pole) {
+                Some(r) => reach = reach.max(self.forward(towards * r).length()),
+                None => return f64::INFINITY,
+            }
+        }
+        reach * 1.01
+    }
+
+    fn undistort(&self, xd: DVec2) -> Option<DVec2> {
+        let radius = xd.length();
+        if radius == 0.0 {
+            return Some(DVec2::ZERO);
+        }
+        if radius > self.reach {
+            return None;
+        }
+        let image_radius = |r: f64| {
+            let Radial { stretch, slope } = self.radial(r * r);
+            (r * stretch, stretch + 2.0 * slope * r * r)
+        };
+        let radial = solve_rising(image_radius, radius, self.radial_fold);
+        if self.tangential == DVec2::ZERO {
+            return radial.map(|r| xd * (r / radius));
+        }
+        // The radial solution is near; where it leads nowhere the way from the axis decides.
+        let near = radial.map(|r| xd * (r / radius)).and_then(|start| self.newton(start, xd));
+        near.filter(|x| self.contains(*x)).or_else(|| self.follow(xd)).filter(|x| self.contains(*x))
+    }
+
+    /// Newton's method, never leaving the region where J is positive definite; `None` if it does not get there.
+    fn newton(&self, start: DVec2, target: DVec2) -> Option<DVec2> {
+        let tolerance = RESIDUAL * target.length().max(1.0);
+        let mut x = start;
+        let mut miss = self.forward(x) - target;
+        for _ in 0..40 {
+            let j = self.jacobian(x);
+            if !(j.determinant() > 0.0) {
+                return None;
+            }
+            let step = j.inverse() * miss;
+            let mut scale = 1.0;
+            let (next, next_miss) = loop {
+                let next = x - step * scale;
+                let next_miss = self.forward(next) - target;
+                let inside = next.length() < self.pole && self.jacobian(next).determinant() > 0.0;
+                if inside && next_miss.length_squared() < miss.length_squared() {
+                    break (next, next_miss);
+                }
+                scale *= 0.5;
+                if scale < 1e-9 {
+                    // No nearer in floating point: as good as it gets.
+                    return (miss.length() <= tolerance).then_some(x);
+                }
+            };
+            (x, miss) = (next, next_miss);
+            if miss == DVec2::ZERO {
+                break;
+            }
+        }
+        (miss.length() <= tolerance).then_some(x)
+    }
+
+    /// Moves the image point from the axis outwards and the solution with it, so that it stays in the region.
+    fn follow(&self, target: DVec2) -> Option<DVec2> {
+        let (mut x, mut done, mut stride) = (DVec2::ZERO, 0.0f64, 0.25);
+        while done < 1.0 {
+            let next = (done + stride).min(1.0);
+            match self.newton(x, target * next) {
+                Some(found) if self.contains(found) => (x, done, stride) = (found, next, stride * 1.5),
+                _ => stride *= 0.5,
+            }
+            if stride < 1e-7 {
+                return None;
+            }
+        }
+        Some(x)
+    }
+}
+
+/// `equidistant`.
+#[derive(Clone, Debug)]
+struct Fisheye {
+    /// 1, k1, k2, k3, k4 in powers of theta^2.
+    stretch: [f64; 5],
+    /// 1, 3 k1, 5 k2, 7 k3, 9 k4: the derivative of the image radius.
+    slope: [f64; 5],
+    /// Angle at which the model turns back, at most 180 degrees.
+    fold: f64,
+}
+
+impl Fisheye {
+    fn new([k1, k2, k3, k4]: [f64; 4]) -> Self {
+        use std::f64::consts::PI;
+        let slope = [1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4];
+        let fold = sign_changes(&slope, PI * PI).first().map_or(PI, |s| s.sqrt());
+        Self { stretch: [1.0, k1, k2, k3, k4], slope, fold }
+    }
+
+    fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
+        let radius = xd.hypot(yd);
+        if radius == 0.0 {
+            return Some(DVec3::Z);
+        }
+        let image_radius = |t: f64| (t * evaluate(&self.stretch, t * t), evaluate(&self.slope, t * t));
+        let (sin, cos) = solve_rising(image_radius, radius, self.fold)?.sin_cos();
+        Some(DVec3::new(sin * (xd / radius), sin * (yd / radius), cos))
+    }
+
+    fn distort(&self, p: DVec3) -> Option<(f64, f64)> {
+        let across = p.x.hypot(p.y);
+        let theta = across.atan2(p.z);
+        if !(p.is_finite() && p != DVec3::ZERO && theta <= self.fold) {
+            return None;
+        }
+        if across == 0.0 {
+            return (p.z > 0.0).then_some((0.0, 0.0));
+        }
+        let radius = theta * evaluate(&self.stretch, theta * theta);
+        Some((radius * (p.x / across), radius * (p.y / across)))
+    }
+}
+
+/// Solves f(r) = target for a function that rises from f(0) = 0 to f(end); `f` gives value and derivative.
+/// Newton's method inside a bracket that halves whenever Newton does not.
+fn solve_rising(f: impl Fn(f64) -> (f64, f64), target: f64, end: f64) -> Option<f64> {
+    if !(f(end).0 >= target) {
+        return None;
+    }
+    let (mut low, mut high) = (0.0, end);
+    let mut r = target.min(0.5 * end);
+    for _ in 0..200 {
+        let (value, slope) = f(r);
+        if value == target {
+            return Some(r);
+        }
+        if value < target {
+            low = r
+        } else {
+            high = r
+        }
+        let newton = r - (value - target) / slope;
+        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        if (next - r).abs() <= 0.5 * f64::EPSILON * r || next == low || next == high {
+            return Some(next);
+        }
+        r = next;
+    }
+    Some(r)
+}
+
+fn add(a: &[f64], b: &[f64]) -> Vec<f64> {
+    let at = |p: &[f64], i: usize| p.get(i).copied().unwrap_or(0.0);
+    (0..a.len().max(b.len())).map(|i| at(a, i) + at(b, i)).collect()
+}

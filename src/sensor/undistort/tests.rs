@@ -1,0 +1,170 @@
+use super::*;
+use proptest::prelude::*;
+
+fn models() -> impl Strategy<Value = Distortion> {
+    let p = -0.01..0.01f64;
+    prop_oneof![
+        (-0.5..0.5f64, -1.0..1.0f64, p.clone(), p.clone(), -1.5..1.5f64)
+            .prop_map(|(k1, k2, p1, p2, k3)| Distortion::PlumbBob([k1, k2, p1, p2, k3])),
+        (-0.5..0.5f64, -1.0..1.0f64, -1.0..1.0f64)
+            .prop_map(|(k1, k2, k3)| Distortion::PlumbBob([k1, k2, 0.0, 0.0, k3])),
+        (-3.0..3.0f64, -3.0..3.0f64, p.clone(), p, -2.0..2.0f64, [-3.0..3.0f64, -3.0..3.0f64, -2.0..2.0f64]).prop_map(
+            |(k1, k2, p1, p2, k3, [k4, k5, k6])| { Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) }
+        ),
+        [-0.1..0.1f64, -0.05..0.05f64, -0.02..0.02f64, -0.005..0.005f64].prop_map(Distortion::Equidistant),
+    ]
+}
+
+/// The formulas of OpenCV's documentation, written once more and without any region.
+fn textbook(model: &Distortion, p: DVec3) -> (f64, f64) {
+    let (x, y) = (p.x / p.z, p.y / p.z);
+    let s = x * x + y * y;
+    let brown = |k: [f64; 8]| {
+        let [k1, k2, p1, p2, k3, k4, k5, k6] = k;
+        let f = (1.0 + k1 * s + k2 * s.powi(2) + k3 * s.powi(3)) / (1.0 + k4 * s + k5 * s.powi(2) + k6 * s.powi(3));
+        (x * f + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x), y * f + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y)
+    };
+    match *model {
+        Distortion::None => (x, y),
+        Distortion::PlumbBob([k1, k2, p1, p2, k3]) => brown([k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]),
+        Distortion::RationalPolynomial(k) => brown(k),
+        Distortion::Equidistant([k1, k2, k3, k4]) => {
+            let t = p.x.hypot(p.y).atan2(p.z);
+            let td = t * (1.0 + k1 * t.powi(2) + k2 * t.powi(4) + k3 * t.powi(6) + k4 * t.powi(8));
+            let r = p.x.hypot(p.y);
+            if r == 0.0 { (0.0, 0.0) } else { (td * p.x / r, td * p.y / r) }
+        }
+    }
+}
+
+/// The radius (angle for fisheyes) at which the image point first stops moving outwards, by small steps.
+fn fold_by_steps(model: &Distortion, direction: f64, end: f64) -> f64 {
+    let ray = |r: f64| match model {
+        Distortion::Equidistant(_) => DVec3::new(r.sin() * direction.cos(), r.sin() * direction.sin(), r.cos()),
+        _ => DVec3::new(r * direction.cos(), r * direction.sin(), 1.0),
+    };
+    let n = 20_000;
+    let mut last = 0.0;
+    for i in 1..=n {
+        let r = end * f64::from(i) / f64::from(n);
+        let (x, y) = textbook(model, ray(r));
+        let along = x * direction.cos() + y * direction.sin();
+        if !(along > last) || along > last + 1e3 {
+            return r;
+        }
+        last = along;
+    }
+    end
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+
+    #[test]
+    fn what_is_undistorted_is_distorted_back(model in models(), x in -1.5..1.5f64, y in -1.5..1.5f64) {
+        let lens = model.lens();
+        if let Some(ray) = lens.undistort(x, y) {
+            let (xd, yd) = textbook(&model, ray);
+            prop_assert!((xd - x).hypot(yd - y) < 1e-12, "{} {}", xd, yd);
+            let (xd, yd) = lens.distort(ray).unwrap();
+            prop_assert!((xd - x).hypot(yd - y) < 1e-12, "{} {}", xd, yd);
+        }
+    }
+
+    #[test]
+    fn rays_before_the_fold_come_back(model in models(), direction in -3.2..3.2f64, t in 0.0..0.98f64) {
+        let fisheye = matches!(model, Distortion::Equidistant(_));
+        // A tangential term bends the way outwards: stay a little further away from the fold.
+        let r = t * fold_by_steps(&model, direction, if fisheye { std::f64::consts::PI } else { 2.0 })
+            * if model.coefficients().len() > 4 { 0.9 } else { 1.0 };
+        let ray = if fisheye {
+            DVec3::new(r.sin() * direction.cos(), r.sin() * direction.sin(), r.cos())
+        } else {
+            DVec3::new(r * direction.cos(), r * direction.sin(), 1.0)
+        };
+        let lens = model.lens();
+        let Some((xd, yd)) = lens.distort(ray) else {
+            return Err(TestCaseError::fail(format!("{r} is not imaged")));
+        };
+        let back = lens.undistort(xd, yd).map(DVec3::normalize);
+        prop_assert!(back.is_some_and(|b| b.distance(ray.normalize()) < 1e-9), "{:?} {:?}", back, ray.normalize());
+    }
+
+    #[test]
+    fn nothing_comes_from_beyond_the_fold(model in models(), direction in -3.2..3.2f64, xd in -3.0..3.0f64) {
+        let lens = model.lens();
+        let (x, y) = (xd * direction.cos(), xd * direction.sin());
+        if let Some(ray) = lens.undistort(x, y) {
+            let fisheye = matches!(model, Distortion::Equidistant(_));
+            let r = if fisheye { ray.x.hypot(ray.y).atan2(ray.z) } else { ray.x.hypot(ray.y) };
+            let end = if fisheye { std::f64::consts::PI } else { 1.1 * r };
+            let fold = fold_by_steps(&model, ray.y.atan2(ray.x), end);
+            prop_assert!(r <= fold * 1.001 + 1e-3 * end, "{} beyond {}", r, fold);
+        }
+    }
+}
+
+/// Neighbouring image points have neighbouring rays all over the region, and it has no holes.
+#[test]
+fn the_inverse_is_continuous_and_its_region_has_no_holes() {
+    let barrel = Distortion::PlumbBob([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0]);
+    let strong = Distortion::PlumbBob([-0.4, 0.05, 0.01, -0.008, 0.0]);
+    let fisheye = Distortion::Equidistant([0.0034823894, 0.000715034845, -0.002053236, 0.000202936735]);
+    for model in [barrel, strong, fisheye] {
+        let lens = model.lens();
+        for k in 0..72 {
+            let (sin, cos) = f64::from(k * 5).to_radians().sin_cos();
+            let mut last = DVec3::Z;
+            let mut ended = false;
+            for i in 0..2000 {
+                let r = f64::from(i) * 0.001;
+                match lens.undistort(r * cos, r * sin).map(DVec3::normalize) {
+                    Some(ray) => {
+                        assert!(!ended, "{model:?}: a hole before {r} at {k}");
+                        // Before the fold the step grows like a square root.
+                        assert!(ray.angle_between(last) < 0.08, "{model:?}: a jump at {r}, {k}");
+                        last = ray;
+                    }
+                    None => ended = true,
+                }
+            }
+        }
+    }
+}
+
+/// A polynomial maps far rays back inside the image: they must not be taken for the near ones, nor the near for far.
+#[test]
+fn fold_over_is_no_ray() {
+    // r (1 - 0.3 r^2) rises to 0.70272.. at r = 1.0540925.. and falls to zero at 1.8257..
+    let fold = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
+    let lens = fold.lens();
+    let top = (1.0f64 / 0.9).sqrt();
+    let highest = top * (1.0 - 0.3 * top * top);
+    assert!(lens.undistort(highest - 1e-12, 0.0).is_some());
+    assert!(lens.undistort(highest + 1e-12, 0.0).is_none());
+    assert!(lens.undistort(0.0, -5.0).is_none());
+    assert!(lens.distort(DVec3::new(1.7, 0.0, 1.0)).is_none(), "this point falls back to 0.2261 from beyond");
+    assert!(lens.undistort(0.2261, 0.0).unwrap().x < 0.3);
+
+    // A pole: 1 - 4 r^2 in the denominator.
+    let pole = Distortion::RationalPolynomial([0.0, 0.0, 0.0, 0.0, 0.0, -4.0, 0.0, 0.0]).lens();
+    assert!(pole.distort(DVec3::new(0.6, 0.0, 1.0)).is_none());
+    let ray = pole.undistort(100.0, 0.0).unwrap();
+    assert!(ray.x < 0.5 && ray.x > 0.49);
+
+    let fisheye = Distortion::Equidistant([-0.1, 0.0, 0.0, 0.0]).lens();
+    let top = (1.0f64 / 0.3).sqrt();
+    assert!(fisheye.undistort(top * (1.0 - 0.1 * top * top) + 1e-12, 0.0).is_none());
+    let wide = Distortion::Equidistant([0.0; 4]).lens();
+    let back = wide.undistort(0.0, 2.5).unwrap();
+    assert!(back.z < -0.8 && back.y > 0.0, "143 degrees off the axis: {back}");
+    assert!(wide.undistort(0.0, 3.2).is_none());
+    assert!(lens.undistort(f64::NAN, 0.0).is_none());
+}
+
+/// The planted fault: a forward map whose fold is ignored reaches the same image point twice.
+#[test]
+fn the_fold_by_steps_is_a_fold() {
+    let fold = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
+    assert!((fold_by_steps(&fold, 0.7, 2.0) - (1.0f64 / 0.9).sqrt()).abs() < 2e-4);
+}
