@@ -1,0 +1,99 @@
+// Stage 1: one invocation per selected polygon. Keeps what may cover a ray, with the lines that it may reach.
+
+override PLAIN: bool = false;
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> instances: array<Instance>;
+@group(0) @binding(2) var<storage, read> work: array<u32>;
+@group(0) @binding(3) var<storage, read> arena: array<u32>;
+@group(0) @binding(4) var<storage, read> grid: array<u32>;
+@group(0) @binding(5) var<storage, read_write> survivors: array<Survivor>;
+@group(0) @binding(6) var<storage, read_write> counters: Counters;
+
+// A run in `work`: start, instance, first polygon, near.
+const RUN_WORDS: u32 = 4u;
+
+// |d| / |v| below which f32 does not prove the side: rounding of two subtractions, a dot product and the normal.
+const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
+// The same where the CPU sets up what is flatter, in f64: runs around the sensor.
+const EDGE_ON_NEAR: f32 = 6.1035156e-5; // 2^-14
+
+// Lines that a polygon may reach, as first | count << 16; 0 if it covers no ray.
+struct Reach {
+    first: u32,
+    count: u32,
+}
+
+@compute @workgroup_size(64)
+fn cull(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let g = group.y * groups.x + group.x;
+    let i = g * GROUP + lane;
+    if i >= params.polygon_count {
+        return;
+    }
+    var run = work[params.groups_at + g];
+    while i >= work[(run + 1u) * RUN_WORDS] {
+        run++;
+    }
+    let instance = work[run * RUN_WORDS + 1u];
+    let polygon = work[run * RUN_WORDS + 2u] + (i - work[run * RUN_WORDS]);
+    let near = work[run * RUN_WORDS + 3u] != 0u;
+    examine(instance, polygon, near);
+}
+
+fn examine(instance: u32, polygon: u32, near: bool) {
+    let first_corner = instances[instance].corners_at + polygon_word(instance, polygon, 0u) * CORNER_WORDS;
+    let packed = polygon_word(instance, polygon, 1u);
+    let corner_count = packed & 0xffu;
+    let normal = polygon_normal(instance, polygon);
+
+    // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
+    var nearest = HUGE;
+    var distance = 0.0;
+    var bounds = bounds_start();
+    var previous = vec3f();
+    for (var k = 0u; k <= corner_count; k++) {
+        let corner = first_corner + select(k, 0u, k == corner_count) * CORNER_WORDS;
+        let q = from_center(instance, vertex(instance, arena[corner]));
+        let length2 = dot(q, q);
+        if length2 < nearest {
+            nearest = length2;
+            distance = dot(normal, q) + bitcast<f32>(arena[corner + 1u]);
+        }
+        let v = to_image(instance, q);
+        bounds_add(&bounds, v, previous, k == 0u);
+        previous = v;
+    }
+    if !PLAIN {
+        let facing = work[params.facings_at + (packed >> 8u)];
+        let behind = instances[instance].handedness * distance > 0.0;
+        if (facing & 1u) == 0u || ((facing & 2u) != 0u && behind) {
+            return;
+        }
+    }
+    // Nothing of it is nearer than its plane.
+    let stretch = length(normal_to_image(instance, normal));
+    if abs(distance) > params.range_max * stretch * 1.00001 {
+        return;
+    }
+    let reach = bounds_reach(bounds);
+    if reach.count == 0u {
+        return;
+    }
+    if abs(distance) <= sqrt(nearest) * select(EDGE_ON, EDGE_ON_NEAR, near) {
+        // The near ones are on the CPU's list, which counts those that are edge-on in f64 too.
+        if !near {
+            atomicAdd(&counters.edge_on, 1u);
+        }
+        return;
+    }
+    let index = atomicAdd(&counters.survivors, 1u);
+    if index % GROUP == 0u {
+        atomicMax(&counters.setup_groups, min(index / GROUP + 1u, MAX_GROUPS));
+    }
+    survivors[index] = Survivor(polygon, instance, reach.first | (reach.count << 16u), distance);
+}
