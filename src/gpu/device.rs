@@ -29,6 +29,8 @@ pub struct DeviceOptions {
     pub hardware_only: bool,
     /// Do without 64-bit atomics even where there are some: two passes of 32 bits.
     pub without_int64: bool,
+    /// Take no more than so many bytes in one buffer, even where the adapter could.
+    pub largest_binding: Option<u64>,
 }
 
 /// A device with its queue and what it can do.
@@ -57,7 +59,9 @@ impl Gpu {
         let theirs = adapter.limits();
         let required_limits = wgpu::Limits {
             // Everything else stays at what WebGPU promises everywhere.
-            max_storage_buffer_binding_size: theirs.max_storage_buffer_binding_size,
+            max_storage_buffer_binding_size: theirs
+                .max_storage_buffer_binding_size
+                .min(options.largest_binding.unwrap_or(u64::MAX)),
             max_buffer_size: theirs.max_buffer_size,
             ..wgpu::Limits::downlevel_defaults()
         };

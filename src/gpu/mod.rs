@@ -66,6 +66,12 @@ impl Engine {
         &self.gpu.adapter
     }
 
+    /// Destroys the device, as a driver's reset would: for tests of what comes after.
+    #[doc(hidden)]
+    pub fn lose_device(&self) {
+        self.gpu.device.destroy();
+    }
+
     /// Fills the asked images; `depth_z` only for cameras.
     ///
     /// # Errors
@@ -191,6 +197,3 @@ impl Engine {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;
