@@ -113,14 +113,17 @@ const POLYGON_WORDS: u32 = 6u;
 // A corner: words vertex, residual (how far the plane is off this vertex along the normal, metres).
 const CORNER_WORDS: u32 = 2u;
 const VERTEX_WORDS: u32 = 3u;
-// A record: m.xyz, |d|, polygon id, object id, slot, edge count, cone axis.xyz, cone cosine, then edges of 3 words.
-const RECORD_WORDS: u32 = 12u;
+// A record: m.xyz, slot, edge count, cone axis.xyz, cone cosine, then edges of 3 words.
+const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
 // An item: record, then first line | count << 16 (line grids) or supertile (ray grids).
 const ITEM_WORDS: u32 = 2u;
 // The most items that one polygon is cut into, and the fewest lines that make one.
 const ITEMS_PER_POLYGON: u32 = 256u;
 const LINES_PER_ITEM: u32 = 4u;
+
+// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1.
+const SLOT_WORDS: u32 = 3u;
 
 // Stands for infinity where comparisons must stay well-defined.
 const HUGE: f32 = 3.0e38;

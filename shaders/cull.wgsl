@@ -9,6 +9,7 @@ override PLAIN: bool = false;
 @group(0) @binding(4) var<storage, read> grid: array<u32>;
 @group(0) @binding(5) var<storage, read_write> survivors: array<Survivor>;
 @group(0) @binding(6) var<storage, read_write> counters: Counters;
+@group(0) @binding(7) var<uniform> few_instances: array<Instance, FEW_INSTANCES>;
 
 // A run in `work`: start, instance, first polygon, near.
 const RUN_WORDS: u32 = 4u;
@@ -45,8 +46,9 @@ fn cull(
     examine(instance, polygon, near);
 }
 
-fn examine(instance: u32, polygon: u32, near: bool) {
-    let first_corner = instances[instance].corners_at + polygon_word(instance, polygon, 0u) * CORNER_WORDS;
+fn examine(index: u32, polygon: u32, near: bool) {
+    let instance = instance_at(index);
+    let first_corner = instance.corners_at + polygon_word(instance, polygon, 0u) * CORNER_WORDS;
     let packed = polygon_word(instance, polygon, 1u);
     let corner_count = packed & 0xffu;
     let normal = polygon_normal(instance, polygon);
@@ -54,6 +56,7 @@ fn examine(instance: u32, polygon: u32, near: bool) {
     // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
     var nearest = HUGE;
     var distance = 0.0;
+    var nearest_corner = first_corner;
     var bounds = bounds_start();
     var previous = vec3f();
     for (var k = 0u; k <= corner_count; k++) {
@@ -62,15 +65,17 @@ fn examine(instance: u32, polygon: u32, near: bool) {
         let length2 = dot(q, q);
         if length2 < nearest {
             nearest = length2;
-            distance = dot(normal, q) + bitcast<f32>(arena[corner + 1u]);
+            distance = dot(normal, q);
+            nearest_corner = corner;
         }
         let v = to_image(instance, q);
         bounds_add(&bounds, v, previous, k == 0u);
         previous = v;
     }
+    distance += bitcast<f32>(arena[nearest_corner + 1u]);
     if !PLAIN {
         let facing = work[params.facings_at + (packed >> 8u)];
-        let behind = instances[instance].handedness * distance > 0.0;
+        let behind = instance.handedness * distance > 0.0;
         if (facing & 1u) == 0u || ((facing & 2u) != 0u && behind) {
             return;
         }
@@ -91,9 +96,9 @@ fn examine(instance: u32, polygon: u32, near: bool) {
         }
         return;
     }
-    let index = atomicAdd(&counters.survivors, 1u);
-    if index % GROUP == 0u {
-        atomicMax(&counters.setup_groups, min(index / GROUP + 1u, MAX_GROUPS));
+    let place = atomicAdd(&counters.survivors, 1u);
+    if place % GROUP == 0u {
+        atomicMax(&counters.setup_groups, min(place / GROUP + 1u, MAX_GROUPS));
     }
-    survivors[index] = Survivor(polygon, instance, reach.first | (reach.count << 16u), distance);
+    survivors[place] = Survivor(polygon, index, reach.first | (reach.count << 16u), distance);
 }

@@ -1,7 +1,6 @@
 // Work items of a ray table: a polygon and a supertile whose cone its own cone meets.
 
-fn add_items(at: u32, survivor: Survivor, first_corner: u32, corner_count: u32) {
-    let instance = survivor.instance;
+fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     var axis = vec3f();
     for (var k = 0u; k < corner_count; k++) {
         let p = vertex(instance, arena[first_corner + k * CORNER_WORDS]);
@@ -15,8 +14,8 @@ fn add_items(at: u32, survivor: Survivor, first_corner: u32, corner_count: u32) 
     }
     // A cone of less than a quarter turn around the vertices is convex and holds the polygon; a wider one is not.
     cosine = select(-1.0, cosine - 1.0e-6, cosine > 0.01);
-    put(at + 8u, axis);
-    records[at + 11u] = bitcast<u32>(cosine);
+    put(at + 5u, axis);
+    records[at + 8u] = bitcast<u32>(cosine);
 
     var wanted = 0u;
     for (var s = 0u; s < params.line_count; s++) {

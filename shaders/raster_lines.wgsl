@@ -6,6 +6,11 @@
 @group(0) @binding(2) var<storage, read> items: array<u32>;
 @group(0) @binding(3) var<storage, read> grid: array<u32>;
 @group(0) @binding(4) var<storage, read> counted: array<u32>;
+@group(0) @binding(6) var<uniform> short_weights: array<vec4f, SHORT_WEIGHTS>;
+
+// Few enough samples for a uniform buffer, which software adapters read several times faster.
+override SHORT: bool = false;
+const SHORT_WEIGHTS: u32 = 1024u;
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
@@ -21,38 +26,79 @@ fn float_of(at: u32) -> f32 {
     return bitcast<f32>(records[at]);
 }
 
+fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
+    // What is not there limits nothing.
+    if k >= edge_count {
+        return vec3f();
+    }
+    let at = record + RECORD_WORDS + k * EDGE_WORDS;
+    return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
+}
+
+// The positions that an edge leaves of an interval. Both owners of an edge compute the same bits here.
+fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
+    let a = e.x * line.x + e.y * line.y;
+    let t = clamp(-a / e.z, -1.0e38, 1.0e38);
+    let low = select(interval.x, max(interval.x, t), e.z > 0.0);
+    let high = select(interval.y, min(interval.y, t), e.z < 0.0);
+    return vec2f(select(low, HUGE, e.z == 0.0 && a < 0.0), high);
+}
+
 fn rasterize(record: u32, first: u32, count: u32) {
     let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
-    let slot = records[record + 6u];
-    let edge_count = records[record + 7u];
-    let edges = record + RECORD_WORDS;
+    let slot = records[record + 3u];
+    let edge_count = records[record + 4u];
+    // Most polygons have no more than four edges: these stay in registers over all lines.
+    let e0 = edge_at(record, edge_count, 0u);
+    let e1 = edge_at(record, edge_count, 1u);
+    let e2 = edge_at(record, edge_count, 2u);
+    let e3 = edge_at(record, edge_count, 3u);
     for (var i = 0u; i < count; i++) {
         let over = first + i >= params.line_count;
-        let line = select(first + i, first + i - params.line_count, over);
-        let at = params.lines_at + line * 3u;
-        let c0 = bitcast<f32>(grid[at]);
-        let c1 = bitcast<f32>(grid[at + 1u]);
-        var low = -HUGE;
-        var high = HUGE;
-        for (var k = 0u; k < edge_count; k++) {
-            let e = edges + k * EDGE_WORDS;
-            let a = float_of(e) * c0 + float_of(e + 1u) * c1;
-            let b = float_of(e + 2u);
-            // Both owners of an edge compute the same bits here.
-            let t = clamp(-a / b, -1.0e38, 1.0e38);
-            low = select(low, max(low, t), b > 0.0);
-            high = select(high, min(high, t), b < 0.0);
-            low = select(low, HUGE, b == 0.0 && a < 0.0);
+        let index = select(first + i, first + i - params.line_count, over);
+        let line = line_at(index);
+        var interval = vec2f(-HUGE, HUGE);
+        interval = limited(interval, e0, line.c);
+        interval = limited(interval, e1, line.c);
+        interval = limited(interval, e2, line.c);
+        interval = limited(interval, e3, line.c);
+        for (var k = 4u; k < edge_count; k++) {
+            interval = limited(interval, edge_at(record, edge_count, k), line.c);
         }
-        if low <= high {
-            let k0 = m.x * c0 + m.y * c1;
-            let base = grid[at + 2u] * params.sample_count;
-            let end = first_above(high);
-            for (var s = first_at_or_above(low); s < end; s++) {
-                let w = params.weights_at + s * 2u;
-                let k = k0 * bitcast<f32>(grid[w]) + m.z * bitcast<f32>(grid[w + 1u]);
-                offer(base + s, k, slot);
+        if interval.x <= interval.y {
+            let k0 = m.x * line.c.x + m.y * line.c.y;
+            let base = line.place * params.sample_count;
+            let end = first_above(interval.y);
+            for (var s = first_at_or_above(interval.x); s < end; s++) {
+                let w = weights(s);
+                offer(base + s, k0 * w.x + m.z * w.y, slot);
             }
         }
     }
+}
+
+struct Line {
+    c: vec2f,
+    // Where its keys lie: image row of a camera, image column of a scanner, whose lines are sorted by angle.
+    place: u32,
+}
+
+fn line_at(index: u32) -> Line {
+    if GRID == CAMERA {
+        return Line(vec2f(params.first_line + f32(index), 1.0), index);
+    }
+    let at = params.lines_at + index * 3u;
+    return Line(vec2f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u])), grid[at + 2u]);
+}
+
+fn weights(s: u32) -> vec2f {
+    if GRID == CAMERA {
+        return vec2f(1.0, params.first_sample + f32(s));
+    }
+    if SHORT {
+        let pair = short_weights[s / 2u];
+        return select(pair.xy, pair.zw, s % 2u == 1u);
+    }
+    let at = params.weights_at + s * 2u;
+    return vec2f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u]));
 }

@@ -30,8 +30,8 @@ fn supertile(record: u32, index: u32) {
     let first_column = (index % across) * TILES_PER_SUPERTILE;
     let first_row = (index / across) * TILES_PER_SUPERTILE;
     let tile_rows = params.tile_count / params.tile_columns;
-    let axis = vec3f(float_of(record + 8u), float_of(record + 9u), float_of(record + 10u));
-    let cosine = float_of(record + 11u);
+    let axis = vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u));
+    let cosine = float_of(record + 8u);
     for (var row = first_row; row < min(first_row + TILES_PER_SUPERTILE, tile_rows); row++) {
         for (var column = first_column; column < min(first_column + TILES_PER_SUPERTILE, params.tile_columns); column++) {
             let at = params.tiles_at + (row * params.tile_columns + column) * 4u;
@@ -45,8 +45,8 @@ fn supertile(record: u32, index: u32) {
 
 fn tile(record: u32, first_column: u32, first_row: u32) {
     let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
-    let slot = records[record + 6u];
-    let edge_count = records[record + 7u];
+    let slot = records[record + 3u];
+    let edge_count = records[record + 4u];
     let edges = record + RECORD_WORDS;
     for (var row = first_row; row < min(first_row + TILE, params.height); row++) {
         for (var column = first_column; column < min(first_column + TILE, params.width); column++) {

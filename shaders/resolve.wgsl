@@ -8,11 +8,10 @@ override COSINE: bool = false;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> keys: array<vec2u>;
-@group(0) @binding(2) var<storage, read> record_of_slot: array<u32>;
-@group(0) @binding(3) var<storage, read> records: array<u32>;
-@group(0) @binding(4) var<storage, read> grid: array<u32>;
-@group(0) @binding(5) var<storage, read_write> outputs: array<u32>;
-@group(0) @binding(6) var<storage, read_write> counters: Counters;
+@group(0) @binding(2) var<storage, read> seen_slots: array<u32>;
+@group(0) @binding(3) var<storage, read> grid: array<u32>;
+@group(0) @binding(4) var<storage, read_write> outputs: array<u32>;
+@group(0) @binding(5) var<storage, read_write> counters: Counters;
 
 // Bit patterns: WGSL has no literals for these.
 const PLUS_INFINITY: u32 = 0x7f800000u;
@@ -64,8 +63,8 @@ struct Scale {
 
 fn scale_of(column: u32, row: u32, index: u32) -> Scale {
     if GRID == CAMERA {
-        let x = bitcast<f32>(grid[params.weights_at + column * 2u + 1u]) / params.fx;
-        let y = bitcast<f32>(grid[params.lines_at + row * 3u]) / params.fy;
+        let x = (params.first_sample + f32(column)) / params.fx;
+        let y = (params.first_line + f32(row)) / params.fy;
         return Scale(sqrt(1.0 + x * x + y * y), 1.0, false);
     }
     if GRID == RAYS {
@@ -95,14 +94,19 @@ fn resolved(column: u32, row: u32, index: u32) -> Pixel {
     if range > params.range_max {
         return nothing;
     }
-    let record = record_of_slot[~key.x];
-    let cosine = min(1.0, k * bitcast<f32>(records[record + 3u]) / scale.ray);
+    let slot = ~key.x;
+    let seen = slot * SLOT_WORDS;
+    let cosine = min(1.0, k * bitcast<f32>(seen_slots[seen]) / scale.ray);
+    var id = slot + 1u;
+    if params.source_ids != 0u {
+        id = seen_slots[seen + 2u];
+    }
     let below = range < params.range_min;
     return Pixel(
         select(bitcast<u32>(range), MINUS_INFINITY, below),
         select(bitcast<u32>(scale.depth / k), MINUS_INFINITY, below),
-        records[record + 4u],
-        records[record + 5u],
+        id,
+        seen_slots[seen + 1u],
         bitcast<u32>(cosine),
     );
 }

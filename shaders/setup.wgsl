@@ -8,7 +8,8 @@
 @group(0) @binding(5) var<storage, read_write> counters: Counters;
 @group(0) @binding(6) var<storage, read_write> records: array<u32>;
 @group(0) @binding(7) var<storage, read_write> items: array<u32>;
-@group(0) @binding(8) var<storage, read_write> record_of_slot: array<u32>;
+@group(0) @binding(8) var<storage, read_write> seen_slots: array<u32>;
+@group(0) @binding(9) var<uniform> few_instances: array<Instance, FEW_INSTANCES>;
 
 @compute @workgroup_size(64)
 fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
@@ -19,9 +20,9 @@ fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
 }
 
 fn set_up(survivor: Survivor) {
-    let instance = survivor.instance;
+    let instance = instance_at(survivor.instance);
     let first_corner =
-        instances[instance].corners_at + polygon_word(instance, survivor.polygon, 0u) * CORNER_WORDS;
+        instance.corners_at + polygon_word(instance, survivor.polygon, 0u) * CORNER_WORDS;
     let corner_count = polygon_word(instance, survivor.polygon, 1u) & 0xffu;
 
     let words = RECORD_WORDS + corner_count * EDGE_WORDS;
@@ -30,11 +31,11 @@ fn set_up(survivor: Survivor) {
         // The engine sees the count, grows the buffer and runs the frame again.
         return;
     }
-    write_head(at, survivor, corner_count);
+    write_head(at, instance, survivor, corner_count);
     // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
-    let sign = select(-1.0, 1.0, survivor.distance * instances[instance].handedness > 0.0);
+    let sign = select(-1.0, 1.0, survivor.distance * instance.handedness > 0.0);
     write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, sign);
-    add_items(at, survivor, first_corner, corner_count);
+    add_items(at, instance, survivor, first_corner, corner_count);
 }
 
 // A vector that is dotted with image-frame rays, for rays of the line frame.
@@ -54,21 +55,19 @@ fn put(at: u32, v: vec3f) {
     records[at + 2u] = bitcast<u32>(v.z);
 }
 
-fn write_head(at: u32, survivor: Survivor, corner_count: u32) {
-    let instance = survivor.instance;
+fn write_head(at: u32, instance: Instance, survivor: Survivor, corner_count: u32) {
     let normal = normal_to_image(instance, polygon_normal(instance, survivor.polygon));
-    let slot = instances[instance].first_slot + survivor.polygon;
+    let slot = instance.first_slot + survivor.polygon;
     put(at, to_line(normal / survivor.distance));
-    records[at + 3u] = bitcast<u32>(abs(survivor.distance) / length(normal));
-    var id = slot + 1u;
+    records[at + 3u] = slot;
+    records[at + 4u] = corner_count;
+    // What the resolve stage asks of the winner.
+    let seen = slot * SLOT_WORDS;
+    seen_slots[seen] = bitcast<u32>(abs(survivor.distance) / length(normal));
+    seen_slots[seen + 1u] = instance.object_id;
     if params.source_ids != 0u {
-        id = instances[instance].first_source + polygon_word(instance, survivor.polygon, 2u) + 1u;
+        seen_slots[seen + 2u] = instance.first_source + polygon_word(instance, survivor.polygon, 2u) + 1u;
     }
-    records[at + 4u] = id;
-    records[at + 5u] = instances[instance].object_id;
-    records[at + 6u] = slot;
-    records[at + 7u] = corner_count;
-    record_of_slot[slot] = at;
 }
 
 // True if p comes before q in an order that both owners of an edge agree on.
@@ -76,7 +75,7 @@ fn before(p: vec3f, q: vec3f) -> bool {
     return p.x < q.x || p.x == q.x && (p.y < q.y || p.y == q.y && p.z < q.z);
 }
 
-fn write_edges(at: u32, instance: u32, first_corner: u32, corner_count: u32, sign: f32) {
+fn write_edges(at: u32, instance: Instance, first_corner: u32, corner_count: u32, sign: f32) {
     var p = vertex(instance, arena[first_corner + (corner_count - 1u) * CORNER_WORDS]);
     var v = to_image(instance, from_center(instance, p));
     for (var k = 0u; k < corner_count; k++) {

@@ -25,9 +25,9 @@ fn engine(options: DeviceOptions) -> Option<Engine> {
     }
 }
 
-/// Both ways of keeping the nearest.
+/// Both ways of keeping the nearest; the second resolves images on the device even where that is a program.
 fn engines() -> Vec<(&'static str, Engine)> {
-    let with = |without_int64| engine(DeviceOptions { without_int64, ..Default::default() });
+    let with = |other| engine(DeviceOptions { without_int64: other, all_on_device: other, ..Default::default() });
     [("64-bit", with(false)), ("32-bit", with(true))].into_iter().filter_map(|(n, e)| Some((n, e?))).collect()
 }
 
@@ -94,6 +94,8 @@ fn sensors() -> Vec<Sensor> {
         scanner("listed", listed, uniform(-80.0, 2.5, 65), 75.0),
         sensor("table", Geometry::Rays(RayTable::new(90, 70, table.collect()).unwrap()), 75.0),
         sensor("lens", Geometry::Camera(lens), 75.0),
+        // More samples than a uniform buffer holds.
+        scanner("tall", uniform(0.0, 90.0, 2), uniform(-60.0, 0.05, 2200), 75.0),
     ]
 }
 
@@ -240,9 +242,8 @@ fn ties_go_to_the_lower_id() {
 fn only_what_is_asked_is_delivered_and_it_is_the_same() {
     let world = scene(3, 10, DVec3::ZERO);
     let pose = poses(DVec3::ZERO)[1];
-    let Some(mut engine) = engine(DeviceOptions::default()) else { return };
-    for sensor in [&sensors()[0], &sensors()[1]] {
-        let (all, _) = check("64-bit", &mut engine, &world, sensor, &pose);
+    for ((name, mut engine), sensor) in engines().into_iter().zip([&sensors()[0], &sensors()[1]]) {
+        let (all, _) = check(name, &mut engine, &world, sensor, &pose);
         for output in Output::ALL {
             if output == Output::DepthZ && !sensor.is_camera() {
                 continue;
@@ -261,7 +262,8 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
 
 #[test]
 fn what_does_not_fit_is_counted_and_run_again() {
-    let world = scene(4, 600, DVec3::ZERO);
+    // More instances than a uniform buffer holds.
+    let world = scene(4, 1500, DVec3::ZERO);
     let sensor = scanner("image", uniform(-180.0, 0.5, 720), uniform(-25.0, 1.5, 34), 75.0);
     for (name, mut engine) in engines() {
         let (first, stats) = check(name, &mut engine, &world, &sensor, &poses(DVec3::ZERO)[0]);

@@ -27,6 +27,12 @@ impl Growable {
         Self { label, usage, buffer, bound }
     }
 
+    /// A uniform buffer of a size that never changes.
+    pub fn uniform(gpu: &Gpu, label: &'static str, bytes: u64) -> Self {
+        let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+        Self { label, usage, buffer: create(gpu, label, usage, bytes), bound: false }
+    }
+
     pub fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }

@@ -31,6 +31,8 @@ pub struct DeviceOptions {
     pub without_int64: bool,
     /// Take no more than so many bytes in one buffer, even where the adapter could.
     pub largest_binding: Option<u64>,
+    /// Run every stage on the device, even on a software adapter, where some are faster on the CPU directly.
+    pub all_on_device: bool,
 }
 
 /// A device with its queue and what it can do.
@@ -65,7 +67,11 @@ impl Gpu {
             max_buffer_size: theirs.max_buffer_size,
             ..wgpu::Limits::downlevel_defaults()
         };
-        let required_limits = wgpu::Limits { max_storage_buffers_per_shader_stage: 8, ..required_limits };
+        let required_limits = wgpu::Limits {
+            max_storage_buffers_per_shader_stage: 8,
+            max_uniform_buffer_binding_size: 1 << 16,
+            ..required_limits
+        };
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("presight"),
             required_features: features,
@@ -146,7 +152,10 @@ fn choose(hardware_only: bool) -> Result<wgpu::Adapter> {
         wgpu::DeviceType::Other => 3,
         wgpu::DeviceType::Cpu => 4,
     };
-    let able = |a: &wgpu::Adapter| a.limits().max_storage_buffers_per_shader_stage >= 8;
+    let able = |a: &wgpu::Adapter| {
+        let limits = a.limits();
+        limits.max_storage_buffers_per_shader_stage >= 8 && limits.max_uniform_buffer_binding_size >= 1 << 16
+    };
     let found = all().into_iter().filter(able).filter(|a| !hardware_only || rank(a) < 4).min_by_key(rank);
     found.ok_or_else(|| {
         let what =

@@ -2,10 +2,13 @@
 
 use super::geometry::Arena;
 use super::grid::Tables;
-use super::layout::{GROUP, Instance, Params};
+use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS};
 use super::near::{NearList, is_near};
 use crate::plan::{FramePlan, IdScheme, Output, Outputs};
 use glam::{DMat3, DVec3, Vec3};
+
+/// Most slots that are read back to resolve images on the CPU.
+const MOST_SLOTS_ON_HOST: u32 = 1 << 20;
 
 /// The uploads of a frame, in buffers that stay.
 #[derive(Default)]
@@ -21,11 +24,28 @@ pub(super) struct Frame {
     pub outputs: Outputs,
     /// Words of all images.
     pub output_words: u64,
+    /// Slots of the environment.
+    pub slots: u32,
+    /// The images are resolved on the CPU.
+    pub on_host: bool,
 }
 
 impl Frame {
-    /// Works it out; the arena holds every mesh of the plan.
-    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena) {
+    /// True if the instances are read from a uniform buffer.
+    pub fn few(&self) -> bool {
+        self.instances.len() <= FEW_INSTANCES as usize
+    }
+
+    /// Size of what is known about slots.
+    pub fn slot_bytes(&self) -> u64 {
+        u64::from(self.slots) * 4 * u64::from(SLOT_WORDS)
+    }
+
+    /// Works it out; the arena holds every mesh of the plan. On a software adapter the images are resolved on the
+    /// CPU, unless so many slots would have to be read back that nothing is gained.
+    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, software: bool) {
+        self.slots = plan.environment().slot_count();
+        self.on_host = software && self.slots <= MOST_SLOTS_ON_HOST;
         self.params = tables.params;
         self.plain = plan.instances.iter().all(|i| i.plain);
         self.fill_instances(plan, arena);
@@ -78,10 +98,12 @@ impl Frame {
             if near {
                 self.near.add(plan, tables, instance, run);
             }
-            self.work.extend([start, run.instance, run.first, u32::from(near)]);
+            let words: [u32; RUN_WORDS] = [start, run.instance, run.first, u32::from(near)];
+            self.work.extend(words);
             start += run.count;
         }
         self.work.extend([start, 0, 0, 0]);
+        debug_assert_eq!(self.work.len(), (plan.runs.len() + 1) * RUN_WORDS);
         self.params.polygon_count = start;
         self.params.groups_at = self.work.len() as u32;
         let mut end = 0;

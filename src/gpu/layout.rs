@@ -114,9 +114,15 @@ pub(super) const CORNER_WORDS: u32 = 2;
 /// Words of a vertex in the arena.
 pub(super) const VERTEX_WORDS: u32 = 3;
 /// Words of a run in the work table.
-pub(super) const RUN_WORDS: u32 = 4;
+pub(super) const RUN_WORDS: usize = 4;
 /// Words of a record before its edges.
-pub(super) const RECORD_WORDS: u32 = 12;
+pub(super) const RECORD_WORDS: u32 = 9;
+/// Words of a slot that has a record.
+pub(super) const SLOT_WORDS: u32 = 3;
+/// Most instances that are read from a uniform buffer.
+pub(super) const FEW_INSTANCES: u32 = 512;
+/// Most samples, by two, whose weights are read from a uniform buffer.
+pub(super) const SHORT_WEIGHTS: u32 = 1024;
 /// Words of an edge.
 pub(super) const EDGE_WORDS: u32 = 3;
 /// Words of an item.

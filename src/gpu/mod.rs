@@ -9,6 +9,7 @@ mod geometry;
 mod grid;
 mod layout;
 mod near;
+mod resolve;
 mod shaders;
 mod stage;
 mod stages;
@@ -47,6 +48,8 @@ pub struct Engine {
     sensor: Option<(Sensor, Tables)>,
     /// A bound buffer is another one now.
     rebind: bool,
+    /// Stages that have a CPU twin run there: the same cores, without the detour.
+    software: bool,
 }
 
 impl Engine {
@@ -58,7 +61,8 @@ impl Engine {
         let gpu = Gpu::open(options)?;
         let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
         gpu.check()?;
-        Ok(Self { gpu, stages, store, arena, frame: Frame::default(), sensor: None, rebind: true })
+        let software = !gpu.adapter.hardware && !options.all_on_device;
+        Ok(Self { gpu, stages, store, arena, frame: Frame::default(), sensor: None, rebind: true, software })
     }
 
     /// The adapter it works on.
@@ -88,7 +92,7 @@ impl Engine {
         loop {
             let start = Instant::now();
             self.submit()?;
-            let counters = self.read(images, stats, start)?;
+            let counters = self.read(plan, images, stats, start)?;
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.report(&counters, reruns, stats);
@@ -110,15 +114,15 @@ impl Engine {
         let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
         if let Some((_, tables)) = &self.sensor {
-            self.frame.fill(plan, tables, &self.arena);
+            self.frame.fill(plan, tables, &self.arena, self.software);
         }
-        self.rebind |= self.store.reserve(&self.gpu, &self.frame, plan.environment().slot_count())?;
+        self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         Ok(())
     }
 
     fn submit(&mut self) -> Result<()> {
         let Some((_, tables)) = &self.sensor else { return Ok(()) };
-        let variants = self.stages.prepare(&self.gpu, tables.kind, &self.frame)?;
+        let variants = self.stages.prepare(&self.gpu, tables, &self.frame)?;
         if self.rebind {
             self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
             self.rebind = false;
@@ -131,7 +135,7 @@ impl Engine {
         Ok(())
     }
 
-    fn read(&self, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
+    fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
         let at = Readback::of(&self.frame);
         let buffer = self.store.readback.buffer();
         let (sender, receiver) = std::sync::mpsc::channel();
@@ -145,12 +149,21 @@ impl Engine {
         stats.stage("device", start);
         let start = Instant::now();
         let view = buffer.get_mapped_range(0..at.bytes).map_err(|e| lost(&e.to_string()))?;
-        let counters = bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()]);
+        let mut counters: Counters =
+            bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()]);
         self.stage_times(&view[at.times as usize..], stats);
-        self.copy_images(&view[..at.counters as usize], images);
+        let params = &self.frame.params;
+        images.prepare(params.width, params.height, self.frame.outputs);
+        if self.frame.on_host {
+            let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
+            let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));
+            counters.lost_ids += resolve::resolve(plan, params, keys, slots, images);
+        } else {
+            self.copy_images(&view[..at.counters as usize], images);
+        }
         drop(view);
         buffer.unmap();
-        stats.stage("readback", start);
+        stats.stage(if self.frame.on_host { "resolve on the CPU" } else { "readback" }, start);
         Ok(counters)
     }
 
@@ -167,8 +180,6 @@ impl Engine {
     }
 
     fn copy_images(&self, bytes: &[u8], images: &mut Images) {
-        let params = &self.frame.params;
-        images.prepare(params.width, params.height, self.frame.outputs);
         let pixels = images.pixels() * 4;
         for (i, output) in self.frame.outputs.iter().enumerate() {
             let from = &bytes[i * pixels..][..pixels];

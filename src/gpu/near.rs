@@ -2,7 +2,7 @@
 //! around the sensor are looked at; what lies farther off and is as flat is thinner than a ray's epsilon.
 
 use super::grid::Tables;
-use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS};
+use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS, SLOT_WORDS};
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
 use glam::{DMat3, DVec3};
@@ -15,8 +15,8 @@ const FLAT: f64 = 6.2e-5;
 pub(super) struct NearList {
     pub records: Vec<u32>,
     pub items: Vec<u32>,
-    /// Slot and record of each.
-    pub slots: Vec<(u32, u32)>,
+    /// Slot of each, and what the resolve stage asks of it.
+    pub slots: Vec<(u32, [u32; SLOT_WORDS as usize])>,
     /// Within the rounding of f64: covers no ray.
     pub edge_on: u32,
 }
@@ -76,8 +76,7 @@ impl NearList {
         let slot = object.first_slot + polygon;
         let at = self.records.len() as u32;
         self.records.extend(m.as_vec3().to_array().map(f32::to_bits));
-        self.records.push(((distance.abs() / normal.length()) as f32).to_bits());
-        self.records.extend([plan.polygon_id(instance.object, polygon), instance.object + 1, slot]);
+        self.records.push(slot);
         let corners: Vec<DVec3> =
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
         self.records.push(corners.len() as u32);
@@ -90,7 +89,9 @@ impl NearList {
             self.records.extend(edge(a, *b, sign, line_vector).map(f32::to_bits));
         }
         debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + corners.len() as u32 * EDGE_WORDS);
-        self.slots.push((slot, at));
+        let unit_distance = (distance.abs() / normal.length()) as f32;
+        let source = object.first_source + mesh.source(polygon) + 1;
+        self.slots.push((slot, [unit_distance.to_bits(), instance.object + 1, source]));
         self.add_items(at, tables);
     }
 

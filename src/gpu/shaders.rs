@@ -116,6 +116,8 @@ mod tests {
             ("VERTEX_WORDS", layout::VERTEX_WORDS),
             ("RECORD_WORDS", layout::RECORD_WORDS),
             ("EDGE_WORDS", layout::EDGE_WORDS),
+            ("SLOT_WORDS", layout::SLOT_WORDS),
+            ("FEW_INSTANCES", layout::FEW_INSTANCES),
             ("ITEM_WORDS", layout::ITEM_WORDS),
             ("ITEMS_PER_POLYGON", layout::ITEMS_PER_POLYGON),
             ("LINES_PER_ITEM", layout::LINES_PER_ITEM),
@@ -125,7 +127,9 @@ mod tests {
         ] {
             assert_eq!(value(&module, name), ours, "{name}");
         }
-        assert_eq!(value(&cull, "RUN_WORDS"), layout::RUN_WORDS);
+        assert_eq!(value(&cull, "RUN_WORDS"), layout::RUN_WORDS as u32);
+        let lines = parse("raster lines 32", RASTER_LINES_32);
+        assert_eq!(value(&lines, "SHORT_WEIGHTS"), layout::SHORT_WEIGHTS);
         assert_eq!(value(&rays, "TILES_PER_SUPERTILE"), layout::TILES_PER_SUPERTILE);
     }
 }

@@ -5,10 +5,13 @@
 //! | cull | instances, work, meshes | survivors |
 //! | setup | survivors, meshes | records, items |
 //! | raster | records, items | keys |
-//! | resolve | keys, records | outputs |
+//! | resolve | keys, slots | outputs |
+//!
+//! Resolve has a CPU twin of the same name, which runs in its place on software adapters.
 
 use super::device::Gpu;
 use super::frame::Frame;
+use super::grid::Tables;
 use super::layout::{self, Counters, GridKind};
 use super::shaders;
 use super::stage::{Binding, Stage, Variant};
@@ -43,10 +46,10 @@ impl Stages {
     pub fn new(gpu: &Gpu) -> Self {
         use Binding::{Read, Uniform, Write};
         Self {
-            cull: Stage::new(gpu, "cull", &[Uniform, Read, Read, Read, Read, Write, Write]),
-            setup: Stage::new(gpu, "setup", &[Uniform, Read, Read, Read, Read, Write, Write, Write, Write]),
-            raster: Stage::new(gpu, "raster", &[Uniform, Read, Read, Read, Read, Write]),
-            resolve: Stage::new(gpu, "resolve", &[Uniform, Read, Read, Read, Read, Write, Write]),
+            cull: Stage::new(gpu, "cull", &[Uniform, Read, Read, Read, Read, Write, Write, Uniform]),
+            setup: Stage::new(gpu, "setup", &[Uniform, Read, Read, Read, Read, Write, Write, Write, Write, Uniform]),
+            raster: Stage::new(gpu, "raster", &[Uniform, Read, Read, Read, Read, Write, Uniform]),
+            resolve: Stage::new(gpu, "resolve", &[Uniform, Read, Read, Read, Write, Write]),
         }
     }
 
@@ -54,28 +57,37 @@ impl Stages {
     ///
     /// # Errors
     /// The device's.
-    pub fn prepare(&mut self, gpu: &Gpu, kind: GridKind, frame: &Frame) -> Result<Variants> {
+    pub fn prepare(&mut self, gpu: &Gpu, tables: &Tables, frame: &Frame) -> Result<Variants> {
+        let kind = tables.kind;
         let grid = ("GRID", f64::from(kind as u32));
+        let few = ("FEW", f64::from(u32::from(frame.few())));
         let lines = kind != GridKind::Rays;
-        let cull = (kind as u32, u32::from(frame.plain));
+        let cull = (kind as u32, u32::from(frame.plain) | u32::from(frame.few()) << 1);
         let cull_text = match kind {
             GridKind::Camera => shaders::CULL_CAMERA,
             GridKind::Scanner => shaders::CULL_SCANNER,
             GridKind::Rays => shaders::CULL_RAYS,
         };
-        self.cull.prepare(gpu, cull, cull_text, &[grid, ("PLAIN", f64::from(u32::from(frame.plain)))])?;
-        let setup = (kind as u32, 0);
-        self.setup.prepare(gpu, setup, if lines { shaders::SETUP_LINES } else { shaders::SETUP_RAYS }, &[grid])?;
-        let raster = (kind as u32, 0);
+        self.cull.prepare(gpu, cull, cull_text, &[grid, few, ("PLAIN", f64::from(u32::from(frame.plain)))])?;
+        let setup = (kind as u32, u32::from(frame.few()));
+        self.setup.prepare(gpu, setup, if lines { shaders::SETUP_LINES } else { shaders::SETUP_RAYS }, &[grid, few])?;
+        let raster = (kind as u32, u32::from(tables.short()) << 1);
+        let short = ("SHORT", f64::from(u32::from(tables.short())));
+        // Ray tables have no such constant, and a constant that is not there is an error.
+        let constants = |pass: &[(&'static str, f64)]| {
+            let lines_only = lines.then_some(short);
+            [grid].into_iter().chain(lines_only).chain(pass.iter().copied()).collect::<Vec<_>>()
+        };
         let mut second = None;
         if gpu.int64 {
             let text = if lines { shaders::RASTER_LINES_64 } else { shaders::RASTER_RAYS_64 };
-            self.raster.prepare(gpu, raster, text, &[grid])?;
+            self.raster.prepare(gpu, raster, text, &constants(&[]))?;
         } else {
             let text = if lines { shaders::RASTER_LINES_32 } else { shaders::RASTER_RAYS_32 };
-            self.raster.prepare(gpu, raster, text, &[grid, ("SECOND", 0.0)])?;
-            self.raster.prepare(gpu, (kind as u32, 1), text, &[grid, ("SECOND", 1.0)])?;
-            second = Some((kind as u32, 1));
+            self.raster.prepare(gpu, raster, text, &constants(&[("SECOND", 0.0)]))?;
+            let other = (raster.0, raster.1 | 1);
+            self.raster.prepare(gpu, other, text, &constants(&[("SECOND", 1.0)]))?;
+            second = Some(other);
         }
         let bits = frame.outputs.iter().fold(0, |bits, o| bits | 1 << o as u32);
         let asked = |o: Output| f64::from(u32::from(frame.outputs.has(o)));
@@ -96,12 +108,13 @@ impl Stages {
     pub fn bind(&mut self, gpu: &Gpu, arena: &wgpu::Buffer, s: &Store) {
         let (params, grid, counters) = (s.params.buffer(), s.grid.buffer(), s.counters.buffer());
         let (instances, survivors) = (s.instances.buffer(), s.survivors.buffer());
+        let (few, short) = (s.few_instances.buffer(), s.short_weights.buffer());
         let (records, items, slots, keys) =
-            (s.records.buffer(), s.items.buffer(), s.record_of_slot.buffer(), s.keys.buffer());
-        self.cull.bind(gpu, &[params, instances, s.work.buffer(), arena, grid, survivors, counters]);
-        self.setup.bind(gpu, &[params, instances, arena, survivors, grid, counters, records, items, slots]);
-        self.raster.bind(gpu, &[params, records, items, grid, counters, keys]);
-        self.resolve.bind(gpu, &[params, keys, slots, records, grid, s.outputs.buffer(), counters]);
+            (s.records.buffer(), s.items.buffer(), s.seen_slots.buffer(), s.keys.buffer());
+        self.cull.bind(gpu, &[params, instances, s.work.buffer(), arena, grid, survivors, counters, few]);
+        self.setup.bind(gpu, &[params, instances, arena, survivors, grid, counters, records, items, slots, few]);
+        self.raster.bind(gpu, &[params, records, items, grid, counters, keys, short]);
+        self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters]);
     }
 
     /// Encodes a frame, from cleared keys to outputs.
@@ -133,7 +146,7 @@ impl Stages {
         }
         drop(pass);
         let mut pass = encoder.begin_compute_pass(&store.pass(3));
-        if self.resolve.set(&mut pass, v.resolve) {
+        if !frame.on_host && self.resolve.set(&mut pass, v.resolve) {
             let (x, y) = layout::groups_for(pixels);
             pass.dispatch_workgroups(x, y, 1);
         }

@@ -4,7 +4,9 @@ use super::buffers::Growable;
 use super::device::Gpu;
 use super::frame::Frame;
 use super::grid::Tables;
-use super::layout::{Counters, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, Params, Survivor};
+use super::layout::{
+    Counters, FEW_INSTANCES, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, Params, SHORT_WEIGHTS, SLOT_WORDS, Survivor,
+};
 use super::stages::NAMES;
 use crate::error::Result;
 use std::mem::size_of;
@@ -15,11 +17,15 @@ pub(super) struct Store {
     pub instances: Growable,
     pub work: Growable,
     pub grid: Growable,
+    /// Instances again, where they are few enough.
+    pub few_instances: Growable,
+    /// Weights again, where the samples are few enough.
+    pub short_weights: Growable,
     pub survivors: Growable,
     pub counters: Growable,
     pub records: Growable,
     pub items: Growable,
-    pub record_of_slot: Growable,
+    pub seen_slots: Growable,
     pub keys: Growable,
     pub outputs: Growable,
     pub dispatch: Growable,
@@ -40,7 +46,13 @@ impl Store {
             (queries, Growable::new(gpu, "times", U::QUERY_RESOLVE | U::COPY_SRC, false))
         });
         Self {
-            params: Growable::new(gpu, "parameters", U::UNIFORM | U::COPY_DST, false),
+            params: Growable::uniform(gpu, "parameters", size_of::<Params>() as u64),
+            few_instances: Growable::uniform(
+                gpu,
+                "few instances",
+                u64::from(FEW_INSTANCES) * size_of::<Instance>() as u64,
+            ),
+            short_weights: Growable::uniform(gpu, "short weights", u64::from(SHORT_WEIGHTS) * 16),
             instances: Growable::storage(gpu, "instances"),
             work: Growable::storage(gpu, "runs"),
             grid: Growable::storage(gpu, "rays"),
@@ -48,7 +60,7 @@ impl Store {
             counters: Growable::storage(gpu, "counters"),
             records: Growable::storage(gpu, "polygons set up"),
             items: Growable::storage(gpu, "work items"),
-            record_of_slot: Growable::storage(gpu, "slots"),
+            seen_slots: Growable::storage(gpu, "slots"),
             keys: Growable::storage(gpu, "nearest"),
             outputs: Growable::storage(gpu, "images"),
             dispatch: Growable::new(gpu, "dispatch", U::INDIRECT | U::COPY_DST, false),
@@ -61,7 +73,7 @@ impl Store {
     ///
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
-    pub fn reserve(&mut self, gpu: &Gpu, frame: &Frame, slots: u32) -> Result<bool> {
+    pub fn reserve(&mut self, gpu: &Gpu, frame: &Frame) -> Result<bool> {
         let words = |n: usize| n as u64 * 4;
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
         let mut replaced = self.instances.reserve(gpu, (frame.instances.len() * size_of::<Instance>()) as u64)?;
@@ -70,7 +82,7 @@ impl Store {
         replaced |= self.survivors.reserve(gpu, survivors)?;
         replaced |= self.records.reserve(gpu, words(frame.near.records.len()))?;
         replaced |= self.items.reserve(gpu, words(frame.near.items.len()))?;
-        replaced |= self.record_of_slot.reserve(gpu, u64::from(slots) * 4)?;
+        replaced |= self.seen_slots.reserve(gpu, frame.slot_bytes())?;
         replaced |= self.keys.reserve(gpu, pixels * 8)?;
         replaced |= self.outputs.reserve(gpu, frame.output_words * 4)?;
         self.readback.reserve(gpu, Readback::of(frame).bytes)?;
@@ -85,6 +97,9 @@ impl Store {
         let bytes: &[u8] = bytemuck::cast_slice(&tables.words);
         let replaced = self.grid.reserve(gpu, bytes.len() as u64)?;
         gpu.queue.write_buffer(self.grid.buffer(), 0, bytes);
+        if tables.short() {
+            gpu.queue.write_buffer(self.short_weights.buffer(), 0, bytemuck::cast_slice(tables.weights()));
+        }
         Ok(replaced)
     }
 
@@ -97,12 +112,14 @@ impl Store {
         };
         let params = Params { record_words: self.record_room(), item_room: self.item_room(), ..frame.params };
         put(&self.params, bytemuck::bytes_of(&params));
-        put(&self.instances, bytemuck::cast_slice(&frame.instances));
+        let instances = if frame.few() { &self.few_instances } else { &self.instances };
+        put(instances, bytemuck::cast_slice(&frame.instances));
         put(&self.work, bytemuck::cast_slice(&frame.work));
         put(&self.records, bytemuck::cast_slice(&frame.near.records));
         put(&self.items, bytemuck::cast_slice(&frame.near.items));
-        for (slot, record) in &frame.near.slots {
-            gpu.queue.write_buffer(self.record_of_slot.buffer(), u64::from(*slot) * 4, bytemuck::bytes_of(record));
+        for (slot, words) in &frame.near.slots {
+            let at = u64::from(*slot) * 4 * u64::from(SLOT_WORDS);
+            gpu.queue.write_buffer(self.seen_slots.buffer(), at, bytemuck::bytes_of(words));
         }
         let items = frame.near.items.len() as u32 / ITEM_WORDS;
         let counters = Counters {
@@ -152,7 +169,10 @@ impl Store {
     pub fn encode_readback(&self, encoder: &mut wgpu::CommandEncoder, frame: &Frame) {
         let at = Readback::of(frame);
         let to = self.readback.buffer();
-        if at.counters > 0 {
+        if frame.on_host {
+            encoder.copy_buffer_to_buffer(self.keys.buffer(), 0, to, 0, at.slots);
+            encoder.copy_buffer_to_buffer(self.seen_slots.buffer(), 0, to, at.slots, at.counters - at.slots);
+        } else if at.counters > 0 {
             encoder.copy_buffer_to_buffer(self.outputs.buffer(), 0, to, 0, at.counters);
         }
         encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, to, at.counters, size_of::<Counters>() as u64);
@@ -163,9 +183,10 @@ impl Store {
     }
 }
 
-/// Where answers lie in the readback buffer, bytes: images, counters, times.
+/// Where answers lie in the readback buffer, bytes: images (or keys and slots), counters, times.
 #[derive(Clone, Copy)]
 pub(super) struct Readback {
+    pub slots: u64,
     pub counters: u64,
     pub times: u64,
     pub bytes: u64,
@@ -173,9 +194,10 @@ pub(super) struct Readback {
 
 impl Readback {
     pub fn of(frame: &Frame) -> Self {
-        let counters = frame.output_words * 4;
+        let slots = if frame.on_host { u64::from(frame.params.width) * u64::from(frame.params.height) * 8 } else { 0 };
+        let counters = if frame.on_host { slots + frame.slot_bytes() } else { frame.output_words * 4 };
         // Query results are 8 bytes and must lie on 8.
         let times = (counters + size_of::<Counters>() as u64).next_multiple_of(8);
-        Self { counters, times, bytes: times + 16 * NAMES.len() as u64 }
+        Self { slots, counters, times, bytes: times + 16 * NAMES.len() as u64 }
     }
 }
