@@ -101,9 +101,13 @@ struct Survivor {
     instance: u32,
     // First line and number of lines, 16 bits each.
     lines: u32,
-    // Distance of the plane along the mesh normal, signed, mesh frame.
-    distance: f32,
+    // NEAR, ONE_SIDED.
+    flags: u32,
 }
+
+// Its run is around the sensor: the CPU sets up what is flat, in f64.
+const NEAR: u32 = 1u;
+const ONE_SIDED: u32 = 2u;
 
 const GROUP: u32 = 64u;
 const MAX_GROUPS: u32 = 65535u;

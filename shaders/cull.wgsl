@@ -14,11 +14,6 @@ override PLAIN: bool = false;
 // A run in `work`: start, instance, first polygon, near.
 const RUN_WORDS: u32 = 4u;
 
-// |d| / |v| below which f32 does not prove the side: rounding of two subtractions, a dot product and the normal.
-const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
-// The same where the CPU sets up what is flatter, in f64: runs around the sensor.
-const EDGE_ON_NEAR: f32 = 6.1035156e-5; // 2^-14
-
 // Lines that a polygon may reach, as first | count << 16; 0 if it covers no ray.
 struct Reach {
     first: u32,
@@ -51,54 +46,32 @@ fn examine(index: u32, polygon: u32, near: bool) {
     let first_corner = instance.corners_at + polygon_word(instance, polygon, 0u) * CORNER_WORDS;
     let packed = polygon_word(instance, polygon, 1u);
     let corner_count = packed & 0xffu;
-    let normal = polygon_normal(instance, polygon);
-
-    // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
-    var nearest = HUGE;
-    var distance = 0.0;
-    var nearest_corner = first_corner;
-    var bounds = bounds_start();
-    var previous = vec3f();
-    for (var k = 0u; k <= corner_count; k++) {
-        let corner = first_corner + select(k, 0u, k == corner_count) * CORNER_WORDS;
-        let q = from_center(instance, vertex(instance, arena[corner]));
-        let length2 = dot(q, q);
-        if length2 < nearest {
-            nearest = length2;
-            distance = dot(normal, q);
-            nearest_corner = corner;
-        }
-        let v = to_image(instance, q);
-        bounds_add(&bounds, v, previous, k == 0u);
-        previous = v;
-    }
-    distance += bitcast<f32>(arena[nearest_corner + 1u]);
+    var flags = select(0u, NEAR, near);
     if !PLAIN {
         let facing = work[params.facings_at + (packed >> 8u)];
-        let behind = instance.handedness * distance > 0.0;
-        if (facing & 1u) == 0u || ((facing & 2u) != 0u && behind) {
+        if (facing & 1u) == 0u {
             return;
         }
+        flags |= facing & ONE_SIDED;
     }
-    // Nothing of it is nearer than its plane.
-    let stretch = length(normal_to_image(instance, normal));
-    if abs(distance) > params.range_max * stretch * 1.00001 {
-        return;
+    var bounds = bounds_start();
+    var start = vec3f();
+    var previous = vec3f();
+    for (var k = 0u; k < corner_count; k++) {
+        let p = vertex(instance, arena[first_corner + k * CORNER_WORDS]);
+        let v = to_image(instance, from_center(instance, p));
+        bounds_add(&bounds, v, previous, k == 0u);
+        start = select(start, v, k == 0u);
+        previous = v;
     }
+    bounds_close(&bounds, start, previous);
     let reach = bounds_reach(bounds);
     if reach.count == 0u {
-        return;
-    }
-    if abs(distance) <= sqrt(nearest) * select(EDGE_ON, EDGE_ON_NEAR, near) {
-        // The near ones are on the CPU's list, which counts those that are edge-on in f64 too.
-        if !near {
-            atomicAdd(&counters.edge_on, 1u);
-        }
         return;
     }
     let place = atomicAdd(&counters.survivors, 1u);
     if place % GROUP == 0u {
         atomicMax(&counters.setup_groups, min(place / GROUP + 1u, MAX_GROUPS));
     }
-    survivors[place] = Survivor(polygon, index, reach.first | (reach.count << 16u), distance);
+    survivors[place] = Survivor(polygon, index, reach.first | (reach.count << 16u), flags);
 }

@@ -1,5 +1,7 @@
 // Bounds of a polygon in a pinhole image.
 
+@group(0) @binding(8) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
+
 struct Bounds {
     // Pixels from the principal point: lines (y) and samples (x); sound only if everything is in front.
     lines: vec2f,
@@ -34,6 +36,8 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
     (*b).samples = vec2f(min((*b).samples.x, x * w - pad), max((*b).samples.y, x * w + pad));
     (*b).lines = vec2f(min((*b).lines.x, y * w - pad), max((*b).lines.y, y * w + pad));
 }
+
+fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {}
 
 fn bounds_reach(b: Bounds) -> Reach {
     if b.in_front <= 0.0 || any(b.inside < vec4f()) {

@@ -10,6 +10,8 @@ fn bounds_start() -> Bounds {
 
 fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {}
 
+fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {}
+
 fn bounds_reach(b: Bounds) -> Reach {
     return Reach(0u, 1u);
 }

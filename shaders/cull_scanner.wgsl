@@ -1,5 +1,7 @@
 // Bounds of a polygon in a scanner's image: azimuths as diamond angles, elevations as t = -tan(elevation).
 
+@group(0) @binding(8) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
+
 struct Bounds {
     // Horizontal direction of the first vertex; angles below are relative to it.
     start: vec2f,
@@ -36,11 +38,19 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
         (*b).turn.y = relative;
         (*b).greatest = v.xy;
     }
+    bounds_edge(b, v, previous);
+}
+
+fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {
+    bounds_edge(b, start, previous);
+}
+
+fn bounds_edge(b: ptr<function, Bounds>, v: vec3f, previous: vec3f) {
     // t = z / h along an edge lies between these, for z is linear and h is least at the foot of the perpendicular.
     let d = v.xy - previous.xy;
     let foot = previous.xy + d * clamp(-dot(previous.xy, d) / max(dot(d, d), 1.0e-37), 0.0, 1.0);
     let near = inverseSqrt(max(dot(foot, foot), 1.0e-37));
-    let far = inverseSqrt(max(max(h2, dot(previous.xy, previous.xy)), 1.0e-37));
+    let far = inverseSqrt(max(max(dot(v.xy, v.xy), dot(previous.xy, previous.xy)), 1.0e-37));
     let high = -min(v.z, previous.z);
     let low = -max(v.z, previous.z);
     (*b).t.y = max((*b).t.y, high * select(far, near, high > 0.0));
@@ -80,7 +90,7 @@ fn line_at_or_above(angle: f32) -> i32 {
     let n = i32(params.line_count);
     let turns = select(select(0, -1, angle < -2.0), 1, angle >= 2.0);
     let b = bucket(angle - 4.0 * f32(turns), -2.0, 0.25 * f32(params.line_buckets), params.line_buckets);
-    return i32(grid[params.line_buckets_at + b]) + turns * n;
+    return i32(grid_word(params.line_buckets_at + b)) + turns * n;
 }
 
 // One past the last line whose bucket is not above the angle.
@@ -88,5 +98,5 @@ fn line_above(angle: f32) -> i32 {
     let n = i32(params.line_count);
     let turns = select(select(0, -1, angle < -2.0), 1, angle >= 2.0);
     let b = bucket(angle - 4.0 * f32(turns), -2.0, 0.25 * f32(params.line_buckets), params.line_buckets);
-    return i32(grid[params.line_buckets_at + b + 1u]) + turns * n;
+    return i32(grid_word(params.line_buckets_at + b + 1u)) + turns * n;
 }

@@ -1,5 +1,20 @@
 // Reading the tables of a line grid.
 
+// The whole table fits a uniform buffer, which software adapters read several times faster.
+override SHORT: bool = false;
+const SHORT_GRID: u32 = 4096u;
+
+fn grid_word(at: u32) -> u32 {
+    if SHORT {
+        return short_grid[at / 4u][at % 4u];
+    }
+    return grid[at];
+}
+
+fn grid_float(at: u32) -> f32 {
+    return bitcast<f32>(grid_word(at));
+}
+
 // Rises with the azimuth from -2 at -180 deg to 2 at 180 deg, without trigonometry.
 fn diamond(direction: vec2f) -> f32 {
     let p = direction.x / (abs(direction.x) + abs(direction.y));
@@ -11,7 +26,7 @@ fn bucket(value: f32, origin: f32, scale: f32, count: u32) -> u32 {
 }
 
 fn position(sample: u32) -> f32 {
-    return bitcast<f32>(grid[params.positions_at + sample]);
+    return grid_float(params.positions_at + sample);
 }
 
 // t / (1 + |t|): spreads all elevations over -1..1.
@@ -21,7 +36,7 @@ fn squeezed(t: f32) -> f32 {
 
 fn sample_start(t: f32) -> u32 {
     let b = bucket(squeezed(t), -1.0, 0.5 * f32(params.sample_buckets), params.sample_buckets);
-    return grid[params.sample_buckets_at + b];
+    return grid_word(params.sample_buckets_at + b);
 }
 
 // The first sample at or above t. The same t bits give neighbouring polygons the same answer: no cracks.

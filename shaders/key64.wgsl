@@ -5,6 +5,7 @@
 fn offer(pixel: u32, k: f32, slot: u32) {
     // Only what is in front: also keeps out the antipode of a cone thinner than its rounding.
     if k > 0.0 {
-        atomicMax(&keys[pixel], (u64(bitcast<u32>(k)) << 32u) | u64(~slot));
+        let key = (u64(bitcast<u32>(k)) << 32u) | u64(~slot);
+        atomicMax(&keys[pixel], key);
     }
 }

@@ -6,11 +6,7 @@
 @group(0) @binding(2) var<storage, read> items: array<u32>;
 @group(0) @binding(3) var<storage, read> grid: array<u32>;
 @group(0) @binding(4) var<storage, read> counted: array<u32>;
-@group(0) @binding(6) var<uniform> short_weights: array<vec4f, SHORT_WEIGHTS>;
-
-// Few enough samples for a uniform buffer, which software adapters read several times faster.
-override SHORT: bool = false;
-const SHORT_WEIGHTS: u32 = 1024u;
+@group(0) @binding(6) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
@@ -88,17 +84,13 @@ fn line_at(index: u32) -> Line {
         return Line(vec2f(params.first_line + f32(index), 1.0), index);
     }
     let at = params.lines_at + index * 3u;
-    return Line(vec2f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u])), grid[at + 2u]);
+    return Line(vec2f(grid_float(at), grid_float(at + 1u)), grid_word(at + 2u));
 }
 
 fn weights(s: u32) -> vec2f {
     if GRID == CAMERA {
         return vec2f(1.0, params.first_sample + f32(s));
     }
-    if SHORT {
-        let pair = short_weights[s / 2u];
-        return select(pair.xy, pair.zw, s % 2u == 1u);
-    }
     let at = params.weights_at + s * 2u;
-    return vec2f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u]));
+    return vec2f(grid_float(at), grid_float(at + 1u));
 }

@@ -19,22 +19,56 @@ fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
     }
 }
 
+// |d| / |v| below which f32 does not prove the side: rounding of two subtractions, a dot product and the normal.
+const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
+// The same where the CPU sets up what is flatter, in f64: runs around the sensor.
+const EDGE_ON_NEAR: f32 = 6.1035156e-5; // 2^-14
+
 fn set_up(survivor: Survivor) {
     let instance = instance_at(survivor.instance);
-    let first_corner =
-        instance.corners_at + polygon_word(instance, survivor.polygon, 0u) * CORNER_WORDS;
+    let first_corner = instance.corners_at + polygon_word(instance, survivor.polygon, 0u) * CORNER_WORDS;
     let corner_count = polygon_word(instance, survivor.polygon, 1u) & 0xffu;
+    let normal = polygon_normal(instance, survivor.polygon);
 
+    // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
+    var nearest = HUGE;
+    var distance = 0.0;
+    var nearest_corner = first_corner;
+    for (var k = 0u; k < corner_count; k++) {
+        let corner = first_corner + k * CORNER_WORDS;
+        let q = from_center(instance, vertex(instance, arena[corner]));
+        let length2 = dot(q, q);
+        if length2 < nearest {
+            nearest = length2;
+            distance = dot(normal, q);
+            nearest_corner = corner;
+        }
+    }
+    distance += bitcast<f32>(arena[nearest_corner + 1u]);
+    let image_normal = normal_to_image(instance, normal);
+    // Nothing of it is nearer than its plane; one-sided, it is seen from the side of its winding's normal only.
+    let behind = instance.handedness * distance > 0.0;
+    let too_far = abs(distance) > params.range_max * length(image_normal) * 1.00001;
+    if too_far || (survivor.flags & ONE_SIDED) != 0u && behind {
+        return;
+    }
+    let near = (survivor.flags & NEAR) != 0u;
+    if abs(distance) <= sqrt(nearest) * select(EDGE_ON, EDGE_ON_NEAR, near) {
+        // The near ones are on the CPU's list, which counts those that are edge-on in f64 too.
+        if !near {
+            atomicAdd(&counters.edge_on, 1u);
+        }
+        return;
+    }
     let words = RECORD_WORDS + corner_count * EDGE_WORDS;
     let at = atomicAdd(&counters.record_words, words);
     if at + words > params.record_words {
         // The engine sees the count, grows the buffer and runs the frame again.
         return;
     }
-    write_head(at, instance, survivor, corner_count);
+    write_head(at, instance, survivor.polygon, corner_count, image_normal, distance);
     // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
-    let sign = select(-1.0, 1.0, survivor.distance * instance.handedness > 0.0);
-    write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, sign);
+    write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, select(-1.0, 1.0, behind));
     add_items(at, instance, survivor, first_corner, corner_count);
 }
 
@@ -55,18 +89,17 @@ fn put(at: u32, v: vec3f) {
     records[at + 2u] = bitcast<u32>(v.z);
 }
 
-fn write_head(at: u32, instance: Instance, survivor: Survivor, corner_count: u32) {
-    let normal = normal_to_image(instance, polygon_normal(instance, survivor.polygon));
-    let slot = instance.first_slot + survivor.polygon;
-    put(at, to_line(normal / survivor.distance));
+fn write_head(at: u32, instance: Instance, polygon: u32, corner_count: u32, normal: vec3f, distance: f32) {
+    let slot = instance.first_slot + polygon;
+    put(at, to_line(normal / distance));
     records[at + 3u] = slot;
     records[at + 4u] = corner_count;
     // What the resolve stage asks of the winner.
     let seen = slot * SLOT_WORDS;
-    seen_slots[seen] = bitcast<u32>(abs(survivor.distance) / length(normal));
+    seen_slots[seen] = bitcast<u32>(abs(distance) / length(normal));
     seen_slots[seen + 1u] = instance.object_id;
     if params.source_ids != 0u {
-        seen_slots[seen + 2u] = instance.first_source + polygon_word(instance, survivor.polygon, 2u) + 1u;
+        seen_slots[seen + 2u] = instance.first_source + polygon_word(instance, polygon, 2u) + 1u;
     }
 }
 

@@ -1,6 +1,6 @@
 //! A sensor's rays as the shaders read them: line tables with buckets for searching, or ray tables with cones.
 
-use super::layout::{GridKind, Params, SHORT_WEIGHTS, TILES_PER_SUPERTILE};
+use super::layout::{GridKind, Params, SHORT_GRID, TILES_PER_SUPERTILE};
 use crate::sensor::{LineAxis, LineGrid, PixelGrid, RayGrid, Sensor, Tile};
 use glam::{DMat3, DVec3};
 
@@ -34,14 +34,9 @@ impl Tables {
 }
 
 impl Tables {
-    /// (w0, w1) of every sample, as bits.
-    pub fn weights(&self) -> &[u32] {
-        &self.words[self.params.weights_at as usize..][..2 * self.params.sample_count as usize]
-    }
-
-    /// True if the weights are read from a uniform buffer.
+    /// True if the whole table is read from a uniform buffer.
     pub fn short(&self) -> bool {
-        self.kind == GridKind::Scanner && self.params.sample_count <= 2 * SHORT_WEIGHTS
+        self.kind != GridKind::Rays && self.words.len() <= 4 * SHORT_GRID as usize
     }
 }
 

@@ -100,7 +100,7 @@ pub(super) struct Survivor {
     pub polygon: u32,
     pub instance: u32,
     pub lines: u32,
-    pub distance: f32,
+    pub flags: u32,
 }
 
 /// Invocations of a workgroup; `GROUP` in the shaders.
@@ -121,8 +121,8 @@ pub(super) const RECORD_WORDS: u32 = 9;
 pub(super) const SLOT_WORDS: u32 = 3;
 /// Most instances that are read from a uniform buffer.
 pub(super) const FEW_INSTANCES: u32 = 512;
-/// Most samples, by two, whose weights are read from a uniform buffer.
-pub(super) const SHORT_WEIGHTS: u32 = 1024;
+/// Most words of ray tables, by four, that are read from a uniform buffer.
+pub(super) const SHORT_GRID: u32 = 4096;
 /// Words of an edge.
 pub(super) const EDGE_WORDS: u32 = 3;
 /// Words of an item.

@@ -4,7 +4,6 @@ use super::layout::{Params, SLOT_WORDS};
 use crate::plan::{FramePlan, IdScheme, Images};
 use crate::sensor::{LineAxis, PixelGrid};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 /// What a pixel shows.
 enum Seen {
@@ -51,21 +50,6 @@ impl Keys<'_> {
         }
         Seen::Hit(Hit { slot: !id, k, ray, depth, below: range < self.params.range_min })
     }
-
-    /// Fills one image, rows side by side.
-    fn fill<T: Copy + Send + Sync>(&self, image: &mut [T], no_ray: T, nothing: T, hit: impl Fn(Hit) -> T + Sync) {
-        let width = self.params.width as usize;
-        image.par_chunks_mut(width * 8).enumerate().for_each(|(band, pixels)| {
-            for (i, pixel) in pixels.iter_mut().enumerate() {
-                let (column, row) = ((i % width) as u32, (band * 8 + i / width) as u32);
-                *pixel = match self.seen(column, row) {
-                    Seen::NoRay => no_ray,
-                    Seen::Nothing => nothing,
-                    Seen::Hit(found) => hit(found),
-                };
-            }
-        });
-    }
 }
 
 #[derive(Clone, Copy)]
@@ -77,6 +61,27 @@ struct Hit {
     below: bool,
 }
 
+/// One row of every image; those not asked for are empty.
+struct Row<'a> {
+    range: &'a mut [f32],
+    depth_z: &'a mut [f32],
+    polygon_id: &'a mut [u32],
+    object_id: &'a mut [u32],
+    cos_incidence: &'a mut [f32],
+}
+
+/// The next row, or nothing of an image that is not there.
+fn next<'a, T>(rows: &mut std::slice::ChunksMut<'a, T>) -> &'a mut [T] {
+    rows.next().unwrap_or_default()
+}
+
+/// Writes where the image is there.
+fn put<T>(row: &mut [T], column: usize, value: T) {
+    if let Some(pixel) = row.get_mut(column) {
+        *pixel = value;
+    }
+}
+
 /// Fills the images that are there; the answer is the number of hits without an id.
 pub(super) fn resolve(
     plan: &FramePlan,
@@ -85,22 +90,40 @@ pub(super) fn resolve(
     slots: &[[u32; SLOT_WORDS as usize]],
     images: &mut Images,
 ) -> u32 {
+    let width = params.width as usize;
+    let (mut range, mut depth_z) = (images.range.chunks_mut(width), images.depth_z.chunks_mut(width));
+    let (mut polygon, mut object) = (images.polygon_id.chunks_mut(width), images.object_id.chunks_mut(width));
+    let mut cosine = images.cos_incidence.chunks_mut(width);
+    let mut rows: Vec<Row<'_>> = (0..params.height)
+        .map(|_| Row {
+            range: next(&mut range),
+            depth_z: next(&mut depth_z),
+            polygon_id: next(&mut polygon),
+            object_id: next(&mut object),
+            cos_incidence: next(&mut cosine),
+        })
+        .collect();
     let all = Keys { plan, params, keys };
-    let lost = AtomicU32::new(0);
-    keys.par_chunks(1 << 14).for_each(|some| {
-        let missing = some.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count();
-        lost.fetch_add(missing as u32, Ordering::Relaxed);
+    let source = plan.request.ids == IdScheme::Source;
+    rows.par_iter_mut().enumerate().with_min_len(8).for_each(|(i, row)| {
+        for column in 0..width {
+            let (length, depth, ids, cosine) = match all.seen(column as u32, i as u32) {
+                Seen::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
+                Seen::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
+                Seen::Hit(h) => {
+                    let [distance, object, source_id] = slots[h.slot as usize];
+                    let id = if source { source_id } else { h.slot + 1 };
+                    let cosine = (h.k * f32::from_bits(distance) / h.ray).min(1.0);
+                    let limited = |value: f32| if h.below { f32::NEG_INFINITY } else { value };
+                    (limited(h.ray / h.k), limited(h.depth / h.k), [id, object], cosine)
+                }
+            };
+            put(row.range, column, length);
+            put(row.depth_z, column, depth);
+            put(row.polygon_id, column, ids[0]);
+            put(row.object_id, column, ids[1]);
+            put(row.cos_incidence, column, cosine);
+        }
     });
-    let limited = |value: f32, below: bool| if below { f32::NEG_INFINITY } else { value };
-    all.fill(&mut images.range, f32::NAN, f32::INFINITY, |h| limited(h.ray / h.k, h.below));
-    all.fill(&mut images.depth_z, f32::NAN, f32::INFINITY, |h| limited(h.depth / h.k, h.below));
-    all.fill(&mut images.cos_incidence, f32::NAN, f32::NAN, |h| {
-        (h.k * f32::from_bits(slots[h.slot as usize][0]) / h.ray).min(1.0)
-    });
-    all.fill(&mut images.object_id, 0, 0, |h| slots[h.slot as usize][1]);
-    match plan.request.ids {
-        IdScheme::Model => all.fill(&mut images.polygon_id, 0, 0, |h| h.slot + 1),
-        IdScheme::Source => all.fill(&mut images.polygon_id, 0, 0, |h| slots[h.slot as usize][2]),
-    }
-    lost.into_inner()
+    keys.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count() as u32
 }

@@ -93,7 +93,7 @@ mod tests {
             object_id, normal_y, polygons_at, normal_z, corners_at, center_high, vertices_at, center_low, padding);
         assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
             records, raster_groups, raster_y, raster_z, lost_ids);
-        assert_same!(&module, Survivor: polygon, instance, lines, distance);
+        assert_same!(&module, Survivor: polygon, instance, lines, flags);
     }
 
     #[test]
@@ -129,7 +129,7 @@ mod tests {
         }
         assert_eq!(value(&cull, "RUN_WORDS"), layout::RUN_WORDS as u32);
         let lines = parse("raster lines 32", RASTER_LINES_32);
-        assert_eq!(value(&lines, "SHORT_WEIGHTS"), layout::SHORT_WEIGHTS);
+        assert_eq!(value(&lines, "SHORT_GRID"), layout::SHORT_GRID);
         assert_eq!(value(&rays, "TILES_PER_SUPERTILE"), layout::TILES_PER_SUPERTILE);
     }
 }

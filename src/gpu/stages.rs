@@ -46,7 +46,7 @@ impl Stages {
     pub fn new(gpu: &Gpu) -> Self {
         use Binding::{Read, Uniform, Write};
         Self {
-            cull: Stage::new(gpu, "cull", &[Uniform, Read, Read, Read, Read, Write, Write, Uniform]),
+            cull: Stage::new(gpu, "cull", &[Uniform, Read, Read, Read, Read, Write, Write, Uniform, Uniform]),
             setup: Stage::new(gpu, "setup", &[Uniform, Read, Read, Read, Read, Write, Write, Write, Write, Uniform]),
             raster: Stage::new(gpu, "raster", &[Uniform, Read, Read, Read, Read, Write, Uniform]),
             resolve: Stage::new(gpu, "resolve", &[Uniform, Read, Read, Read, Write, Write]),
@@ -62,22 +62,24 @@ impl Stages {
         let grid = ("GRID", f64::from(kind as u32));
         let few = ("FEW", f64::from(u32::from(frame.few())));
         let lines = kind != GridKind::Rays;
-        let cull = (kind as u32, u32::from(frame.plain) | u32::from(frame.few()) << 1);
+        let short = tables.short();
+        let cull = (kind as u32, u32::from(frame.plain) | u32::from(frame.few()) << 1 | u32::from(short) << 2);
         let cull_text = match kind {
             GridKind::Camera => shaders::CULL_CAMERA,
             GridKind::Scanner => shaders::CULL_SCANNER,
             GridKind::Rays => shaders::CULL_RAYS,
         };
-        self.cull.prepare(gpu, cull, cull_text, &[grid, few, ("PLAIN", f64::from(u32::from(frame.plain)))])?;
+        let short_constant = ("SHORT", f64::from(u32::from(short)));
+        // Ray tables have no such constant, and a constant that is not there is an error.
+        let constants = |own: &[(&'static str, f64)]| {
+            let lines_only = lines.then_some(short_constant);
+            [grid].into_iter().chain(lines_only).chain(own.iter().copied()).collect::<Vec<_>>()
+        };
+        let plain = ("PLAIN", f64::from(u32::from(frame.plain)));
+        self.cull.prepare(gpu, cull, cull_text, &constants(&[few, plain]))?;
         let setup = (kind as u32, u32::from(frame.few()));
         self.setup.prepare(gpu, setup, if lines { shaders::SETUP_LINES } else { shaders::SETUP_RAYS }, &[grid, few])?;
-        let raster = (kind as u32, u32::from(tables.short()) << 1);
-        let short = ("SHORT", f64::from(u32::from(tables.short())));
-        // Ray tables have no such constant, and a constant that is not there is an error.
-        let constants = |pass: &[(&'static str, f64)]| {
-            let lines_only = lines.then_some(short);
-            [grid].into_iter().chain(lines_only).chain(pass.iter().copied()).collect::<Vec<_>>()
-        };
+        let raster = (kind as u32, u32::from(short) << 1);
         let mut second = None;
         if gpu.int64 {
             let text = if lines { shaders::RASTER_LINES_64 } else { shaders::RASTER_RAYS_64 };
@@ -108,10 +110,10 @@ impl Stages {
     pub fn bind(&mut self, gpu: &Gpu, arena: &wgpu::Buffer, s: &Store) {
         let (params, grid, counters) = (s.params.buffer(), s.grid.buffer(), s.counters.buffer());
         let (instances, survivors) = (s.instances.buffer(), s.survivors.buffer());
-        let (few, short) = (s.few_instances.buffer(), s.short_weights.buffer());
+        let (few, short) = (s.few_instances.buffer(), s.short_grid.buffer());
         let (records, items, slots, keys) =
             (s.records.buffer(), s.items.buffer(), s.seen_slots.buffer(), s.keys.buffer());
-        self.cull.bind(gpu, &[params, instances, s.work.buffer(), arena, grid, survivors, counters, few]);
+        self.cull.bind(gpu, &[params, instances, s.work.buffer(), arena, grid, survivors, counters, few, short]);
         self.setup.bind(gpu, &[params, instances, arena, survivors, grid, counters, records, items, slots, few]);
         self.raster.bind(gpu, &[params, records, items, grid, counters, keys, short]);
         self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters]);

@@ -5,7 +5,7 @@ use super::device::Gpu;
 use super::frame::Frame;
 use super::grid::Tables;
 use super::layout::{
-    Counters, FEW_INSTANCES, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, Params, SHORT_WEIGHTS, SLOT_WORDS, Survivor,
+    Counters, FEW_INSTANCES, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, Params, SHORT_GRID, SLOT_WORDS, Survivor,
 };
 use super::stages::NAMES;
 use crate::error::Result;
@@ -19,8 +19,8 @@ pub(super) struct Store {
     pub grid: Growable,
     /// Instances again, where they are few enough.
     pub few_instances: Growable,
-    /// Weights again, where the samples are few enough.
-    pub short_weights: Growable,
+    /// The rays again, where they are few enough.
+    pub short_grid: Growable,
     pub survivors: Growable,
     pub counters: Growable,
     pub records: Growable,
@@ -52,7 +52,7 @@ impl Store {
                 "few instances",
                 u64::from(FEW_INSTANCES) * size_of::<Instance>() as u64,
             ),
-            short_weights: Growable::uniform(gpu, "short weights", u64::from(SHORT_WEIGHTS) * 16),
+            short_grid: Growable::uniform(gpu, "few rays", u64::from(SHORT_GRID) * 16),
             instances: Growable::storage(gpu, "instances"),
             work: Growable::storage(gpu, "runs"),
             grid: Growable::storage(gpu, "rays"),
@@ -95,11 +95,11 @@ impl Store {
     /// [`crate::ErrorKind::DeviceMemory`].
     pub fn put_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
         let bytes: &[u8] = bytemuck::cast_slice(&tables.words);
+        if tables.short() {
+            gpu.queue.write_buffer(self.short_grid.buffer(), 0, bytes);
+        }
         let replaced = self.grid.reserve(gpu, bytes.len() as u64)?;
         gpu.queue.write_buffer(self.grid.buffer(), 0, bytes);
-        if tables.short() {
-            gpu.queue.write_buffer(self.short_weights.buffer(), 0, bytemuck::cast_slice(tables.weights()));
-        }
         Ok(replaced)
     }
 
