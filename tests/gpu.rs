@@ -85,7 +85,7 @@ fn sensors() -> Vec<Sensor> {
         distortion: Distortion::PlumbBob([-0.2, 0.05, 0.001, -0.001, 0.0]),
         ..Camera::pinhole(120, 90, 110.0, 115.0, 58.3, 46.1)
     };
-    let listed = Angles::Listed(vec![5.0, -170.0, 179.0, 20.0, 20.0, -3.0, 180.0]);
+    let listed = Angles::Listed(vec![-170.0, -3.0, 5.0, 20.0, 20.5, 90.0, 179.0, 180.0]);
     vec![
         sensor("camera", Geometry::Camera(Camera::pinhole(160, 120, 130.0, 140.0, 77.3, 61.1)), f64::INFINITY),
         scanner("image", uniform(-180.0, 1.40625, 256), uniform(-25.0, 1.5, 34), 75.0),
