@@ -1,0 +1,133 @@
+// What all stages share. Layouts here have Rust twins in src/gpu/layout.rs; a test compares every offset.
+
+// How the rays lie (PixelGrid): image rows of a pinhole camera, image columns of a scanner, or a table.
+const CAMERA: u32 = 0u;
+const SCANNER: u32 = 1u;
+const RAYS: u32 = 2u;
+override GRID: u32 = 0u;
+
+// Work of one frame. Fields that end in _at are word offsets into a buffer.
+struct Params {
+    // Lines and samples of a line grid; supertiles and 0 of a ray grid.
+    line_count: u32,
+    sample_count: u32,
+    width: u32,
+    height: u32,
+    // Into `grid`: lines (c0, c1, column), weights (w0, w1), positions t, bucket tables; ray grids: tiles and rays.
+    lines_at: u32,
+    weights_at: u32,
+    positions_at: u32,
+    line_buckets_at: u32,
+    sample_buckets_at: u32,
+    line_buckets: u32,
+    sample_buckets: u32,
+    tiles_at: u32,
+    rays_at: u32,
+    tile_columns: u32,
+    tile_count: u32,
+    // Into `work`.
+    groups_at: u32,
+    facings_at: u32,
+    polygon_count: u32,
+    // Room in buffers that are appended to.
+    record_words: u32,
+    item_room: u32,
+    // Into `outputs`.
+    range_at: u32,
+    depth_at: u32,
+    polygon_at: u32,
+    object_at: u32,
+    cos_at: u32,
+    // 1: polygon ids are numbers of source triangles.
+    source_ids: u32,
+    // Camera: first and last line and sample, pixels from the principal point.
+    first_line: f32,
+    last_line: f32,
+    first_sample: f32,
+    last_sample: f32,
+    // Camera: focal lengths; 1 for everything else. line frame = (fy y, z, fx x) of the image frame.
+    fx: f32,
+    fy: f32,
+    // Metres.
+    range_min: f32,
+    range_max: f32,
+    padding_0: u32,
+    padding_1: u32,
+}
+
+// One object. v = linear * ((p - center_high) - center_low) keeps the digits of what is near.
+struct Instance {
+    linear_x: vec3f,
+    // -1 if the linear part mirrors.
+    handedness: f32,
+    linear_y: vec3f,
+    first_slot: u32,
+    linear_z: vec3f,
+    first_source: u32,
+    normal_x: vec3f,
+    object_id: u32,
+    normal_y: vec3f,
+    polygons_at: u32,
+    normal_z: vec3f,
+    corners_at: u32,
+    center_high: vec3f,
+    vertices_at: u32,
+    center_low: vec3f,
+    padding: u32,
+}
+
+// Counters that stages add to; read back with the images.
+struct Counters {
+    survivors: atomic<u32>,
+    record_words: atomic<u32>,
+    items: atomic<u32>,
+    // Polygons whose side f32 cannot prove: edge-on.
+    edge_on: atomic<u32>,
+    // Workgroups of the next stages, as indirect dispatches take them.
+    setup_groups: atomic<u32>,
+    setup_y: u32,
+    setup_z: u32,
+    records: atomic<u32>,
+    raster_groups: atomic<u32>,
+    raster_y: u32,
+    raster_z: u32,
+    // Internal errors: a hit without an id.
+    lost_ids: atomic<u32>,
+}
+
+// A polygon that passed the cull.
+struct Survivor {
+    polygon: u32,
+    instance: u32,
+    // First line and number of lines, 16 bits each.
+    lines: u32,
+    // NEAR, ONE_SIDED.
+    flags: u32,
+}
+
+// Its run is around the sensor: the CPU sets up what is flat, in f64.
+const NEAR: u32 = 1u;
+const ONE_SIDED: u32 = 2u;
+
+const GROUP: u32 = 64u;
+const MAX_GROUPS: u32 = 65535u;
+
+// A polygon in the arena: words first_corner, corner_count | material << 8, source, normal.xyz.
+const POLYGON_WORDS: u32 = 6u;
+// A corner: words vertex, residual (how far the plane is off this vertex along the normal, metres).
+const CORNER_WORDS: u32 = 2u;
+const VERTEX_WORDS: u32 = 3u;
+// A record: m.xyz, slot, edge count, cone axis.xyz, cone cosine, then edges of 3 words.
+const RECORD_WORDS: u32 = 9u;
+const EDGE_WORDS: u32 = 3u;
+// An item: record, then first line | count << 16 (line grids) or supertile (ray grids).
+const ITEM_WORDS: u32 = 2u;
+// The most items that one polygon is cut into, and the fewest lines that make one.
+const ITEMS_PER_POLYGON: u32 = 256u;
+const LINES_PER_ITEM: u32 = 4u;
+
+// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1.
+const SLOT_WORDS: u32 = 3u;
+
+// Stands for infinity where comparisons must stay well-defined.
+const HUGE: f32 = 3.0e38;

@@ -1,0 +1,60 @@
+// Bounds of a polygon in a pinhole image.
+
+@group(0) @binding(8) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
+
+struct Bounds {
+    // Pixels from the principal point: lines (y) and samples (x); sound only if everything is in front.
+    lines: vec2f,
+    samples: vec2f,
+    all_in_front: bool,
+    // Greatest signed distance of a vertex inside each side of the frustum: left, right, top, bottom.
+    inside: vec4f,
+    in_front: f32,
+}
+
+fn bounds_start() -> Bounds {
+    return Bounds(vec2f(HUGE, -HUGE), vec2f(HUGE, -HUGE), true, vec4f(-1.0), -1.0);
+}
+
+fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {
+    let x = params.fx * v.x;
+    let y = params.fy * v.y;
+    let reach = abs(v.x) + abs(v.y) + abs(v.z);
+    // What rounding may move it, metres times focal length.
+    let slack = 1.0e-6 * (params.fx + params.fy) * reach;
+    (*b).inside = max((*b).inside, slack + vec4f(
+        x - params.first_sample * v.z,
+        params.last_sample * v.z - x,
+        y - params.first_line * v.z,
+        params.last_line * v.z - y,
+    ));
+    (*b).in_front = max((*b).in_front, v.z);
+    // Flatter than 1 : 1000 to the image plane is left to the frustum test.
+    (*b).all_in_front = (*b).all_in_front && v.z > 1.0e-3 * reach;
+    let w = 1.0 / v.z;
+    let pad = slack * w * (reach * w);
+    (*b).samples = vec2f(min((*b).samples.x, x * w - pad), max((*b).samples.y, x * w + pad));
+    (*b).lines = vec2f(min((*b).lines.x, y * w - pad), max((*b).lines.y, y * w + pad));
+}
+
+fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {}
+
+fn bounds_reach(b: Bounds) -> Reach {
+    if b.in_front <= 0.0 || any(b.inside < vec4f()) {
+        return Reach(0u, 0u);
+    }
+    if !b.all_in_front {
+        return Reach(0u, params.line_count);
+    }
+    let samples = clamp(vec2f(ceil(b.samples.x - params.first_sample), floor(b.samples.y - params.first_sample)),
+        vec2f(-1.0), vec2f(f32(params.sample_count)));
+    let lines = clamp(vec2f(ceil(b.lines.x - params.first_line), floor(b.lines.y - params.first_line)),
+        vec2f(-1.0), vec2f(f32(params.line_count)));
+    let first = max(lines.x, 0.0);
+    let last = min(lines.y, f32(params.line_count) - 1.0);
+    // Between pixel centres, or outside.
+    if first > last || max(samples.x, 0.0) > min(samples.y, f32(params.sample_count) - 1.0) {
+        return Reach(0u, 0u);
+    }
+    return Reach(u32(first), u32(last - first) + 1u);
+}

@@ -1,0 +1,64 @@
+// Reading the tables of a line grid.
+
+// The whole table fits a uniform buffer, which software adapters read several times faster.
+override SHORT: bool = false;
+const SHORT_GRID: u32 = 4096u;
+
+fn grid_word(at: u32) -> u32 {
+    if SHORT {
+        return short_grid[at / 4u][at % 4u];
+    }
+    return grid[at];
+}
+
+fn grid_float(at: u32) -> f32 {
+    return bitcast<f32>(grid_word(at));
+}
+
+// Rises with the azimuth from -2 at -180 deg to 2 at 180 deg, without trigonometry.
+fn diamond(direction: vec2f) -> f32 {
+    let p = direction.x / (abs(direction.x) + abs(direction.y));
+    return select(p - 1.0, 1.0 - p, direction.y >= 0.0);
+}
+
+fn bucket(value: f32, origin: f32, scale: f32, count: u32) -> u32 {
+    return u32(clamp(floor((value - origin) * scale), 0.0, f32(count - 1u)));
+}
+
+fn position(sample: u32) -> f32 {
+    return grid_float(params.positions_at + sample);
+}
+
+// t / (1 + |t|): spreads all elevations over -1..1.
+fn squeezed(t: f32) -> f32 {
+    return t / (1.0 + abs(t));
+}
+
+fn sample_start(t: f32) -> u32 {
+    let b = bucket(squeezed(t), -1.0, 0.5 * f32(params.sample_buckets), params.sample_buckets);
+    return grid_word(params.sample_buckets_at + b);
+}
+
+// The first sample at or above t. The same t bits give neighbouring polygons the same answer: no cracks.
+fn first_at_or_above(t: f32) -> u32 {
+    if GRID == CAMERA {
+        return u32(clamp(ceil(t - params.first_sample), 0.0, f32(params.sample_count)));
+    }
+    var i = sample_start(t);
+    while i < params.sample_count && position(i) < t {
+        i++;
+    }
+    return i;
+}
+
+// The first sample above t.
+fn first_above(t: f32) -> u32 {
+    if GRID == CAMERA {
+        return u32(clamp(floor(t - params.first_sample) + 1.0, 0.0, f32(params.sample_count)));
+    }
+    var i = sample_start(t);
+    while i < params.sample_count && position(i) <= t {
+        i++;
+    }
+    return i;
+}

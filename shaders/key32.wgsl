@@ -1,0 +1,21 @@
+// Nearest wins in two passes of 32-bit maxima, laid out as the 64-bit key is: word 1 the inverse depth, word 0 the
+// inverted slot. The second pass may be compiled to other roundings, so it takes whatever is within a few ulp.
+
+override SECOND: bool = false;
+
+@group(0) @binding(5) var<storage, read_write> keys: array<atomic<u32>>;
+
+const CONTRACTION_ULP: u32 = 4u;
+
+fn offer(pixel: u32, k: f32, slot: u32) {
+    if k > 0.0 {
+        let bits = bitcast<u32>(k);
+        if SECOND {
+            if bits + CONTRACTION_ULP >= atomicLoad(&keys[2u * pixel + 1u]) {
+                atomicMax(&keys[2u * pixel], ~slot);
+            }
+        } else {
+            atomicMax(&keys[2u * pixel + 1u], bits);
+        }
+    }
+}

@@ -1,0 +1,142 @@
+// Stage 2: one invocation per survivor. Edge planes, the plane m of inverse depth, and the items to rasterize.
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> instances: array<Instance>;
+@group(0) @binding(2) var<storage, read> arena: array<u32>;
+@group(0) @binding(3) var<storage, read> survivors: array<Survivor>;
+@group(0) @binding(4) var<storage, read> grid: array<u32>;
+@group(0) @binding(5) var<storage, read_write> counters: Counters;
+@group(0) @binding(6) var<storage, read_write> records: array<u32>;
+@group(0) @binding(7) var<storage, read_write> items: array<u32>;
+@group(0) @binding(8) var<storage, read_write> seen_slots: array<u32>;
+@group(0) @binding(9) var<uniform> few_instances: array<Instance, FEW_INSTANCES>;
+
+@compute @workgroup_size(64)
+fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let count = atomicLoad(&counters.survivors);
+    for (var i = id.x; i < count; i += groups.x * GROUP) {
+        set_up(survivors[i]);
+    }
+}
+
+// |d| / |v| below which f32 does not prove the side: rounding of two subtractions, a dot product and the normal.
+const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
+// The same where the CPU sets up what is flatter, in f64: runs around the sensor.
+const EDGE_ON_NEAR: f32 = 6.1035156e-5; // 2^-14
+
+fn set_up(survivor: Survivor) {
+    let instance = instance_at(survivor.instance);
+    let first_corner = instance.corners_at + polygon_word(instance, survivor.polygon, 0u) * CORNER_WORDS;
+    let corner_count = polygon_word(instance, survivor.polygon, 1u) & 0xffu;
+    let normal = polygon_normal(instance, survivor.polygon);
+
+    // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
+    var nearest = HUGE;
+    var distance = 0.0;
+    var nearest_corner = first_corner;
+    for (var k = 0u; k < corner_count; k++) {
+        let corner = first_corner + k * CORNER_WORDS;
+        let q = from_center(instance, vertex(instance, arena[corner]));
+        let length2 = dot(q, q);
+        if length2 < nearest {
+            nearest = length2;
+            distance = dot(normal, q);
+            nearest_corner = corner;
+        }
+    }
+    distance += bitcast<f32>(arena[nearest_corner + 1u]);
+    let image_normal = normal_to_image(instance, normal);
+    // Nothing of it is nearer than its plane; one-sided, it is seen from the side of its winding's normal only.
+    let behind = instance.handedness * distance > 0.0;
+    let too_far = abs(distance) > params.range_max * length(image_normal) * 1.00001;
+    if too_far || (survivor.flags & ONE_SIDED) != 0u && behind {
+        return;
+    }
+    let near = (survivor.flags & NEAR) != 0u;
+    if abs(distance) <= sqrt(nearest) * select(EDGE_ON, EDGE_ON_NEAR, near) {
+        // The near ones are on the CPU's list, which counts those that are edge-on in f64 too.
+        if !near {
+            atomicAdd(&counters.edge_on, 1u);
+        }
+        return;
+    }
+    let words = RECORD_WORDS + corner_count * EDGE_WORDS;
+    let at = atomicAdd(&counters.record_words, words);
+    if at + words > params.record_words {
+        // The engine sees the count, grows the buffer and runs the frame again.
+        return;
+    }
+    write_head(at, instance, survivor.polygon, corner_count, image_normal, distance);
+    // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
+    write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, select(-1.0, 1.0, behind));
+    add_items(at, instance, survivor, first_corner, corner_count);
+}
+
+// A vector that is dotted with image-frame rays, for rays of the line frame.
+fn to_line(e: vec3f) -> vec3f {
+    if GRID == CAMERA {
+        return vec3f(e.y / params.fy, e.z, e.x / params.fx);
+    }
+    if GRID == SCANNER {
+        return vec3f(e.x, e.y, -e.z);
+    }
+    return e;
+}
+
+fn put(at: u32, v: vec3f) {
+    records[at] = bitcast<u32>(v.x);
+    records[at + 1u] = bitcast<u32>(v.y);
+    records[at + 2u] = bitcast<u32>(v.z);
+}
+
+fn write_head(at: u32, instance: Instance, polygon: u32, corner_count: u32, normal: vec3f, distance: f32) {
+    let slot = instance.first_slot + polygon;
+    put(at, to_line(normal / distance));
+    records[at + 3u] = slot;
+    records[at + 4u] = corner_count;
+    // What the resolve stage asks of the winner.
+    let seen = slot * SLOT_WORDS;
+    seen_slots[seen] = bitcast<u32>(abs(distance) / length(normal));
+    seen_slots[seen + 1u] = instance.object_id;
+    if params.source_ids != 0u {
+        seen_slots[seen + 2u] = instance.first_source + polygon_word(instance, polygon, 2u) + 1u;
+    }
+}
+
+// True if p comes before q in an order that both owners of an edge agree on.
+fn before(p: vec3f, q: vec3f) -> bool {
+    return p.x < q.x || p.x == q.x && (p.y < q.y || p.y == q.y && p.z < q.z);
+}
+
+fn write_edges(at: u32, instance: Instance, first_corner: u32, corner_count: u32, sign: f32) {
+    var p = vertex(instance, arena[first_corner + (corner_count - 1u) * CORNER_WORDS]);
+    var v = to_image(instance, from_center(instance, p));
+    for (var k = 0u; k < corner_count; k++) {
+        let p_next = vertex(instance, arena[first_corner + k * CORNER_WORDS]);
+        let v_next = to_image(instance, from_center(instance, p_next));
+        // The edge direction is rounded once, in the mesh frame; the anchor is the nearer end: its rounding then
+        // moves no point of the edge by more than 2^-22 rad. p - q = -(q - p) exactly, so neighbours agree.
+        let direction = to_image(instance, p_next - p);
+        let d = dot(v, v);
+        let d_next = dot(v_next, v_next);
+        let from_next = d_next < d || d_next == d && before(p_next, p);
+        let anchor = select(v, v_next, from_next);
+        put(at + k * EDGE_WORDS, to_line(sign * cross_exact(anchor, direction)));
+        p = p_next;
+        v = v_next;
+    }
+}
+
+fn reserve_items(wanted: u32) -> u32 {
+    let first = atomicAdd(&counters.items, wanted);
+    atomicMax(&counters.raster_groups, min((first + wanted + GROUP - 1u) / GROUP, MAX_GROUPS));
+    atomicAdd(&counters.records, 1u);
+    return first;
+}
+
+fn put_item(index: u32, record: u32, what: u32) {
+    if index < params.item_room {
+        items[index * ITEM_WORDS] = record;
+        items[index * ITEM_WORDS + 1u] = what;
+    }
+}

@@ -1,0 +1,184 @@
+//! The adapter and device, and their faults as typed errors.
+
+use crate::error::{Error, ErrorKind, Result};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The adapter that an engine would take or has taken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Adapter {
+    /// Name as the driver gives it.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// `vulkan`, `metal`, `dx12`.
+    pub api: String,
+    /// A real GPU, and not a program like lavapipe that plays one.
+    pub hardware: bool,
+}
+
+impl std::fmt::Display for Adapter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} ({}, {})", self.name, self.driver, self.api)
+    }
+}
+
+/// How to choose and use an adapter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeviceOptions {
+    /// Take a real GPU or none.
+    pub hardware_only: bool,
+    /// Do without 64-bit atomics even where there are some: two passes of 32 bits.
+    pub without_int64: bool,
+    /// Take no more than so many bytes in one buffer, even where the adapter could.
+    pub largest_binding: Option<u64>,
+    /// Run every stage on the device, even on a software adapter, where some are faster on the CPU directly.
+    pub all_on_device: bool,
+}
+
+/// A device with its queue and what it can do.
+pub(super) struct Gpu {
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    pub adapter: Adapter,
+    /// Nearest and id in one 64-bit atomic maximum.
+    pub int64: bool,
+    /// Times of stages can be asked for.
+    pub timestamps: bool,
+    fault: Arc<Mutex<Option<(ErrorKind, String)>>>,
+}
+
+impl Gpu {
+    pub fn open(options: DeviceOptions) -> Result<Self> {
+        let adapter = choose(options.hardware_only)?;
+        let described = describe(&adapter);
+        let has = adapter.features();
+        let int64 = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
+        let mut features = wgpu::Features::empty();
+        if has.contains(int64) && !options.without_int64 {
+            features |= int64;
+        }
+        features |= has & wgpu::Features::TIMESTAMP_QUERY;
+        let theirs = adapter.limits();
+        let required_limits = wgpu::Limits {
+            // Everything else stays at what WebGPU promises everywhere.
+            max_storage_buffer_binding_size: theirs
+                .max_storage_buffer_binding_size
+                .min(options.largest_binding.unwrap_or(u64::MAX)),
+            max_buffer_size: theirs.max_buffer_size,
+            ..wgpu::Limits::downlevel_defaults()
+        };
+        let required_limits = wgpu::Limits {
+            max_storage_buffers_per_shader_stage: 8,
+            max_uniform_buffer_binding_size: 1 << 16,
+            ..required_limits
+        };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("presight"),
+            required_features: features,
+            required_limits,
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
+            Error::new(ErrorKind::NoDevice, format!("{described} gives no device: {e}"), "use --backend cpu")
+        })?;
+        let fault = Arc::new(Mutex::new(None));
+        watch(&device, &fault);
+        Ok(Self {
+            device,
+            queue,
+            adapter: described,
+            int64: features.contains(int64),
+            timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+            fault,
+        })
+    }
+
+    /// The first fault that the device reported, if any.
+    pub fn check(&self) -> Result<()> {
+        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        fault.map_or(Ok(()), |(kind, what)| Err(self.error(kind, &what)))
+    }
+
+    /// An error of this device.
+    pub fn error(&self, kind: ErrorKind, what: &str) -> Error {
+        let remedy = match kind {
+            ErrorKind::DeviceMemory => "use a smaller image or model, or --backend cpu",
+            ErrorKind::DeviceLost => "build the engine again, or use --backend cpu",
+            _ => "please report this",
+        };
+        Error::new(kind, format!("{}: {what}", self.adapter), remedy)
+    }
+
+    /// Blocks until everything submitted is done.
+    pub fn wait(&self) -> Result<()> {
+        let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.check()?;
+        polled.map(|_| ()).map_err(|e| self.error(ErrorKind::DeviceLost, &e.to_string()))
+    }
+}
+
+/// Every adapter on this machine, in the driver's order.
+pub fn adapters() -> Vec<Adapter> {
+    all().iter().map(describe).collect()
+}
+
+fn all() -> Vec<wgpu::Adapter> {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    // Indirect dispatches are clamped where they are written; checking them again costs a dispatch each.
+    descriptor.flags = descriptor.flags.with_env() - wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL;
+    let backends = descriptor.backends;
+    let instance = wgpu::Instance::new(descriptor);
+    pollster::block_on(instance.enumerate_adapters(backends))
+}
+
+fn describe(adapter: &wgpu::Adapter) -> Adapter {
+    let info = adapter.get_info();
+    Adapter {
+        name: info.name,
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        api: info.backend.to_string(),
+        hardware: info.device_type != wgpu::DeviceType::Cpu,
+    }
+}
+
+/// The most capable adapter: discrete before integrated before virtual before software.
+fn choose(hardware_only: bool) -> Result<wgpu::Adapter> {
+    let rank = |a: &wgpu::Adapter| match a.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    };
+    let able = |a: &wgpu::Adapter| {
+        let limits = a.limits();
+        limits.max_storage_buffers_per_shader_stage >= 8 && limits.max_uniform_buffer_binding_size >= 1 << 16
+    };
+    let found = all().into_iter().filter(able).filter(|a| !hardware_only || rank(a) < 4).min_by_key(rank);
+    found.ok_or_else(|| {
+        let what =
+            if hardware_only { "no hardware GPU was found" } else { "no Vulkan, Metal or DX12 adapter was found" };
+        Error::new(ErrorKind::NoDevice, what, "install a driver (Mesa's lavapipe needs no GPU), or use --backend cpu")
+    })
+}
+
+/// Keeps the first fault that the device reports outside of a call.
+fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<(ErrorKind, String)>>>) {
+    let note = |fault: &Mutex<Option<(ErrorKind, String)>>, kind, what: String| {
+        fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert((kind, what));
+    };
+    let lost = fault.clone();
+    device.set_device_lost_callback(move |reason, message| {
+        note(&lost, ErrorKind::DeviceLost, format!("device lost ({reason:?}): {message}"));
+    });
+    let uncaptured = fault.clone();
+    device.on_uncaptured_error(Arc::new(move |error| {
+        let kind = match &error {
+            wgpu::Error::OutOfMemory { .. } => ErrorKind::DeviceMemory,
+            wgpu::Error::Validation { .. } | wgpu::Error::Internal { .. } => ErrorKind::DeviceLost,
+        };
+        note(&uncaptured, kind, error.to_string());
+    }));
+}

@@ -1,0 +1,155 @@
+//! Structures shared with the shaders, word for word; a test compares every offset with what naga reads in the WGSL.
+
+use bytemuck::{Pod, Zeroable};
+
+/// How the rays lie; `GRID` in the shaders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u32)]
+pub(super) enum GridKind {
+    Camera = 0,
+    Scanner = 1,
+    Rays = 2,
+}
+
+/// `Params` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Params {
+    pub line_count: u32,
+    pub sample_count: u32,
+    pub width: u32,
+    pub height: u32,
+    pub lines_at: u32,
+    pub weights_at: u32,
+    pub positions_at: u32,
+    pub line_buckets_at: u32,
+    pub sample_buckets_at: u32,
+    pub line_buckets: u32,
+    pub sample_buckets: u32,
+    pub tiles_at: u32,
+    pub rays_at: u32,
+    pub tile_columns: u32,
+    pub tile_count: u32,
+    pub groups_at: u32,
+    pub facings_at: u32,
+    pub polygon_count: u32,
+    pub record_words: u32,
+    pub item_room: u32,
+    pub range_at: u32,
+    pub depth_at: u32,
+    pub polygon_at: u32,
+    pub object_at: u32,
+    pub cos_at: u32,
+    pub source_ids: u32,
+    pub first_line: f32,
+    pub last_line: f32,
+    pub first_sample: f32,
+    pub last_sample: f32,
+    pub fx: f32,
+    pub fy: f32,
+    pub range_min: f32,
+    pub range_max: f32,
+    pub padding_0: u32,
+    pub padding_1: u32,
+}
+
+/// `Instance` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Instance {
+    pub linear_x: [f32; 3],
+    pub handedness: f32,
+    pub linear_y: [f32; 3],
+    pub first_slot: u32,
+    pub linear_z: [f32; 3],
+    pub first_source: u32,
+    pub normal_x: [f32; 3],
+    pub object_id: u32,
+    pub normal_y: [f32; 3],
+    pub polygons_at: u32,
+    pub normal_z: [f32; 3],
+    pub corners_at: u32,
+    pub center_high: [f32; 3],
+    pub vertices_at: u32,
+    pub center_low: [f32; 3],
+    pub padding: u32,
+}
+
+/// `Counters` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Counters {
+    pub survivors: u32,
+    pub record_words: u32,
+    pub items: u32,
+    pub edge_on: u32,
+    pub setup_groups: u32,
+    pub setup_y: u32,
+    pub setup_z: u32,
+    pub records: u32,
+    pub raster_groups: u32,
+    pub raster_y: u32,
+    pub raster_z: u32,
+    pub lost_ids: u32,
+}
+
+/// `Survivor` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Survivor {
+    pub polygon: u32,
+    pub instance: u32,
+    pub lines: u32,
+    pub flags: u32,
+}
+
+/// Invocations of a workgroup; `GROUP` in the shaders.
+pub(super) const GROUP: u32 = 64;
+/// What one dispatch dimension holds.
+pub(super) const MAX_GROUPS: u32 = 65_535;
+/// Words of a polygon in the arena.
+pub(super) const POLYGON_WORDS: u32 = 6;
+/// Words of a corner in the arena.
+pub(super) const CORNER_WORDS: u32 = 2;
+/// Words of a vertex in the arena.
+pub(super) const VERTEX_WORDS: u32 = 3;
+/// Words of a run in the work table.
+pub(super) const RUN_WORDS: usize = 4;
+/// Words of a record before its edges.
+pub(super) const RECORD_WORDS: u32 = 9;
+/// Words of a slot that has a record.
+pub(super) const SLOT_WORDS: u32 = 3;
+/// Most instances that are read from a uniform buffer.
+pub(super) const FEW_INSTANCES: u32 = 512;
+/// Most words of ray tables, by four, that are read from a uniform buffer.
+pub(super) const SHORT_GRID: u32 = 4096;
+/// Words of an edge.
+pub(super) const EDGE_WORDS: u32 = 3;
+/// Words of an item.
+pub(super) const ITEM_WORDS: u32 = 2;
+/// Most items of one polygon on a line grid.
+pub(super) const ITEMS_PER_POLYGON: u32 = 256;
+/// Fewest lines of an item.
+pub(super) const LINES_PER_ITEM: u32 = 4;
+/// Tiles along a side of a supertile.
+pub(super) const TILES_PER_SUPERTILE: u32 = 8;
+
+/// Workgroups in two dimensions for so many invocations.
+pub(super) fn groups_for(invocations: u32) -> (u32, u32) {
+    let groups = invocations.div_ceil(GROUP);
+    let rows = groups.div_ceil(MAX_GROUPS);
+    if rows == 0 { (0, 0) } else { (groups.div_ceil(rows), rows) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_cover_all_invocations() {
+        for n in [0, 1, 64, 65, 64 * MAX_GROUPS, 64 * MAX_GROUPS + 1, 1 << 26] {
+            let (x, y) = groups_for(n);
+            assert!(x <= MAX_GROUPS && u64::from(x) * u64::from(y) * 64 >= u64::from(n));
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! Polygons so flat to the sensor that f32 may not prove their side, set up in f64. There are few: only clusters
+//! around the sensor are looked at; what lies farther off and is as flat is thinner than a ray's epsilon.
+
+use super::grid::Tables;
+use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS, SLOT_WORDS};
+use crate::environment::Mesh;
+use crate::plan::{FramePlan, Instance, Run};
+use glam::{DMat3, DVec3};
+
+/// |d| / |v| below which the CPU takes over; the shader leaves off at 2^-14, so that nothing falls between.
+const FLAT: f64 = 6.2e-5;
+
+/// Records and items that the CPU made, as the setup stage writes them.
+#[derive(Default)]
+pub(super) struct NearList {
+    pub records: Vec<u32>,
+    pub items: Vec<u32>,
+    /// Slot of each, and what the resolve stage asks of it.
+    pub slots: Vec<(u32, [u32; SLOT_WORDS as usize])>,
+    /// Within the rounding of f64: covers no ray.
+    pub edge_on: u32,
+}
+
+/// True if the sensor is in or near one of the run's clusters, measured by the cluster's own size.
+pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
+    let clusters = mesh.clusters();
+    let first = clusters.partition_point(|c| c.first + c.count <= run.first);
+    clusters[first..].iter().take_while(|c| c.first < run.first + run.count).any(|c| {
+        let size = c.bounds.size();
+        c.bounds.distance_squared(instance.center_in_mesh) <= size * size
+    })
+}
+
+impl NearList {
+    pub fn clear(&mut self) {
+        self.records.clear();
+        self.items.clear();
+        self.slots.clear();
+        self.edge_on = 0;
+    }
+
+    /// Adds the flat polygons of a near run.
+    pub fn add(&mut self, plan: &FramePlan, tables: &Tables, instance: &Instance, run: &Run) {
+        let mesh = &plan.environment().objects()[instance.object as usize].mesh;
+        for polygon in run.first..run.first + run.count {
+            let plane = mesh.plane(polygon);
+            let distance = plane.offset - plane.normal.dot(instance.center_in_mesh);
+            let nearest = mesh
+                .corners_of(polygon)
+                .map(|p| (p - instance.center_in_mesh).length_squared())
+                .fold(f64::INFINITY, f64::min)
+                .sqrt();
+            if distance.abs() > FLAT * nearest {
+                continue;
+            }
+            let facing = plan.facings[usize::from(mesh.material(polygon))];
+            let behind = distance * instance.image_from_mesh.determinant() > 0.0;
+            if !facing.opaque || facing.one_sided && behind {
+                continue;
+            }
+            let reach = plane.offset.abs() + instance.center_in_mesh.length();
+            if distance.abs() <= 4.0 * f64::EPSILON * reach {
+                self.edge_on += 1;
+                continue;
+            }
+            self.set_up(plan, tables, instance, polygon, distance);
+        }
+    }
+
+    fn set_up(&mut self, plan: &FramePlan, tables: &Tables, instance: &Instance, polygon: u32, distance: f64) {
+        let object = &plan.environment().objects()[instance.object as usize];
+        let mesh = &object.mesh;
+        let line_vector = tables.image_from_line.transpose();
+        let normal = instance.normal_from_mesh * mesh.plane(polygon).normal;
+        let m = line_vector * (normal / distance);
+        let slot = object.first_slot + polygon;
+        let at = self.records.len() as u32;
+        self.records.extend(m.as_vec3().to_array().map(f32::to_bits));
+        self.records.push(slot);
+        let corners: Vec<DVec3> =
+            mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
+        self.records.push(corners.len() as u32);
+        // A cone that holds everything.
+        self.records.extend([1.0f32, 0.0, 0.0, -1.0].map(f32::to_bits));
+        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS);
+        let sign = (distance * instance.image_from_mesh.determinant()).signum();
+        for (k, b) in corners.iter().enumerate() {
+            let a = corners[(k + corners.len() - 1) % corners.len()];
+            self.records.extend(edge(a, *b, sign, line_vector).map(f32::to_bits));
+        }
+        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + corners.len() as u32 * EDGE_WORDS);
+        let unit_distance = (distance.abs() / normal.length()) as f32;
+        let source = object.first_source + mesh.source(polygon) + 1;
+        self.slots.push((slot, [unit_distance.to_bits(), instance.object + 1, source]));
+        self.add_items(at, tables);
+    }
+
+    /// Every line: bounds are not worth their while for so few.
+    fn add_items(&mut self, record: u32, tables: &Tables) {
+        let lines = tables.params.line_count;
+        if tables.kind == GridKind::Rays {
+            (0..lines).for_each(|supertile| self.items.extend([record, supertile]));
+            return;
+        }
+        let share = lines.div_ceil(ITEMS_PER_POLYGON).max(LINES_PER_ITEM);
+        for first in (0..lines).step_by(share as usize) {
+            self.items.extend([record, first | share.min(lines - first) << 16]);
+        }
+    }
+}
+
+/// The edge plane in the line frame, scaled into f32's middle.
+fn edge(a: DVec3, b: DVec3, sign: f64, line_vector: DMat3) -> [f32; 3] {
+    let anchor = if b.length_squared() < a.length_squared() { b } else { a };
+    let e = line_vector * (sign * anchor.cross(b - a));
+    let largest = e.abs().max_element();
+    if largest > 0.0 { (e / largest).as_vec3().to_array() } else { [0.0; 3] }
+}

@@ -1,0 +1,135 @@
+//! The shader text, put together from files: every unit is common.wgsl and the parts that its stage needs.
+
+macro_rules! unit {
+    ($($file:literal),+) => { concat!($(include_str!(concat!("../../shaders/", $file))),+) };
+}
+
+pub(super) const CULL_CAMERA: &str = unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "cull.wgsl", "cull_camera.wgsl");
+pub(super) const CULL_SCANNER: &str = unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "cull.wgsl", "cull_scanner.wgsl");
+pub(super) const CULL_RAYS: &str = unit!("common.wgsl", "arena.wgsl", "cull.wgsl", "cull_rays.wgsl");
+pub(super) const SETUP_LINES: &str = unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "setup.wgsl", "items_lines.wgsl");
+pub(super) const SETUP_RAYS: &str =
+    unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "cones.wgsl", "setup.wgsl", "items_rays.wgsl");
+pub(super) const RASTER_LINES_64: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key64.wgsl");
+pub(super) const RASTER_LINES_32: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key32.wgsl");
+pub(super) const RASTER_RAYS_64: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
+pub(super) const RASTER_RAYS_32: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
+pub(super) const RESOLVE: &str = unit!("common.wgsl", "resolve.wgsl");
+
+#[cfg(test)]
+mod tests {
+    use super::super::layout::{self, Counters, Instance, Params, Survivor};
+    use super::*;
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+    use std::mem::{offset_of, size_of};
+
+    const UNITS: [(&str, &str); 10] = [
+        ("cull camera", CULL_CAMERA),
+        ("cull scanner", CULL_SCANNER),
+        ("cull rays", CULL_RAYS),
+        ("setup lines", SETUP_LINES),
+        ("setup rays", SETUP_RAYS),
+        ("raster lines 64", RASTER_LINES_64),
+        ("raster lines 32", RASTER_LINES_32),
+        ("raster rays 64", RASTER_RAYS_64),
+        ("raster rays 32", RASTER_RAYS_32),
+        ("resolve", RESOLVE),
+    ];
+
+    fn parse(name: &str, text: &str) -> naga::Module {
+        naga::front::wgsl::parse_str(text).unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(text)))
+    }
+
+    #[test]
+    fn every_shader_is_valid_without_a_gpu() {
+        for (name, text) in UNITS {
+            let module = parse(name, text);
+            let with_int64 = Capabilities::SHADER_INT64 | Capabilities::SHADER_INT64_ATOMIC_MIN_MAX;
+            let capabilities = if name.ends_with("64") { with_int64 } else { Capabilities::empty() };
+            let valid = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
+            assert!(valid.is_ok(), "{name}: {}", valid.unwrap_err().emit_to_string(text));
+        }
+    }
+
+    #[test]
+    fn the_64_bit_units_need_64_bits_and_a_broken_one_is_refused() {
+        let module = parse("raster lines 64", RASTER_LINES_64);
+        let refused = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+        assert!(refused.is_err());
+        assert!(naga::front::wgsl::parse_str(&RESOLVE.replace("params.range_max", "params.no_such")).is_err());
+    }
+
+    /// Names and offsets of a struct's members, and its size, as naga lays them out.
+    fn members(module: &naga::Module, name: &str) -> (Vec<(String, usize)>, usize) {
+        for (_, t) in module.types.iter() {
+            if let (Some(n), naga::TypeInner::Struct { members, span }) = (&t.name, &t.inner)
+                && n == name
+            {
+                let list = members.iter().map(|m| (m.name.clone().unwrap_or_default(), m.offset as usize));
+                return (list.collect(), *span as usize);
+            }
+        }
+        panic!("no struct {name}");
+    }
+
+    macro_rules! assert_same {
+        ($module:expr, $type:ident: $($field:ident),+ $(,)?) => {
+            let (found, size) = members($module, stringify!($type));
+            let ours = vec![$((stringify!($field).to_owned(), offset_of!($type, $field))),+];
+            assert_eq!(found, ours, stringify!($type));
+            assert_eq!(size, size_of::<$type>(), stringify!($type));
+        };
+    }
+
+    #[test]
+    fn layouts_agree_with_the_shaders() {
+        let module = parse("cull camera", CULL_CAMERA);
+        assert_same!(&module, Params: line_count, sample_count, width, height, lines_at, weights_at, positions_at,
+            line_buckets_at, sample_buckets_at, line_buckets, sample_buckets, tiles_at, rays_at, tile_columns,
+            tile_count, groups_at, facings_at, polygon_count, record_words, item_room, range_at, depth_at,
+            polygon_at, object_at, cos_at, source_ids, first_line, last_line, first_sample, last_sample, fx, fy,
+            range_min, range_max, padding_0, padding_1);
+        assert_same!(&module, Instance: linear_x, handedness, linear_y, first_slot, linear_z, first_source, normal_x,
+            object_id, normal_y, polygons_at, normal_z, corners_at, center_high, vertices_at, center_low, padding);
+        assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
+            records, raster_groups, raster_y, raster_z, lost_ids);
+        assert_same!(&module, Survivor: polygon, instance, lines, flags);
+    }
+
+    #[test]
+    fn constants_agree_with_the_shaders() {
+        let module = parse("setup rays", SETUP_RAYS);
+        let rays = parse("raster rays 32", RASTER_RAYS_32);
+        let cull = parse("cull camera", CULL_CAMERA);
+        let value = |module: &naga::Module, name: &str| {
+            let (_, c) = module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
+            match module.global_expressions[c.init] {
+                naga::Expression::Literal(naga::Literal::U32(v)) => v,
+                ref other => panic!("{name}: {other:?}"),
+            }
+        };
+        for (name, ours) in [
+            ("GROUP", layout::GROUP),
+            ("MAX_GROUPS", layout::MAX_GROUPS),
+            ("POLYGON_WORDS", layout::POLYGON_WORDS),
+            ("CORNER_WORDS", layout::CORNER_WORDS),
+            ("VERTEX_WORDS", layout::VERTEX_WORDS),
+            ("RECORD_WORDS", layout::RECORD_WORDS),
+            ("EDGE_WORDS", layout::EDGE_WORDS),
+            ("SLOT_WORDS", layout::SLOT_WORDS),
+            ("FEW_INSTANCES", layout::FEW_INSTANCES),
+            ("ITEM_WORDS", layout::ITEM_WORDS),
+            ("ITEMS_PER_POLYGON", layout::ITEMS_PER_POLYGON),
+            ("LINES_PER_ITEM", layout::LINES_PER_ITEM),
+            ("CAMERA", layout::GridKind::Camera as u32),
+            ("SCANNER", layout::GridKind::Scanner as u32),
+            ("RAYS", layout::GridKind::Rays as u32),
+        ] {
+            assert_eq!(value(&module, name), ours, "{name}");
+        }
+        assert_eq!(value(&cull, "RUN_WORDS"), layout::RUN_WORDS as u32);
+        let lines = parse("raster lines 32", RASTER_LINES_32);
+        assert_eq!(value(&lines, "SHORT_GRID"), layout::SHORT_GRID);
+        assert_eq!(value(&rays, "TILES_PER_SUPERTILE"), layout::TILES_PER_SUPERTILE);
+    }
+}

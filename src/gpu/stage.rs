@@ -1,0 +1,109 @@
+//! A compute stage: its bindings, its pipeline variants, made when first needed and kept.
+
+use super::device::Gpu;
+use crate::error::{ErrorKind, Result};
+use std::collections::HashMap;
+
+/// What a binding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Binding {
+    Uniform,
+    Read,
+    Write,
+}
+
+/// Which pipeline of a stage: the grid kind, and the stage's own bits.
+pub(super) type Variant = (u32, u32);
+
+/// Pipelines that share bindings.
+pub(super) struct Stage {
+    name: &'static str,
+    layout: wgpu::BindGroupLayout,
+    pipeline_layout: wgpu::PipelineLayout,
+    pipelines: HashMap<Variant, wgpu::ComputePipeline>,
+    group: Option<wgpu::BindGroup>,
+}
+
+impl Stage {
+    /// `name` is the entry point as well.
+    pub fn new(gpu: &Gpu, name: &'static str, bindings: &[Binding]) -> Self {
+        let entries: Vec<_> = bindings.iter().enumerate().map(|(i, b)| entry(i as u32, *b)).collect();
+        let layout = gpu
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries });
+        let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(name),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        Self { name, layout, pipeline_layout, pipelines: HashMap::new(), group: None }
+    }
+
+    /// Binds other buffers.
+    pub fn bind(&mut self, gpu: &Gpu, buffers: &[&wgpu::Buffer]) {
+        let entries: Vec<_> = buffers
+            .iter()
+            .enumerate()
+            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: b.as_entire_binding() })
+            .collect();
+        let descriptor = wgpu::BindGroupDescriptor { label: Some(self.name), layout: &self.layout, entries: &entries };
+        self.group = Some(gpu.device.create_bind_group(&descriptor));
+    }
+
+    /// Makes a variant's pipeline unless it is there.
+    ///
+    /// # Errors
+    /// The device's, if it refuses the shader.
+    pub fn prepare(&mut self, gpu: &Gpu, variant: Variant, text: &str, constants: &[(&str, f64)]) -> Result<()> {
+        if self.pipelines.contains_key(&variant) {
+            return Ok(());
+        }
+        let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(self.name),
+            source: wgpu::ShaderSource::Wgsl(text.into()),
+        });
+        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(self.name),
+            layout: Some(&self.pipeline_layout),
+            module: &module,
+            entry_point: Some(self.name),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants,
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        if let Some(e) = pollster::block_on(scope.pop()) {
+            return Err(gpu.error(ErrorKind::NoDevice, &format!("stage {}: {e}", self.name)));
+        }
+        gpu.check()?;
+        self.pipelines.insert(variant, pipeline);
+        Ok(())
+    }
+
+    /// Sets the pipeline and bindings; false if the stage is not ready, which is a bug of the engine.
+    pub fn set(&self, pass: &mut wgpu::ComputePass<'_>, variant: Variant) -> bool {
+        let (Some(pipeline), Some(group)) = (self.pipelines.get(&variant), &self.group) else {
+            debug_assert!(false, "stage {} is not ready", self.name);
+            return false;
+        };
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, group, &[]);
+        true
+    }
+}
+
+fn entry(binding: u32, what: Binding) -> wgpu::BindGroupLayoutEntry {
+    let ty = match what {
+        Binding::Uniform => wgpu::BufferBindingType::Uniform,
+        Binding::Read => wgpu::BufferBindingType::Storage { read_only: true },
+        Binding::Write => wgpu::BufferBindingType::Storage { read_only: false },
+    };
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+        count: None,
+    }
+}

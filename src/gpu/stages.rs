@@ -1,0 +1,156 @@
+//! The four stages. Each is `prepare` (pipelines), `bind` (buffers), `encode`; none submits or reads back.
+//!
+//! | stage | reads | writes |
+//! |---|---|---|
+//! | cull | instances, work, meshes | survivors |
+//! | setup | survivors, meshes | records, items |
+//! | raster | records, items | keys |
+//! | resolve | keys, slots | outputs |
+//!
+//! Resolve has a CPU twin of the same name, which runs in its place on software adapters.
+
+use super::device::Gpu;
+use super::frame::Frame;
+use super::grid::Tables;
+use super::layout::{self, Counters, GridKind};
+use super::shaders;
+use super::stage::{Binding, Stage, Variant};
+use super::store::Store;
+use crate::error::Result;
+use crate::plan::Output;
+use std::mem::offset_of;
+
+/// Stages in order, as times are reported.
+pub(super) const NAMES: [&str; 4] = ["cull", "setup", "raster", "resolve"];
+
+/// All stages of the engine.
+pub(super) struct Stages {
+    cull: Stage,
+    setup: Stage,
+    raster: Stage,
+    resolve: Stage,
+}
+
+/// The pipelines that a frame takes.
+#[derive(Clone, Copy)]
+pub(super) struct Variants {
+    cull: Variant,
+    setup: Variant,
+    raster: Variant,
+    /// The second pass where there are no 64-bit atomics.
+    second: Option<Variant>,
+    resolve: Variant,
+}
+
+impl Stages {
+    pub fn new(gpu: &Gpu) -> Self {
+        use Binding::{Read, Uniform, Write};
+        Self {
+            cull: Stage::new(gpu, "cull", &[Uniform, Read, Read, Read, Read, Write, Write, Uniform, Uniform]),
+            setup: Stage::new(gpu, "setup", &[Uniform, Read, Read, Read, Read, Write, Write, Write, Write, Uniform]),
+            raster: Stage::new(gpu, "raster", &[Uniform, Read, Read, Read, Read, Write, Uniform]),
+            resolve: Stage::new(gpu, "resolve", &[Uniform, Read, Read, Read, Write, Write]),
+        }
+    }
+
+    /// Makes the pipelines of a frame unless they are there.
+    ///
+    /// # Errors
+    /// The device's.
+    pub fn prepare(&mut self, gpu: &Gpu, tables: &Tables, frame: &Frame) -> Result<Variants> {
+        let kind = tables.kind;
+        let grid = ("GRID", f64::from(kind as u32));
+        let few = ("FEW", f64::from(u32::from(frame.few())));
+        let lines = kind != GridKind::Rays;
+        let short = tables.short();
+        let cull = (kind as u32, u32::from(frame.plain) | u32::from(frame.few()) << 1 | u32::from(short) << 2);
+        let cull_text = match kind {
+            GridKind::Camera => shaders::CULL_CAMERA,
+            GridKind::Scanner => shaders::CULL_SCANNER,
+            GridKind::Rays => shaders::CULL_RAYS,
+        };
+        let short_constant = ("SHORT", f64::from(u32::from(short)));
+        // Ray tables have no such constant, and a constant that is not there is an error.
+        let constants = |own: &[(&'static str, f64)]| {
+            let lines_only = lines.then_some(short_constant);
+            [grid].into_iter().chain(lines_only).chain(own.iter().copied()).collect::<Vec<_>>()
+        };
+        let plain = ("PLAIN", f64::from(u32::from(frame.plain)));
+        self.cull.prepare(gpu, cull, cull_text, &constants(&[few, plain]))?;
+        let setup = (kind as u32, u32::from(frame.few()));
+        self.setup.prepare(gpu, setup, if lines { shaders::SETUP_LINES } else { shaders::SETUP_RAYS }, &[grid, few])?;
+        let raster = (kind as u32, u32::from(short) << 1);
+        let mut second = None;
+        if gpu.int64 {
+            let text = if lines { shaders::RASTER_LINES_64 } else { shaders::RASTER_RAYS_64 };
+            self.raster.prepare(gpu, raster, text, &constants(&[]))?;
+        } else {
+            let text = if lines { shaders::RASTER_LINES_32 } else { shaders::RASTER_RAYS_32 };
+            self.raster.prepare(gpu, raster, text, &constants(&[("SECOND", 0.0)]))?;
+            let other = (raster.0, raster.1 | 1);
+            self.raster.prepare(gpu, other, text, &constants(&[("SECOND", 1.0)]))?;
+            second = Some(other);
+        }
+        let bits = frame.outputs.iter().fold(0, |bits, o| bits | 1 << o as u32);
+        let asked = |o: Output| f64::from(u32::from(frame.outputs.has(o)));
+        let constants = [
+            grid,
+            ("RANGE", asked(Output::Range)),
+            ("DEPTH", asked(Output::DepthZ)),
+            ("POLYGON", asked(Output::PolygonId)),
+            ("OBJECT", asked(Output::ObjectId)),
+            ("COSINE", asked(Output::CosIncidence)),
+        ];
+        let resolve = (kind as u32, bits);
+        self.resolve.prepare(gpu, resolve, shaders::RESOLVE, &constants)?;
+        Ok(Variants { cull, setup, raster, second, resolve })
+    }
+
+    /// Binds the buffers as they are now.
+    pub fn bind(&mut self, gpu: &Gpu, arena: &wgpu::Buffer, s: &Store) {
+        let (params, grid, counters) = (s.params.buffer(), s.grid.buffer(), s.counters.buffer());
+        let (instances, survivors) = (s.instances.buffer(), s.survivors.buffer());
+        let (few, short) = (s.few_instances.buffer(), s.short_grid.buffer());
+        let (records, items, slots, keys) =
+            (s.records.buffer(), s.items.buffer(), s.seen_slots.buffer(), s.keys.buffer());
+        self.cull.bind(gpu, &[params, instances, s.work.buffer(), arena, grid, survivors, counters, few, short]);
+        self.setup.bind(gpu, &[params, instances, arena, survivors, grid, counters, records, items, slots, few]);
+        self.raster.bind(gpu, &[params, records, items, grid, counters, keys, short]);
+        self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters]);
+    }
+
+    /// Encodes a frame, from cleared keys to outputs.
+    pub fn encode(&self, encoder: &mut wgpu::CommandEncoder, v: &Variants, frame: &Frame, store: &Store) {
+        let pixels = frame.params.width * frame.params.height;
+        encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));
+        let counters = store.counters.buffer();
+        let (x, y) = layout::groups_for(frame.params.polygon_count);
+        // Passes are begun even if nothing is dispatched: their times are read back.
+        let mut pass = encoder.begin_compute_pass(&store.pass(0));
+        if x > 0 && self.cull.set(&mut pass, v.cull) {
+            pass.dispatch_workgroups(x, y, 1);
+        }
+        drop(pass);
+        let groups = offset_of!(Counters, setup_groups) as u64;
+        encoder.copy_buffer_to_buffer(counters, groups, store.dispatch.buffer(), 0, 12);
+        let mut pass = encoder.begin_compute_pass(&store.pass(1));
+        if x > 0 && self.setup.set(&mut pass, v.setup) {
+            pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
+        }
+        drop(pass);
+        let groups = offset_of!(Counters, raster_groups) as u64;
+        encoder.copy_buffer_to_buffer(counters, groups, store.dispatch.buffer(), 0, 12);
+        let mut pass = encoder.begin_compute_pass(&store.pass(2));
+        for variant in [Some(v.raster), v.second].into_iter().flatten() {
+            if self.raster.set(&mut pass, variant) {
+                pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
+            }
+        }
+        drop(pass);
+        let mut pass = encoder.begin_compute_pass(&store.pass(3));
+        if !frame.on_host && self.resolve.set(&mut pass, v.resolve) {
+            let (x, y) = layout::groups_for(pixels);
+            pass.dispatch_workgroups(x, y, 1);
+        }
+    }
+}
