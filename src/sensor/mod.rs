@@ -11,6 +11,7 @@ mod undistort;
 
 pub use camera::Camera;
 pub use distortion::Distortion;
+#[cfg(feature = "gpu")]
 pub(crate) use grid::TILE_SIDE;
 pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
 pub use presets::{PRESETS, Preset};
