@@ -105,6 +105,7 @@ impl Frame {
         self.work.extend([start, 0, 0, 0]);
         debug_assert_eq!(self.work.len(), (plan.runs.len() + 1) * RUN_WORDS);
         self.params.polygon_count = start;
+        self.params.stamp = self.near.stamp;
         self.params.groups_at = self.work.len() as u32;
         let mut end = 0;
         for (index, run) in plan.runs.iter().enumerate() {
