@@ -86,7 +86,8 @@ impl NearList {
         self.records.push(slot);
         let corners: Vec<DVec3> =
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
-        self.records.push(corners.len() as u32);
+        let wedge = wedge(&corners, normal.normalize());
+        self.records.push((corners.len() + wedge.len()) as u32);
         // A cone that holds everything.
         self.records.extend([1.0f32, 0.0, 0.0, -1.0].map(f32::to_bits));
         debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS);
@@ -95,7 +96,11 @@ impl NearList {
             let a = corners[(k + corners.len() - 1) % corners.len()];
             self.records.extend(edge(a, *b, sign, line_vector).map(f32::to_bits));
         }
-        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + corners.len() as u32 * EDGE_WORDS);
+        for e in &wedge {
+            self.records.extend(scaled(line_vector * *e).map(f32::to_bits));
+        }
+        let edges = (corners.len() + wedge.len()) as u32;
+        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + edges * EDGE_WORDS);
         let unit_distance = (distance.abs() / normal.length()) as f32;
         let source = object.first_source + mesh.source(polygon) + 1;
         self.slots.push((slot, [unit_distance.to_bits(), instance.object + 1, source, self.stamp]));
@@ -116,10 +121,33 @@ impl NearList {
     }
 }
 
-/// The edge plane in the line frame, scaled into f32's middle.
+/// The edge plane in the line frame.
 fn edge(a: DVec3, b: DVec3, sign: f64, line_vector: DMat3) -> [f32; 3] {
     let anchor = if b.length_squared() < a.length_squared() { b } else { a };
-    let e = line_vector * (sign * anchor.cross(b - a));
+    scaled(line_vector * (sign * anchor.cross(b - a)))
+}
+
+/// In f32's middle.
+fn scaled(e: DVec3) -> [f32; 3] {
     let largest = e.abs().max_element();
     if largest > 0.0 { (e / largest).as_vec3().to_array() } else { [0.0; 3] }
+}
+
+/// Two planes across the polygon's own that hold it between them, where the sensor looks at it from beside it. There
+/// all edge planes nearly are the polygon's plane, and once rounded to f32 may meet anywhere along it.
+fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
+    let turn = |a: DVec3, b: DVec3| normal.dot(a.cross(b));
+    let (mut least, mut most) = (corners[0], corners[0]);
+    for v in corners {
+        least = if turn(least, *v) < 0.0 { *v } else { least };
+        most = if turn(most, *v) > 0.0 { *v } else { most };
+    }
+    let (a, b) = (least.normalize_or_zero(), most.normalize_or_zero());
+    let around = corners.iter().any(|v| turn(a, *v) < 0.0 || turn(*v, b) < 0.0);
+    if around || turn(a, b) <= 0.0 {
+        return Vec::new();
+    }
+    // Wider by more than an edge may be off.
+    let slack = 1e-5 * (a + b);
+    vec![normal.cross(a) + slack, b.cross(normal) + slack]
 }
