@@ -51,8 +51,9 @@ struct Params {
     // Metres.
     range_min: f32,
     range_max: f32,
-    padding_0: u32,
-    padding_1: u32,
+    // Number of this frame, never 0.
+    stamp: u32,
+    padding: u32,
 }
 
 // One object. v = linear * ((p - center_high) - center_low) keeps the digits of what is near.
@@ -112,10 +113,11 @@ const ONE_SIDED: u32 = 2u;
 const GROUP: u32 = 64u;
 const MAX_GROUPS: u32 = 65535u;
 
-// A polygon in the arena: words first_corner, corner_count | material << 8, source, normal.xyz.
-const POLYGON_WORDS: u32 = 6u;
-// A corner: words vertex, residual (how far the plane is off this vertex along the normal, metres).
-const CORNER_WORDS: u32 = 2u;
+// A polygon in the arena: words first_corner, corner_count | material << 8, source, normal.xyz, spread (how far its
+// corners are apart along the normal, metres).
+const POLYGON_WORDS: u32 = 7u;
+// A corner: its vertex.
+const CORNER_WORDS: u32 = 1u;
 const VERTEX_WORDS: u32 = 3u;
 // A record: m.xyz, slot, edge count, cone axis.xyz, cone cosine, then edges of 3 words.
 const RECORD_WORDS: u32 = 9u;
@@ -126,8 +128,9 @@ const ITEM_WORDS: u32 = 2u;
 const ITEMS_PER_POLYGON: u32 = 256u;
 const LINES_PER_ITEM: u32 = 4u;
 
-// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1.
-const SLOT_WORDS: u32 = 3u;
+// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1, and the stamp of the
+// last frame in which the CPU set it up.
+const SLOT_WORDS: u32 = 4u;
 
 // Stands for infinity where comparisons must stay well-defined.
 const HUGE: f32 = 3.0e38;

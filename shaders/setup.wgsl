@@ -21,8 +21,8 @@ fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
 
 // |d| / |v| below which f32 does not prove the side: rounding of two subtractions, a dot product and the normal.
 const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
-// The same where the CPU sets up what is flatter, in f64: runs around the sensor.
-const EDGE_ON_NEAR: f32 = 6.1035156e-5; // 2^-14
+// |d| / |c| below which the centre's own rounding, 2^-48 of its coordinates, does not.
+const EDGE_ON_CENTER: f32 = 2.9e-14; // 2^-45
 
 fn set_up(survivor: Survivor) {
     let instance = instance_at(survivor.instance);
@@ -33,7 +33,6 @@ fn set_up(survivor: Survivor) {
     // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
     var nearest = HUGE;
     var distance = 0.0;
-    var nearest_corner = first_corner;
     for (var k = 0u; k < corner_count; k++) {
         let corner = first_corner + k * CORNER_WORDS;
         let q = from_center(instance, vertex(instance, arena[corner]));
@@ -41,10 +40,8 @@ fn set_up(survivor: Survivor) {
         if length2 < nearest {
             nearest = length2;
             distance = dot(normal, q);
-            nearest_corner = corner;
         }
     }
-    distance += bitcast<f32>(arena[nearest_corner + 1u]);
     let image_normal = normal_to_image(instance, normal);
     // Nothing of it is nearer than its plane; one-sided, it is seen from the side of its winding's normal only.
     let behind = instance.handedness * distance > 0.0;
@@ -53,8 +50,17 @@ fn set_up(survivor: Survivor) {
         return;
     }
     let near = (survivor.flags & NEAR) != 0u;
-    if abs(distance) <= sqrt(nearest) * select(EDGE_ON, EDGE_ON_NEAR, near) {
-        // The near ones are on the CPU's list, which counts those that are edge-on in f64 too.
+    let stamp = (instance.first_slot + survivor.polygon) * SLOT_WORDS + 3u;
+    if near && seen_slots[stamp] == params.stamp {
+        // Flat, around the sensor: the CPU has set it up in f64.
+        return;
+    }
+    // Within its corners' own spread the edges span no cone.
+    let spread = bitcast<f32>(polygon_word(instance, survivor.polygon, 6u));
+    let doubt = sqrt(nearest) * EDGE_ON + length(instance.center_high) * EDGE_ON_CENTER + spread;
+    // Written so that what is not a number is doubtful.
+    if !(abs(distance) > doubt) {
+        // The CPU counts the near ones that are edge-on in f64 too.
         if !near {
             atomicAdd(&counters.edge_on, 1u);
         }

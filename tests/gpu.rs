@@ -1,5 +1,6 @@
 //! The GPU engine against the reference, on whatever adapter there is (lavapipe in CI), 64-bit and 32-bit atomics.
 #![cfg(feature = "gpu")]
+#![allow(clippy::print_stderr)]
 
 mod common;
 

@@ -105,6 +105,7 @@ impl Frame {
         self.work.extend([start, 0, 0, 0]);
         debug_assert_eq!(self.work.len(), (plan.runs.len() + 1) * RUN_WORDS);
         self.params.polygon_count = start;
+        self.params.stamp = self.near.stamp;
         self.params.groups_at = self.work.len() as u32;
         let mut end = 0;
         for (index, run) in plan.runs.iter().enumerate() {
@@ -153,7 +154,7 @@ mod tests {
 
     #[test]
     fn two_floats_hold_a_site_in_metres() {
-        let p = DVec3::new(5_000_000.123_456_789, -3.0e-7, 1234.567_890_123);
+        let p = DVec3::new(5_000_000.123_456_789, -3.0e-7, 1_234.567_890_123);
         let (high, low) = split(p);
         let again = Vec3::from(high).as_dvec3() + Vec3::from(low).as_dvec3();
         assert!((again - p).abs().max_element() < 1e-8);

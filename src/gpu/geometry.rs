@@ -5,6 +5,7 @@ use super::device::Gpu;
 use super::layout::{CORNER_WORDS, POLYGON_WORDS, VERTEX_WORDS};
 use crate::environment::Mesh;
 use crate::error::{ErrorKind, Result};
+use glam::DVec3;
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
@@ -122,8 +123,11 @@ fn words_of(mesh: &Arc<Mesh>) -> u64 {
 
 /// Polygons, corners, vertices, as common.wgsl describes them.
 fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
+    debug_assert_eq!(mesh.polygons().len(), mesh.planes().len());
     for (polygon, plane) in mesh.polygons().iter().zip(mesh.planes()) {
         let normal = plane.normal.as_vec3();
+        let first = polygon.first_corner as usize;
+        let corners = &mesh.all_corners()[first..first + usize::from(polygon.corner_count)];
         words.extend([
             polygon.first_corner,
             u32::from(polygon.corner_count) | u32::from(polygon.material) << 8,
@@ -131,15 +135,20 @@ fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
             normal.x.to_bits(),
             normal.y.to_bits(),
             normal.z.to_bits(),
+            (spread(mesh, plane.normal, corners) as f32).next_up().to_bits(),
         ]);
     }
-    for (polygon, plane) in mesh.polygons().iter().zip(mesh.planes()) {
-        let first = polygon.first_corner as usize;
-        for &vertex in &mesh.all_corners()[first..first + usize::from(polygon.corner_count)] {
-            // The one plane that all engines share passes a merged polygon's vertices at a small distance.
-            let residual = plane.offset - plane.normal.dot(mesh.vertices()[vertex as usize].as_dvec3());
-            words.extend([vertex, (residual as f32).to_bits()]);
-        }
-    }
+    words.extend(mesh.all_corners());
     words.extend(mesh.vertices().iter().flat_map(|v| v.to_array().map(f32::to_bits)));
+}
+
+/// How far corners are apart along the normal; triangles define their own plane.
+pub(super) fn spread(mesh: &Mesh, normal: DVec3, corners: &[u32]) -> f64 {
+    if corners.len() <= 3 {
+        return 0.0;
+    }
+    let first = mesh.vertices()[corners[0] as usize].as_dvec3();
+    let along = |c: &u32| normal.dot(mesh.vertices()[*c as usize].as_dvec3() - first);
+    let most = corners.iter().map(along).fold(0.0, f64::max);
+    most - corners.iter().map(along).fold(0.0, f64::min)
 }

@@ -49,8 +49,8 @@ pub(super) struct Params {
     pub fy: f32,
     pub range_min: f32,
     pub range_max: f32,
-    pub padding_0: u32,
-    pub padding_1: u32,
+    pub stamp: u32,
+    pub padding: u32,
 }
 
 /// `Instance` in common.wgsl.
@@ -108,9 +108,9 @@ pub(super) const GROUP: u32 = 64;
 /// What one dispatch dimension holds.
 pub(super) const MAX_GROUPS: u32 = 65_535;
 /// Words of a polygon in the arena.
-pub(super) const POLYGON_WORDS: u32 = 6;
+pub(super) const POLYGON_WORDS: u32 = 7;
 /// Words of a corner in the arena.
-pub(super) const CORNER_WORDS: u32 = 2;
+pub(super) const CORNER_WORDS: u32 = 1;
 /// Words of a vertex in the arena.
 pub(super) const VERTEX_WORDS: u32 = 3;
 /// Words of a run in the work table.
@@ -118,7 +118,7 @@ pub(super) const RUN_WORDS: usize = 4;
 /// Words of a record before its edges.
 pub(super) const RECORD_WORDS: u32 = 9;
 /// Words of a slot that has a record.
-pub(super) const SLOT_WORDS: u32 = 3;
+pub(super) const SLOT_WORDS: u32 = 4;
 /// Most instances that are read from a uniform buffer.
 pub(super) const FEW_INSTANCES: u32 = 512;
 /// Most words of ray tables, by four, that are read from a uniform buffer.

@@ -197,7 +197,7 @@ impl Engine {
     fn report(&self, counters: &Counters, reruns: usize, stats: &mut Stats) {
         let near = &self.frame.near;
         stats.count("polygons selected", self.frame.params.polygon_count as usize);
-        stats.count("polygons in view", counters.survivors as usize + near.slots.len());
+        stats.count("polygons in view", counters.survivors as usize);
         stats.count("polygons set up in f64", near.slots.len());
         stats.count("polygons edge-on", (counters.edge_on + near.edge_on) as usize);
         stats.count("work items", counters.items as usize);

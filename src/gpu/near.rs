@@ -1,14 +1,17 @@
 //! Polygons so flat to the sensor that f32 may not prove their side, set up in f64. There are few: only clusters
 //! around the sensor are looked at; what lies farther off and is as flat is thinner than a ray's epsilon.
 
+use super::geometry::spread;
 use super::grid::Tables;
 use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS, SLOT_WORDS};
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
 use glam::{DMat3, DVec3};
 
-/// |d| / |v| below which the CPU takes over; the shader leaves off at 2^-14, so that nothing falls between.
+/// |d| / |v| below which the CPU takes over: far above where the shader leaves off.
 const FLAT: f64 = 6.2e-5;
+/// |d| / |c| below which it does, for two f32 may not hold the centre.
+const CENTER: f64 = 6.0e-11;
 
 /// Records and items that the CPU made, as the setup stage writes them.
 #[derive(Default)]
@@ -17,6 +20,8 @@ pub(super) struct NearList {
     pub items: Vec<u32>,
     /// Slot of each, and what the resolve stage asks of it.
     pub slots: Vec<(u32, [u32; SLOT_WORDS as usize])>,
+    /// Number of the frame, never 0: the shader passes over what carries it.
+    pub stamp: u32,
     /// Within the rounding of f64: covers no ray.
     pub edge_on: u32,
 }
@@ -32,7 +37,9 @@ pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
 }
 
 impl NearList {
+    /// Begins another frame.
     pub fn clear(&mut self) {
+        self.stamp = self.stamp.checked_add(1).unwrap_or(1);
         self.records.clear();
         self.items.clear();
         self.slots.clear();
@@ -43,14 +50,14 @@ impl NearList {
     pub fn add(&mut self, plan: &FramePlan, tables: &Tables, instance: &Instance, run: &Run) {
         let mesh = &plan.environment().objects()[instance.object as usize].mesh;
         for polygon in run.first..run.first + run.count {
-            let plane = mesh.plane(polygon);
-            let distance = plane.offset - plane.normal.dot(instance.center_in_mesh);
-            let nearest = mesh
-                .corners_of(polygon)
-                .map(|p| (p - instance.center_in_mesh).length_squared())
-                .fold(f64::INFINITY, f64::min)
-                .sqrt();
-            if distance.abs() > FLAT * nearest {
+            let normal = mesh.plane(polygon).normal;
+            let from_center = mesh.corners_of(polygon).map(|p| p - instance.center_in_mesh);
+            let nearer = |a: DVec3, b: DVec3| if b.length_squared() < a.length_squared() { b } else { a };
+            let nearest = from_center.reduce(nearer).unwrap_or(DVec3::ZERO);
+            let distance = normal.dot(nearest);
+            let spread = spread(mesh, normal, mesh.corner_indices(polygon));
+            let doubt = FLAT * nearest.length() + CENTER * instance.center_in_mesh.length() + 1.001 * spread;
+            if distance.abs() > doubt + f64::from(f32::MIN_POSITIVE) {
                 continue;
             }
             let facing = plan.facings[usize::from(mesh.material(polygon))];
@@ -58,8 +65,8 @@ impl NearList {
             if !facing.opaque || facing.one_sided && behind {
                 continue;
             }
-            let reach = plane.offset.abs() + instance.center_in_mesh.length();
-            if distance.abs() <= 4.0 * f64::EPSILON * reach {
+            // As the other engines have it: its side is proven, and it is farther off than its corners are.
+            if distance.abs() <= 16.0 * f64::EPSILON * nearest.length() + spread {
                 self.edge_on += 1;
                 continue;
             }
@@ -79,7 +86,8 @@ impl NearList {
         self.records.push(slot);
         let corners: Vec<DVec3> =
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
-        self.records.push(corners.len() as u32);
+        let wedge = wedge(&corners, normal.normalize());
+        self.records.push((corners.len() + wedge.len()) as u32);
         // A cone that holds everything.
         self.records.extend([1.0f32, 0.0, 0.0, -1.0].map(f32::to_bits));
         debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS);
@@ -88,10 +96,14 @@ impl NearList {
             let a = corners[(k + corners.len() - 1) % corners.len()];
             self.records.extend(edge(a, *b, sign, line_vector).map(f32::to_bits));
         }
-        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + corners.len() as u32 * EDGE_WORDS);
+        for e in &wedge {
+            self.records.extend(scaled(line_vector * *e).map(f32::to_bits));
+        }
+        let edges = (corners.len() + wedge.len()) as u32;
+        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + edges * EDGE_WORDS);
         let unit_distance = (distance.abs() / normal.length()) as f32;
         let source = object.first_source + mesh.source(polygon) + 1;
-        self.slots.push((slot, [unit_distance.to_bits(), instance.object + 1, source]));
+        self.slots.push((slot, [unit_distance.to_bits(), instance.object + 1, source, self.stamp]));
         self.add_items(at, tables);
     }
 
@@ -109,10 +121,33 @@ impl NearList {
     }
 }
 
-/// The edge plane in the line frame, scaled into f32's middle.
+/// The edge plane in the line frame.
 fn edge(a: DVec3, b: DVec3, sign: f64, line_vector: DMat3) -> [f32; 3] {
     let anchor = if b.length_squared() < a.length_squared() { b } else { a };
-    let e = line_vector * (sign * anchor.cross(b - a));
+    scaled(line_vector * (sign * anchor.cross(b - a)))
+}
+
+/// In f32's middle.
+fn scaled(e: DVec3) -> [f32; 3] {
     let largest = e.abs().max_element();
     if largest > 0.0 { (e / largest).as_vec3().to_array() } else { [0.0; 3] }
+}
+
+/// Two planes across the polygon's own that hold it between them, where the sensor looks at it from beside it. There
+/// all edge planes nearly are the polygon's plane, and once rounded to f32 may meet anywhere along it.
+fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
+    let turn = |a: DVec3, b: DVec3| normal.dot(a.cross(b));
+    let (mut least, mut most) = (corners[0], corners[0]);
+    for v in corners {
+        least = if turn(least, *v) < 0.0 { *v } else { least };
+        most = if turn(most, *v) > 0.0 { *v } else { most };
+    }
+    let (a, b) = (least.normalize_or_zero(), most.normalize_or_zero());
+    let around = corners.iter().any(|v| turn(a, *v) < 0.0 || turn(*v, b) < 0.0);
+    if around || turn(a, b) <= 0.0 {
+        return Vec::new();
+    }
+    // Wider by more than an edge may be off.
+    let slack = 1e-5 * (a + b);
+    vec![normal.cross(a) + slack, b.cross(normal) + slack]
 }

@@ -111,7 +111,7 @@ pub(super) fn resolve(
                 Seen::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
                 Seen::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
                 Seen::Hit(h) => {
-                    let [distance, object, source_id] = slots[h.slot as usize];
+                    let [distance, object, source_id, _] = slots[h.slot as usize];
                     let id = if source { source_id } else { h.slot + 1 };
                     let cosine = (h.k * f32::from_bits(distance) / h.ray).min(1.0);
                     let limited = |value: f32| if h.below { f32::NEG_INFINITY } else { value };

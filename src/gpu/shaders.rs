@@ -88,7 +88,7 @@ mod tests {
             line_buckets_at, sample_buckets_at, line_buckets, sample_buckets, tiles_at, rays_at, tile_columns,
             tile_count, groups_at, facings_at, polygon_count, record_words, item_room, range_at, depth_at,
             polygon_at, object_at, cos_at, source_ids, first_line, last_line, first_sample, last_sample, fx, fy,
-            range_min, range_max, padding_0, padding_1);
+            range_min, range_max, stamp, padding);
         assert_same!(&module, Instance: linear_x, handedness, linear_y, first_slot, linear_z, first_source, normal_x,
             object_id, normal_y, polygons_at, normal_z, corners_at, center_high, vertices_at, center_low, padding);
         assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
