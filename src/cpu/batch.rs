@@ -1,9 +1,8 @@
 //! Batches: polygons after setup, binned by band.
 
 use super::Bands;
-use crate::error::{Error, Result};
 use crate::limits;
-use crate::plan::FramePlan;
+use crate::plan::Run;
 use glam::DVec3;
 use std::ops::Range;
 
@@ -101,25 +100,22 @@ pub(super) fn shade(batches: &[Batch], winner: u32) -> &Shade {
     &batches[(winner >> INDEX_BITS) as usize].shades[(winner & ((1 << INDEX_BITS) - 1)) as usize]
 }
 
-/// Cuts the runs into groups of about a thousand polygons, one batch each.
-pub(super) fn group_runs(plan: &FramePlan) -> Result<Vec<Range<usize>>> {
+/// Most batches that winners can number.
+pub(super) const MAX_BATCHES: usize = 1 << (32 - INDEX_BITS);
+
+/// Cuts runs into groups of about a thousand polygons, one batch each.
+pub(super) fn group_runs(runs: &[Run]) -> Vec<Range<usize>> {
     const TARGET: usize = 1024;
     // A polygon over the azimuth seam is set up twice; every number must fit.
     const _: () = assert!(2 * (TARGET + limits::CLUSTER_POLYGONS) <= 1 << INDEX_BITS);
-    let mut groups = Vec::with_capacity(plan.polygon_count / TARGET + 1);
+    let mut groups = Vec::new();
     let (mut start, mut polygons) = (0, 0);
-    for (i, run) in plan.runs.iter().enumerate() {
+    for (i, run) in runs.iter().enumerate() {
         polygons += run.count as usize;
-        if polygons >= TARGET || i + 1 == plan.runs.len() {
+        if polygons >= TARGET || i + 1 == runs.len() {
             groups.push(start..i + 1);
             (start, polygons) = (i + 1, 0);
         }
     }
-    if groups.len() >= 1 << (32 - INDEX_BITS) {
-        return Err(Error::invalid(
-            format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
-            "lower range_max or split the environment",
-        ));
-    }
-    Ok(groups)
+    groups
 }

@@ -13,7 +13,16 @@ pub(super) type Lanes = [f64; LANES];
 /// The lines that a polygon may cover: up to two ranges, the second one for polygons over the azimuth seam.
 pub(super) type Cover = [Range<u32>; 2];
 
-const NOTHING: Cover = [0..0, 0..0];
+/// The pixels that a polygon, or any convex hull of corners, may cover.
+#[derive(Clone, Debug)]
+pub(super) struct Footprint {
+    /// Lines; both ranges are empty if it covers no ray.
+    pub lines: Cover,
+    /// Samples on each of them.
+    pub samples: Range<u32>,
+}
+
+const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0 };
 
 /// Bounds for one sensor.
 pub(super) struct Bounds<'a> {
@@ -113,10 +122,10 @@ impl<'a> Bounds<'a> {
         Self { kind, range_max_squared: range_max * range_max * (1.0 + SLACK) }
     }
 
-    /// The covers of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
+    /// The footprints of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
     /// repeating their last one.
     #[inline(always)]
-    pub fn cover(&self, corners: &[[Lanes; 3]]) -> [Cover; LANES] {
+    pub fn cover(&self, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         match &self.kind {
             Kind::Camera(grid) => camera(grid, self.range_max_squared, corners),
             Kind::Scanner(bounds) => bounds.cover(self.range_max_squared, corners),
@@ -126,7 +135,7 @@ impl<'a> Bounds<'a> {
                     extent.hold(corner);
                 }
                 let (distance_squared, _) = extent.box_distances_squared();
-                let all: Cover = [0..grid.height(), 0..0];
+                let all = Footprint { lines: [0..grid.height(), 0..0], samples: 0..grid.width() };
                 distance_squared.map(|d| if d > self.range_max_squared { NOTHING } else { all.clone() })
             }
         }
@@ -135,7 +144,7 @@ impl<'a> Bounds<'a> {
 
 /// Line frame (fy y, z, fx x): lines and samples are pixels from the principal point.
 #[inline(always)]
-fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Cover; LANES] {
+fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
     let (lines, samples) = (grid.lines(), grid.positions());
     let (top, bottom) = (lines[0][0] - SLACK, lines[lines.len() - 1][0] + SLACK);
     let (left, right) = (samples[0] - SLACK, samples[samples.len() - 1] + SLACK);
@@ -156,7 +165,7 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [C
             e.high[1][l] = e.high[1][l].max(x[l] * per_z);
         }
     }
-    let mut covers = [const { NOTHING }; LANES];
+    let mut footprints = [const { NOTHING }; LANES];
     for l in 0..LANES {
         let outside = e.outside.iter().any(|side| side[l] < 0.0);
         // Depth is at most range: a polygon wholly deeper than range_max is beyond it.
@@ -165,16 +174,16 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [C
             continue;
         }
         if e.least[1][l] <= 0.0 {
-            covers[l] = [0..lines.len() as u32, 0..0];
+            footprints[l] = Footprint { lines: [0..lines.len() as u32, 0..0], samples: 0..samples.len() as u32 };
             continue;
         }
         let rows = pixels_between(e.low[0][l], e.high[0][l], lines[0][0], lines.len());
         let columns = pixels_between(e.low[1][l], e.high[1][l], samples[0], samples.len());
         if !columns.is_empty() {
-            covers[l] = [rows, 0..0];
+            footprints[l] = Footprint { lines: [rows, 0..0], samples: columns };
         }
     }
-    covers
+    footprints
 }
 
 /// The pixels i with `low <= first + i <= high`, a little too wide.
@@ -200,7 +209,7 @@ fn pieces(low: f64, high: f64, n: usize) -> Range<u32> {
 impl ScannerBounds<'_> {
     /// Line frame (x, y, -z).
     #[inline(always)]
-    fn cover(&self, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Cover; LANES] {
+    fn cover(&self, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         let mut e = Extent::new();
         for (i, corner) in corners.iter().enumerate() {
             e.hold(corner);
@@ -221,20 +230,22 @@ impl ScannerBounds<'_> {
             to[l] = high / if high > 0.0 { near } else { far };
             from[l] -= SLACK * (1.0 + from[l].abs());
             to[l] += SLACK * (1.0 + to[l].abs());
+            from[l] = if from[l].is_nan() { f64::NEG_INFINITY } else { from[l] };
+            to[l] = if to[l].is_nan() { f64::INFINITY } else { to[l] };
         }
         let t = self.grid.positions();
-        let mut covers = [const { NOTHING }; LANES];
+        let mut footprints = [const { NOTHING }; LANES];
         for l in 0..LANES {
             if distance_squared[l] > range_max_squared || to[l] < t[0] || from[l] > t[t.len() - 1] {
                 continue;
             }
             let first = self.grid.samples_below(from[l]);
-            if first == t.len() || t[first] > to[l] {
-                continue;
+            let end = self.grid.samples_up_to(to[l]);
+            if first < end {
+                footprints[l] = Footprint { lines: self.columns(&e, l), samples: first as u32..end as u32 };
             }
-            covers[l] = self.columns(&e, l);
         }
-        covers
+        footprints
     }
 
     #[inline(always)]

@@ -11,6 +11,7 @@
 
 mod batch;
 mod bounds;
+mod hidden;
 mod rays;
 mod resolve;
 mod setup;
@@ -21,18 +22,24 @@ use crate::plan::{FramePlan, Images, Run};
 use crate::predict::Stats;
 use crate::sensor::{LineAxis, PixelGrid};
 use batch::Batch;
+use bounds::Bounds;
 use rayon::prelude::*;
+use spans::Buffer;
 use std::ops::Range;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// The CPU engine with its threads and buffers.
 pub struct Engine {
     pool: rayon::ThreadPool,
     batches: Vec<Batch>,
+    canvas: Vec<Buffer>,
 }
 
 /// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
 const BAND_PIXELS: usize = 8192;
+
+/// Polygons of the first wave; every further one takes as many as all before it together.
+const FIRST_WAVE: usize = 4096;
 
 impl Engine {
     /// With so many threads; 0 takes all cores.
@@ -48,7 +55,7 @@ impl Engine {
                 Error::new(ErrorKind::System, "cannot start the threads of the CPU engine", "lower --threads")
                     .caused_by(e)
             })?;
-        Ok(Self { pool, batches: Vec::new() })
+        Ok(Self { pool, batches: Vec::new(), canvas: Vec::new() })
     }
 
     /// Fills the asked images.
@@ -59,48 +66,117 @@ impl Engine {
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
         images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
-        let groups = batch::group_runs(plan)?;
-        if self.batches.len() < groups.len() {
-            self.batches.resize_with(groups.len(), Batch::default);
-        }
-        let batches = &mut self.batches[..groups.len()];
         let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
         let arch = pulp::Arch::new();
+        if self.canvas.len() < bands.count() {
+            self.canvas.resize_with(bands.count(), Buffer::default);
+        }
+        let canvas = &mut self.canvas[..bands.count()];
+        for (band, buffer) in canvas.iter_mut().enumerate() {
+            buffer.clear(bands.lines(band).len() * bands.samples);
+        }
 
-        let start = Instant::now();
-        self.pool.install(|| {
-            batches.par_iter_mut().zip(&groups).for_each(|(batch, runs)| {
-                arch.dispatch(SetUp { batch, plan, runs: &plan.runs[runs.clone()], bands: &bands });
-            });
-        });
-        stats.stage("setup", start);
+        let mut times = [Duration::ZERO; 3];
+        let (mut done, mut used, mut hidden) = (0, 0, 0);
+        while done < plan.runs.len() {
+            let start = Instant::now();
+            let wave = next_wave(&plan.runs, done);
+            let runs = if used == 0 || matches!(plan.sensor.grid(), PixelGrid::Rays(_)) {
+                plan.runs[wave.clone()].to_vec()
+            } else {
+                arch.dispatch(Sift { plan, runs: &plan.runs[wave.clone()], canvas, bands: &bands })
+            };
+            hidden += wave.len() - runs.len();
+            done = wave.end;
+            let groups = batch::group_runs(&runs);
+            let first = used;
+            used += groups.len();
+            if used > batch::MAX_BATCHES {
+                return Err(Error::invalid(
+                    format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
+                    "lower range_max or split the environment",
+                ));
+            }
+            if self.batches.len() < used {
+                self.batches.resize_with(used, Batch::default);
+            }
+            times[0] += start.elapsed();
 
-        let start = Instant::now();
-        let batches = &*batches;
-        self.pool.install(|| {
-            resolve::split(images, &bands)
-                .into_par_iter()
-                .enumerate()
-                .for_each_init(Scratch::default, |scratch, (band, target)| {
-                    arch.dispatch(Draw { scratch, plan, batches, bands: &bands, band, target })
+            let start = Instant::now();
+            let batches = &mut self.batches[first..used];
+            self.pool.install(|| {
+                batches.par_iter_mut().zip(&groups).for_each(|(batch, group)| {
+                    arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands: &bands });
                 });
+            });
+            times[1] += start.elapsed();
+
+            let start = Instant::now();
+            let batches = &self.batches[..used];
+            let more = done < plan.runs.len();
+            self.pool.install(|| {
+                canvas.par_iter_mut().enumerate().for_each(|(band, buffer)| {
+                    arch.dispatch(Draw { buffer, plan, batches, first, bands: &bands, band, more });
+                });
+            });
+            times[2] += start.elapsed();
+        }
+        for (name, time) in ["hidden", "setup", "rasterization"].iter().zip(times) {
+            stats.stages_ms.push(((*name).to_owned(), time.as_secs_f64() * 1e3));
+        }
+
+        let start = Instant::now();
+        let batches = &self.batches[..used];
+        self.pool.install(|| {
+            let targets = resolve::split(images, &bands);
+            canvas.par_iter_mut().zip(targets).enumerate().for_each_init(
+                resolve::Block::default,
+                |block, (band, (buffer, target))| {
+                    arch.dispatch(Resolve { buffer, block, plan, batches, bands: &bands, band, target });
+                },
+            );
         });
-        stats.stage("rasterization", start);
+        stats.stage("resolve", start);
         stats.count("polygons_selected", plan.polygon_count);
+        stats.count("runs_selected", plan.runs.len());
+        stats.count("runs_hidden", hidden);
         stats.count("polygons_set_up", batches.iter().map(|b| b.polygons.len()).sum());
         stats.count("polygons_edge_on", batches.iter().map(|b| b.edge_on).sum());
         Ok(())
     }
 }
 
-/// A thread's buffers.
-#[derive(Default)]
-struct Scratch {
-    buffer: spans::Buffer,
-    block: resolve::Block,
+/// The runs to draw next: as many polygons as all before them, and at least [`FIRST_WAVE`].
+fn next_wave(runs: &[Run], start: usize) -> Range<usize> {
+    let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
+    let mut polygons = 0;
+    let mut end = start;
+    while end < runs.len() && polygons < before.max(FIRST_WAVE) {
+        polygons += runs[end].count as usize;
+        end += 1;
+    }
+    start..end
 }
 
-/// The work of a batch. Tasks are types, not closures, so that they are compiled for each vector width.
+/// Drops what is hidden from a wave. Tasks are types, not closures, so that they are compiled for each vector width.
+struct Sift<'a> {
+    plan: &'a FramePlan,
+    runs: &'a [Run],
+    canvas: &'a [Buffer],
+    bands: &'a Bands,
+}
+
+impl pulp::WithSimd for Sift<'_> {
+    type Output = Vec<Run>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Run> {
+        let bounds = Bounds::new(&self.plan.sensor);
+        hidden::visible(self.plan, &bounds, self.runs, self.canvas, self.bands)
+    }
+}
+
+/// Sets up a batch.
 struct SetUp<'a> {
     batch: &'a mut Batch,
     plan: &'a FramePlan,
@@ -117,9 +193,40 @@ impl pulp::WithSimd for SetUp<'_> {
     }
 }
 
-/// The work of a band.
+/// Draws a wave into a band.
 struct Draw<'a> {
-    scratch: &'a mut Scratch,
+    buffer: &'a mut Buffer,
+    plan: &'a FramePlan,
+    batches: &'a [Batch],
+    first: usize,
+    bands: &'a Bands,
+    band: usize,
+    /// Another wave follows that wants to know what is hidden.
+    more: bool,
+}
+
+impl pulp::WithSimd for Draw<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { buffer, batches, first, bands, band, .. } = self;
+        match self.plan.sensor.grid() {
+            PixelGrid::Lines(grid) => {
+                spans::rasterize(buffer, grid, batches, first, bands, band);
+                if self.more {
+                    hidden::measure(buffer, bands.samples);
+                }
+            }
+            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, first, bands, band),
+        }
+    }
+}
+
+/// Resolves a band.
+struct Resolve<'a> {
+    buffer: &'a mut Buffer,
+    block: &'a mut resolve::Block,
     plan: &'a FramePlan,
     batches: &'a [Batch],
     bands: &'a Bands,
@@ -127,17 +234,12 @@ struct Draw<'a> {
     target: resolve::Target<'a>,
 }
 
-impl pulp::WithSimd for Draw<'_> {
+impl pulp::WithSimd for Resolve<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(mut self, _: S) {
-        let Scratch { buffer, block } = self.scratch;
-        match self.plan.sensor.grid() {
-            PixelGrid::Lines(grid) => spans::rasterize(buffer, grid, self.batches, self.bands, self.band),
-            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, self.batches, self.bands, self.band),
-        }
-        resolve::resolve(buffer, block, self.plan, self.batches, self.bands, self.band, &mut self.target);
+        resolve::resolve(self.buffer, self.block, self.plan, self.batches, self.bands, self.band, &mut self.target);
     }
 }
 
@@ -152,7 +254,7 @@ pub(crate) struct Bands {
 impl Bands {
     fn new(grid: &PixelGrid, threads: usize) -> Self {
         let (axis, lines, samples, multiple) = match grid {
-            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), 1),
+            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), hidden::TILE),
             PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, rays::BAND_MULTIPLE),
         };
         let fair = lines.div_ceil(4 * threads);

@@ -11,16 +11,22 @@ pub(super) const BAND_MULTIPLE: usize = 8;
 
 /// Draws all polygons of a band.
 #[inline(always)]
-pub(super) fn rasterize(buffer: &mut Buffer, grid: &RayGrid, batches: &[Batch], bands: &Bands, band: usize) {
+pub(super) fn rasterize(
+    buffer: &mut Buffer,
+    grid: &RayGrid,
+    batches: &[Batch],
+    first_batch: usize,
+    bands: &Bands,
+    band: usize,
+) {
     let lines = bands.lines(band);
-    buffer.clear(lines.len() * bands.samples);
     let tiles: Vec<(&Tile, f64)> = grid
         .tiles()
         .iter()
         .filter(|t| lines.contains(&(t.row as usize)) && t.half_angle >= 0.0)
         .map(|t| (t, if t.half_angle < 1.5 { t.half_angle.sin() } else { 2.0 }))
         .collect();
-    for (b, batch) in batches.iter().enumerate() {
+    for (b, batch) in batches.iter().enumerate().skip(first_batch) {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
             let first = polygon.first_edge as usize;

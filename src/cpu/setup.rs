@@ -2,21 +2,21 @@
 
 use super::Bands;
 use super::batch::{Batch, SetUp, Shade};
-use super::bounds::{Bounds, Cover, LANES, Lanes};
-use crate::environment::PolygonRecord;
+use super::bounds::{Bounds, Cover, Footprint, LANES, Lanes};
+use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::sensor::PixelGrid;
 use glam::{DMat3, DVec3};
 
 /// One instance in the frame of the rays.
-struct Placed<'a> {
-    mesh: &'a crate::environment::Mesh,
-    ray_from_mesh: DMat3,
+pub(super) struct Placed<'a> {
+    pub mesh: &'a Mesh,
+    pub ray_from_mesh: DMat3,
     /// Turns a mesh normal over its plane distance into m.
     m_from_normal: DMat3,
     normal_from_mesh: DMat3,
-    center: DVec3,
+    pub center: DVec3,
     mirrored: bool,
     mesh_mirrored: bool,
     plain: bool,
@@ -25,7 +25,7 @@ struct Placed<'a> {
 }
 
 impl<'a> Placed<'a> {
-    fn new(plan: &'a FramePlan, instance: &Instance) -> Self {
+    pub fn new(plan: &'a FramePlan, instance: &Instance) -> Self {
         let (ray_from_image, image_from_ray) = match plan.sensor.grid() {
             PixelGrid::Lines(grid) => (grid.line_from_image(), grid.image_from_line()),
             PixelGrid::Rays(_) => (DMat3::IDENTITY, DMat3::IDENTITY),
@@ -61,10 +61,10 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
         let end = run.first + run.count;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
-            let covers = cover_lanes(&bounds, at, records, &mut corners);
-            for (i, cover) in covers.into_iter().take(records.len()).enumerate() {
-                if !cover[0].is_empty() {
-                    set_up(batch, plan, at, first + i as u32, cover);
+            let footprints = cover_lanes(&bounds, at, records, &mut corners);
+            for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
+                if !footprint.lines[0].is_empty() {
+                    set_up(batch, plan, at, first + i as u32, footprint.lines);
                 }
             }
         }
@@ -75,14 +75,14 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
 /// Corners of [`LANES`] polygons, x, y and z apart.
 type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
 
-/// The covers of up to [`LANES`] polygons; lanes without one repeat the last.
+/// The footprints of up to [`LANES`] polygons; lanes without one repeat the last.
 #[inline(always)]
 fn cover_lanes(
     bounds: &Bounds<'_>,
     at: &Placed<'_>,
     records: &[PolygonRecord],
     corners: &mut CornerLanes,
-) -> [Cover; LANES] {
+) -> [Footprint; LANES] {
     let (vertices, all_corners) = (at.mesh.vertices(), at.mesh.all_corners());
     let record = |l: usize| &records[l.min(records.len() - 1)];
     let first: [u32; LANES] = std::array::from_fn(|l| record(l).first_corner);

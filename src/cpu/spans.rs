@@ -12,8 +12,8 @@ pub(super) struct Buffer {
     pub inverse: Vec<f64>,
     /// See [`winner`].
     pub winner: Vec<u32>,
-    w0: Vec<f64>,
-    w1: Vec<f64>,
+    /// Least inverse depth of every tile, see [`super::hidden`].
+    pub farthest: Vec<f64>,
 }
 
 impl Buffer {
@@ -25,59 +25,76 @@ impl Buffer {
     }
 }
 
-/// Draws all polygons of a band.
+/// Lines whose intervals are found together.
+const TOGETHER: usize = 8;
+
+/// Draws the polygons of a band that the batches from `first_batch` on hold.
 #[inline(always)]
-pub(super) fn rasterize(buffer: &mut Buffer, grid: &LineGrid, batches: &[Batch], bands: &Bands, band: usize) {
+pub(super) fn rasterize(
+    buffer: &mut Buffer,
+    grid: &LineGrid,
+    batches: &[Batch],
+    first_batch: usize,
+    bands: &Bands,
+    band: usize,
+) {
     let lines = bands.lines(band);
-    buffer.clear(lines.len() * bands.samples);
-    if buffer.w0.len() != bands.samples {
-        buffer.w0 = grid.weights().iter().map(|w| w[0]).collect();
-        buffer.w1 = grid.weights().iter().map(|w| w[1]).collect();
-    }
-    for (b, batch) in batches.iter().enumerate() {
+    for (b, batch) in batches.iter().enumerate().skip(first_batch) {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
             let edges = &batch.edges[polygon.first_edge as usize..];
             let number = winner(b, i);
-            let first = lines.start.max(polygon.first_line as usize);
+            let start = lines.start.max(polygon.first_line as usize);
             let end = lines.end.min(polygon.end_line as usize);
-            for line in first..end {
-                let c = grid.lines()[line];
-                let Some((from, to)) = interval(grid, polygon, edges, c) else {
-                    continue;
-                };
-                let row = (line - lines.start) * bands.samples;
-                let scale = polygon.m.x * c[0] + polygon.m.y * c[1];
-                draw(buffer, row, from..to, [scale, polygon.m.z], number, batches);
+            for first in (start..end).step_by(TOGETHER) {
+                let count = TOGETHER.min(end - first);
+                let (c0, c1) = (&grid.c0()[first..first + count], &grid.c1()[first..first + count]);
+                let (least, greatest) = bounds_of_lines(polygon, edges, c0, c1);
+                for l in 0..count {
+                    if least[l] > greatest[l] {
+                        continue;
+                    }
+                    let (from, to) = (grid.samples_below(least[l]), grid.samples_up_to(greatest[l]));
+                    if from < to {
+                        let row = (first + l - lines.start) * bands.samples;
+                        let scale = polygon.m.x * c0[l] + polygon.m.y * c1[l];
+                        draw(buffer, grid, row, from..to, [scale, polygon.m.z], number, batches);
+                    }
+                }
             }
         }
     }
 }
 
-/// The samples of a line inside a polygon's cone.
+/// Where the polygon's cone begins and ends on up to [`TOGETHER`] lines, as positions t.
 #[inline(always)]
-fn interval(grid: &LineGrid, polygon: &SetUp, edges: &[DVec3], [c0, c1]: [f64; 2]) -> Option<(usize, usize)> {
+fn bounds_of_lines(polygon: &SetUp, edges: &[DVec3], c0: &[f64], c1: &[f64]) -> ([f64; TOGETHER], [f64; TOGETHER]) {
     let (lower, rest) = edges.split_at(usize::from(polygon.lower));
     let (upper, rest) = rest.split_at(usize::from(polygon.upper));
-    let mut least = f64::NEG_INFINITY;
+    let mut a = [0.0; TOGETHER];
+    let mut b = [0.0; TOGETHER];
+    a[..c0.len()].copy_from_slice(c0);
+    b[..c1.len()].copy_from_slice(c1);
+    let mut least = [f64::NEG_INFINITY; TOGETHER];
+    let mut greatest = [f64::INFINITY; TOGETHER];
     for e in lower {
-        least = least.max(e.x * c0 + e.y * c1);
-    }
-    let mut greatest = f64::INFINITY;
-    for e in upper {
-        greatest = greatest.min(e.x * c0 + e.y * c1);
-    }
-    if least > greatest {
-        return None;
-    }
-    for e in &rest[..usize::from(polygon.steep)] {
-        if e.x * c0 + e.y * c1 < 0.0 {
-            return None;
+        for l in 0..TOGETHER {
+            let t = e.x * a[l] + e.y * b[l];
+            least[l] = if t > least[l] { t } else { least[l] };
         }
     }
-    let from = grid.samples_below(least);
-    let to = grid.samples_up_to(greatest);
-    (from < to).then_some((from, to))
+    for e in upper {
+        for l in 0..TOGETHER {
+            let t = e.x * a[l] + e.y * b[l];
+            greatest[l] = if t < greatest[l] { t } else { greatest[l] };
+        }
+    }
+    for e in &rest[..usize::from(polygon.steep)] {
+        for l in 0..TOGETHER {
+            greatest[l] = if e.x * a[l] + e.y * b[l] < 0.0 { f64::NEG_INFINITY } else { greatest[l] };
+        }
+    }
+    (least, greatest)
 }
 
 /// Spans below this length are drawn one by one.
@@ -86,6 +103,7 @@ const SHORT: usize = 8;
 #[inline(always)]
 fn draw(
     buffer: &mut Buffer,
+    grid: &LineGrid,
     row: usize,
     span: std::ops::Range<usize>,
     [scale, slope]: [f64; 2],
@@ -95,8 +113,8 @@ fn draw(
     let pixels = row + span.start..row + span.end;
     let inverse = &mut buffer.inverse[pixels.clone()];
     let winners = &mut buffer.winner[pixels];
-    let w0 = &buffer.w0[span.clone()];
-    let w1 = &buffer.w1[span];
+    let w0 = &grid.w0()[span.clone()];
+    let w1 = &grid.w1()[span];
     let n = inverse.len();
     assert!(winners.len() == n && w0.len() == n && w1.len() == n);
     let mut tie = false;

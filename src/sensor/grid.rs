@@ -48,6 +48,9 @@ pub struct LineGrid {
     weights: Vec<[f64; 2]>,
     positions: Vec<f64>,
     finder: Finder,
+    /// The same numbers apart, for vector loops.
+    c: [Vec<f64>; 2],
+    w: [Vec<f64>; 2],
 }
 
 impl LineGrid {
@@ -56,7 +59,10 @@ impl LineGrid {
         let positions: Vec<f64> = weights.iter().map(|[w0, w1]| w1 / w0).collect();
         debug_assert!(positions.windows(2).all(|p| p[0] < p[1]));
         let finder = Finder::new(&positions);
-        Self { axis, line_from_image, image_from_line: line_from_image.inverse(), lines, weights, positions, finder }
+        let apart = |pairs: &[[f64; 2]]| [0, 1].map(|i| pairs.iter().map(|p| p[i]).collect());
+        let (c, w) = (apart(&lines), apart(&weights));
+        let image_from_line = line_from_image.inverse();
+        Self { axis, line_from_image, image_from_line, lines, weights, positions, finder, c, w }
     }
 
     /// Number of samples at positions below `t`: the first one at or above it.
@@ -94,6 +100,26 @@ impl LineGrid {
     /// (w0, w1) of every sample.
     pub fn weights(&self) -> &[[f64; 2]] {
         &self.weights
+    }
+
+    /// c0 of every line.
+    pub(crate) fn c0(&self) -> &[f64] {
+        &self.c[0]
+    }
+
+    /// c1 of every line.
+    pub(crate) fn c1(&self) -> &[f64] {
+        &self.c[1]
+    }
+
+    /// w0 of every sample.
+    pub(crate) fn w0(&self) -> &[f64] {
+        &self.w[0]
+    }
+
+    /// w1 of every sample.
+    pub(crate) fn w1(&self) -> &[f64] {
+        &self.w[1]
     }
 
     /// t = w1 / w0 of every sample, rising; infinite at a pole.

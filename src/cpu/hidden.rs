@@ -1,0 +1,105 @@
+//! What lies behind what is drawn already: runs are drawn nearest first, in waves, and before each wave those whose
+//! box is wholly behind the z-buffer are dropped. Cost then follows what is visible.
+
+use super::Bands;
+use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::setup::Placed;
+use super::spans::Buffer;
+use crate::geometry::Aabb;
+use crate::plan::{FramePlan, Run};
+use crate::sensor::LineAxis;
+use glam::DVec3;
+
+/// Side of the squares of pixels whose farthest depth is kept.
+pub(super) const TILE: usize = 8;
+
+/// A box this much nearer than the farthest depth behind it is not hidden: far above f64 rounding.
+const SLACK: f64 = 1e-9;
+
+/// The runs that may show: all but those behind what the bands hold.
+#[inline(always)]
+pub(super) fn visible(
+    plan: &FramePlan,
+    bounds: &Bounds<'_>,
+    runs: &[Run],
+    canvas: &[Buffer],
+    bands: &Bands,
+) -> Vec<Run> {
+    let mut kept = Vec::with_capacity(runs.len());
+    let mut placed: Option<(u32, Placed<'_>)> = None;
+    for eight in runs.chunks(LANES) {
+        let mut corners = [[[0.0; LANES]; 3]; 8];
+        let mut nearest = [0.0; LANES];
+        for (l, run) in eight.iter().enumerate() {
+            let known = placed.take().filter(|(i, _)| *i == run.instance);
+            let (_, at) = placed.insert(
+                known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))),
+            );
+            nearest[l] = place_box(at, run, l, &mut corners, bands.axis);
+        }
+        for (l, footprint) in bounds.cover(&corners).iter().enumerate().take(eight.len()) {
+            // In front of the sensor and clear of its axis, else the box has no footprint to speak of.
+            let hidden = nearest[l] > 0.0 && is_behind(footprint, 1.0 / nearest[l], canvas, bands);
+            if !hidden {
+                kept.push(eight[l]);
+            }
+        }
+    }
+    kept
+}
+
+/// Puts a run's box into a lane; the answer is its least depth in the frame of the rays, 0 if it cannot be bounded.
+#[inline(always)]
+fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8], axis: LineAxis) -> f64 {
+    let clusters = at.mesh.clusters();
+    let cluster = clusters.partition_point(|c| c.first <= run.first) - 1;
+    let Aabb { min, max } = clusters[cluster].bounds;
+    let mut around = Aabb::EMPTY;
+    for (i, corner) in corners.iter_mut().enumerate() {
+        let pick = |bit: usize, low: f64, high: f64| if i >> bit & 1 == 0 { low } else { high };
+        let p = DVec3::new(pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z));
+        let w = at.ray_from_mesh * (p - at.center);
+        around = around.with(w);
+        (corner[0][lane], corner[1][lane], corner[2][lane]) = (w.x, w.y, w.z);
+    }
+    match axis {
+        // Pinhole depth is the middle coordinate of the line frame.
+        LineAxis::Rows => around.min.y * (1.0 - SLACK),
+        // A box round the scanner's axis has no azimuth interval.
+        LineAxis::Columns => {
+            let beside = around.min.max(-around.max).truncate().max_element() > 0.0;
+            if beside { around.distance_squared(DVec3::ZERO).sqrt() * (1.0 - SLACK) } else { 0.0 }
+        }
+    }
+}
+
+/// True if every tile of the footprint is filled by something nearer than `inverse`.
+#[inline(always)]
+fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Bands) -> bool {
+    let columns = footprint.samples.start as usize / TILE..(footprint.samples.end as usize).div_ceil(TILE);
+    let across = bands.samples.div_ceil(TILE);
+    footprint.lines.iter().filter(|lines| !lines.is_empty()).all(|lines| {
+        let rows = lines.start as usize / TILE..(lines.end as usize).div_ceil(TILE);
+        rows.into_iter().all(|row| {
+            let (band, first) = (row * TILE / bands.per_band, row * TILE % bands.per_band / TILE);
+            let farthest = &canvas[band].farthest[first * across..(first + 1) * across];
+            farthest[columns.clone()].iter().all(|&k| k > inverse)
+        })
+    })
+}
+
+/// The least inverse depth of every tile of a band; 0 where a ray has met nothing yet.
+#[inline(always)]
+pub(super) fn measure(buffer: &mut Buffer, samples: usize) {
+    let across = samples.div_ceil(TILE);
+    let lines = buffer.inverse.len() / samples;
+    buffer.farthest.clear();
+    buffer.farthest.resize(lines.div_ceil(TILE) * across, f64::INFINITY);
+    for (line, inverse) in buffer.inverse.chunks_exact(samples).enumerate() {
+        let row = &mut buffer.farthest[line / TILE * across..][..across];
+        for (farthest, tile) in row.iter_mut().zip(inverse.chunks(TILE)) {
+            let least = tile.iter().copied().fold(f64::INFINITY, |a, b| if b < a { b } else { a });
+            *farthest = if least < *farthest { least } else { *farthest };
+        }
+    }
+}
