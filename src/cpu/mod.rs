@@ -251,9 +251,14 @@ pub(crate) struct Bands {
     per_band: usize,
 }
 
+const _: () = assert!(resolve::BLOCK_LINES % hidden::TILE == 0);
+
 impl Bands {
     fn new(grid: &PixelGrid, threads: usize) -> Self {
         let (axis, lines, samples, multiple) = match grid {
+            PixelGrid::Lines(g) if g.axis() == LineAxis::Columns => {
+                (g.axis(), g.lines().len(), g.weights().len(), resolve::BLOCK_LINES)
+            }
             PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), hidden::TILE),
             PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, rays::BAND_MULTIPLE),
         };
