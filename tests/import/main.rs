@@ -1,7 +1,6 @@
 //! Importing: every feature of a scene file on files made by hand, every way to be broken, and the real scenes.
 
-// Tests tell on stderr what they skipped and measured.
-#![allow(clippy::print_stderr)]
+#![expect(clippy::print_stderr, reason = "tests tell what they skipped and measured")]
 
 mod bad;
 mod build;
