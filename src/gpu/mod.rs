@@ -1,6 +1,6 @@
 //! The GPU engine: exact spans in compute shaders, by wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see [`stages`].
+//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see `stages`.
 
 mod buffers;
 mod device;
