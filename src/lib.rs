@@ -22,8 +22,8 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request};
-pub use predict::{Backend, Options, Prediction, Predictor, Stats};
+pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, Stats};
+pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use world::World;
 

@@ -18,8 +18,7 @@ mod store;
 pub use device::{Adapter, DeviceOptions, adapters};
 
 use crate::error::{ErrorKind, Result};
-use crate::plan::{FramePlan, Images, Output};
-use crate::predict::Stats;
+use crate::plan::{FramePlan, Images, Output, Stats};
 use crate::sensor::Sensor;
 use device::Gpu;
 use frame::Frame;
