@@ -7,6 +7,7 @@ pub mod compare;
 pub mod cpu;
 pub mod environment;
 mod error;
+pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;

@@ -1,6 +1,6 @@
 //! Real scenes and sensors.
 
-use presight::acquire::free_poses::free_poses;
+use presight::free_poses::free_poses;
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Pose, Sensor, World};
 use std::path::PathBuf;
