@@ -4,5 +4,7 @@
 
 mod bad;
 mod build;
+#[path = "../common/mod.rs"]
+mod common;
 mod features;
 mod scenes;
