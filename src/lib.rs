@@ -1,4 +1,40 @@
 //! presight: the engine that tells a robot what its sensors should see.
+//!
+//! A scene becomes an [`Environment`] ([`io::gltf::import`], or objects added one by one), a version of it a [`World`].
+//! A [`Sensor`] is a preset, a file ([`io::load_sensor`]) or made from a [`SensorSpec`]. A [`Predictor`] answers for a
+//! sensor at a [`Pose`] with [`Images`]: range, depth, which polygon and object each pixel sees, and at which angle.
+//!
+//! ```text
+//! Environment -> World -+
+//! Sensor, Pose, Request-+-> FramePlan -> cpu | gpu -> Prediction { images, stats } -> io::exr, png, ply, pcd
+//! ```
+//!
+//! ```
+//! use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+//! use presight::{Pose, Predictor, Request, World};
+//! use std::sync::Arc;
+//!
+//! // A wall 2 m ahead of the origin, 4 m wide and 2 m high.
+//! let mut environment = Environment::new();
+//! let paint = environment.add_material(Material::named("paint"))?;
+//! let corners = [[2.0, -2.0, -1.0], [2.0, -2.0, 1.0], [2.0, 2.0, 1.0], [2.0, 2.0, -1.0]].map(glam::Vec3::from);
+//! let face = Polygon::new(vec![0, 1, 2, 3], paint);
+//! let mesh = Mesh::new("wall", corners.to_vec(), vec![face], PolygonOrder::Given)?;
+//! environment.insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(mesh)))?;
+//!
+//! let mut predictor = Predictor::new(Options::default())?;
+//! let scanner = presight::preset("laser-scanner")?; // 361 beams, half a degree apart; 180 looks ahead
+//! let seen = predictor.predict(&World::new(environment), &scanner, &Pose::IDENTITY, &Request::default())?;
+//! assert_eq!(seen.images.range[180], 2.0);
+//! assert_eq!(seen.images.object_id[180], 1);
+//! assert_eq!(seen.images.range[0], f32::INFINITY);
+//! # Ok::<(), presight::Error>(())
+//! ```
+//!
+//! Lengths are metres, angles inside are radians, frames right-handed: x forward, y left, z up; a camera's optical frame
+//! is z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Errors are one type,
+//! [`Error`], that names file, place and remedy. The cargo feature `gpu` (default) brings the wgpu engine; everything
+//! works without it.
 
 pub mod acquire;
 #[doc(hidden)]
@@ -7,6 +43,7 @@ pub mod compare;
 pub mod cpu;
 pub mod environment;
 mod error;
+pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -22,8 +59,8 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request};
-pub use predict::{Backend, Options, Prediction, Predictor, Stats};
+pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, Stats};
+pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use world::World;
 

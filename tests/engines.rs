@@ -2,6 +2,8 @@
 //!
 //! `PRESIGHT_SEED` and `PRESIGHT_POSES` (per scene) spread runs, `PRESIGHT_SCENES` names scenes, comma-separated.
 
+#![expect(clippy::print_stderr, reason = "what was compared and where it failed is worth reading")]
+
 mod common;
 
 use common::{data, env_number, plan, reference, scenes, summary};

@@ -1,10 +1,12 @@
 //! The lens models against OpenCV's own numbers: projectPoints and undistortPoints, 400 points for each of six cameras.
 
-#![expect(clippy::print_stderr, reason = "a skipped test says so, and the errors found are worth reading")]
+#![expect(clippy::print_stderr, reason = "the errors found are worth reading")]
 
+mod common;
+
+use common::data;
 use glam::DVec3;
 use presight::{Camera, Distortion, Geometry, Sensor, SensorSpec};
-use std::path::PathBuf;
 
 /// Pixels; OpenCV computes in f64 and prints 16 digits, so a difference is rounding.
 const PIXELS: f64 = 1e-9;
@@ -19,15 +21,7 @@ struct Calibration {
 
 /// `None`, loudly, where the data are not installed; a failure where they must be.
 fn calibrations() -> Option<Vec<Calibration>> {
-    let root = std::env::var_os("PRESIGHT_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = root.join("calib");
-    if !folder.is_dir() {
-        let must = std::env::var_os("CI").is_some() || std::env::var("PRESIGHT_REQUIRE_DATA").is_ok_and(|v| v == "1");
-        assert!(!must, "no test data in {}", folder.display());
-        eprintln!("SKIPPED: no OpenCV calibration data in {}", folder.display());
-        return None;
-    }
+    let folder = data::file("calib")?;
     let json: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(folder.join("calib.json")).unwrap()).unwrap();
     let cameras = json["cameras"].as_array().unwrap();

@@ -2,7 +2,6 @@
 //! on the way.
 
 mod edges;
-pub mod free_poses;
 mod merge;
 mod quality;
 mod report;

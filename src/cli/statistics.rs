@@ -1,7 +1,7 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
 use crate::plan::LeftOut;
-use crate::predict::Stats;
+use crate::plan::Stats;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -18,8 +18,7 @@ mod setup;
 mod spans;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Images, Run};
-use crate::predict::Stats;
+use crate::plan::{FramePlan, Images, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
 use batch::Batch;
 use bounds::Bounds;

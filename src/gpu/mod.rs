@@ -1,6 +1,6 @@
 //! The GPU engine: exact spans in compute shaders, by wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see [`stages`].
+//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see `stages`.
 
 mod buffers;
 mod device;
@@ -18,8 +18,7 @@ mod store;
 pub use device::{Adapter, DeviceOptions, adapters};
 
 use crate::error::{ErrorKind, Result};
-use crate::plan::{FramePlan, Images, Output};
-use crate::predict::Stats;
+use crate::plan::{FramePlan, Images, Output, Stats};
 use crate::sensor::Sensor;
 use device::Gpu;
 use frame::Frame;

@@ -2,10 +2,12 @@
 
 mod images;
 mod request;
+mod stats;
 mod view;
 
 pub use images::Images;
 pub use request::{IdScheme, Output, Outputs, Request};
+pub use stats::Stats;
 pub use view::View;
 
 use crate::environment::{Appearance, Environment};

@@ -33,8 +33,41 @@ enum Kind {
     Fisheye(Fisheye),
 }
 
+impl Distortion {
+    /// The model with the region found in which it is one to one, for many points.
+    pub fn lens(&self) -> Lens {
+        Lens::new(self)
+    }
+
+    /// The ray (not normalized, z may be 0 or negative for fisheyes) that is imaged at distorted normalized
+    /// coordinates, or `None` where the model folds over: beyond the image of the region around the axis in which
+    /// the model is one to one. [`Distortion::distort`] gives the coordinates back to 1e-12.
+    ///
+    /// Finding that region costs more than using it: for many points use [`Distortion::lens`].
+    ///
+    /// ```
+    /// use presight::Distortion;
+    /// let barrel = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
+    /// let ray = barrel.undistort(0.4, -0.2).unwrap();
+    /// let (xd, yd) = barrel.distort(ray).unwrap();
+    /// assert!((xd - 0.4).abs() < 1e-12 && (yd + 0.2).abs() < 1e-12);
+    /// // r (1 - 0.3 r^2) never exceeds 0.703: nothing is imaged further out.
+    /// assert!(barrel.undistort(0.71, 0.0).is_none());
+    /// ```
+    pub fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
+        self.lens().undistort(xd, yd)
+    }
+
+    /// Distorted normalized coordinates of a point of the optical frame (any length): pixel = (fx xd + cx,
+    /// fy yd + cy). `None` for points that the model does not image: behind a lens that is no fisheye, or outside
+    /// the region around the axis in which the model is one to one.
+    pub fn distort(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
+        self.lens().distort(p_in_optical)
+    }
+}
+
 impl Lens {
-    pub(super) fn new(model: &Distortion) -> Self {
+    fn new(model: &Distortion) -> Self {
         Self(match *model {
             Distortion::None => Kind::Pinhole,
             Distortion::PlumbBob([k1, k2, p1, p2, k3]) => Kind::Brown(Brown::new([k1, k2, k3], [0.0; 3], p1, p2)),

@@ -1,6 +1,6 @@
 //! Real scenes and sensors.
 
-use presight::acquire::free_poses::free_poses;
+use presight::free_poses::free_poses;
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Pose, Sensor, World};
 use std::path::PathBuf;
@@ -9,6 +9,7 @@ use std::path::PathBuf;
 pub const SCENES: [&str; 5] = ["warehouse_small", "office_willowgarage", "factory_hall", "hospital", "city"];
 
 /// A file of the shared data. Without the data the test says so loudly and passes, unless it must have them.
+#[expect(clippy::print_stderr, reason = "a skipped test says so")]
 pub fn file(relative: &str) -> Option<PathBuf> {
     let root = std::env::var_os("PRESIGHT_DATA")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);

@@ -1,5 +1,5 @@
-//! What several tests share. Each test file uses a part of it.
-#![allow(dead_code)]
+//! What several tests share.
+#![allow(dead_code, reason = "no test file uses all of it")]
 
 pub mod data;
 pub mod hard;

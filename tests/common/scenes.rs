@@ -95,7 +95,7 @@ pub fn all_round(columns: u32, rows: u32) -> Sensor {
         let azimuth = std::f64::consts::TAU * f64::from(c) / f64::from(columns);
         let elevation = std::f64::consts::PI * (0.5 - f64::from(r) / f64::from(rows - 1));
         let ray = DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
-        if (c + 7 * r) % 11 == 0 { DVec3::NAN } else { ray }
+        if (c + 7 * r).is_multiple_of(11) { DVec3::NAN } else { ray }
     };
     let rays = (0..rows).flat_map(|r| (0..columns).map(move |c| ray(c, r))).collect();
     let table = RayTable::new(columns, rows, rays).expect("sound rays");

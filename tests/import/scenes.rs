@@ -1,23 +1,11 @@
 //! The real scenes: counts, bounds and source numbers against what their makers wrote down.
 
 use crate::build::SOURCE;
+use crate::common::data;
 use glam::DVec3;
 use presight::acquire::ProblemKind;
 use presight::io::gltf::{ImportOptions, import};
 use std::path::{Path, PathBuf};
-
-/// The folder of shared test data; `None` (said loudly) where it is not present and not required.
-fn data() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let folder = std::env::var_os("PRESIGHT_DATA").map_or(beside, PathBuf::from);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    let required = std::env::var_os("CI").is_some() || std::env::var_os("PRESIGHT_REQUIRE_DATA").is_some();
-    assert!(!required, "{} is missing", folder.display());
-    eprintln!("SKIPPED: {} is missing", folder.display());
-    None
-}
 
 fn scenes(data: &Path) -> Vec<PathBuf> {
     let mut all: Vec<PathBuf> = std::fs::read_dir(data.join("env"))
@@ -47,7 +35,7 @@ fn vector_after(text: &str, label: &str) -> [f64; 3] {
 
 #[test]
 fn counts_and_bounds_are_those_of_the_description() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::file("") else { return };
     for scene in scenes(&data) {
         let text = std::fs::read_to_string(scene.with_extension("txt")).unwrap();
         let read = import(&scene, &SOURCE).unwrap();
@@ -90,7 +78,7 @@ fn counts_and_bounds_are_those_of_the_description() {
 
 #[test]
 fn source_numbers_follow_the_reference_table() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::file("") else { return };
     let text = std::fs::read_to_string(data.join("reference/reference.json")).unwrap();
     let reference: serde_json::Value = serde_json::from_str(&text).unwrap();
     for (name, scene) in reference["scenes"].as_object().unwrap() {
@@ -110,7 +98,7 @@ fn source_numbers_follow_the_reference_table() {
 
 #[test]
 fn merging_keeps_every_surface() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::file("") else { return };
     for scene in scenes(&data) {
         let name = scene.file_stem().unwrap().to_string_lossy().into_owned();
         let start = std::time::Instant::now();
@@ -148,7 +136,7 @@ fn merging_keeps_every_surface() {
 
 #[test]
 fn points_of_source_triangles_lie_in_as_many_merged_polygons() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::file("") else { return };
     let (mut judged, mut merged_away) = (0u32, 0u32);
     for scene in scenes(&data) {
         let merged = import(&scene, &ImportOptions::default()).unwrap();

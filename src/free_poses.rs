@@ -2,11 +2,11 @@
 
 use crate::cpu::Engine;
 use crate::environment::{Environment, Object};
+use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, Images, Output, Outputs, Request};
+use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
 use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use crate::world::World;
-use crate::{Error, Result, Stats};
 use glam::DVec3;
 
 /// Least distance of a free pose from any polygon, metres.
