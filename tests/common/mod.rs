@@ -2,6 +2,7 @@
 #![allow(dead_code)]
 
 pub mod data;
+pub mod engines;
 pub mod hard;
 pub mod oracle;
 pub mod scenes;
