@@ -1,6 +1,6 @@
 //! Generated hard scenes: the reference against parry, the engines against the reference. 0 faults, always.
 //!
-//! `PROPTEST_CASES` says how many, `PROPTEST_RNG_SEED` spreads runs.
+//! Other cases each run: `PROPTEST_CASES` says how many, `PROPTEST_RNG_SEED` repeats a run.
 
 mod common;
 
@@ -14,7 +14,7 @@ use proptest::test_runner::TestRunner;
 use std::cell::RefCell;
 
 fn config() -> ProptestConfig {
-    let cases = common::env_number("PROPTEST_CASES", 300) as u32;
+    let cases = common::env_number("PROPTEST_CASES", 1500) as u32;
     ProptestConfig { cases, max_shrink_iters: 3000, failure_persistence: None, ..ProptestConfig::default() }
 }
 
