@@ -1,15 +1,17 @@
 //! Every engine against the reference, in full images, at free poses of real scenes.
 //!
-//! `PRESIGHT_SEED` and `PRESIGHT_POSES` (per scene) spread runs, `PRESIGHT_SCENES` names scenes, comma-separated.
+//! `PRESIGHT_SEED`, `PRESIGHT_POSES` (per scene; half as many for the GPU engine) and `PRESIGHT_PRESETS` (per pose) spread
+//! runs, `PRESIGHT_SCENES` names scenes, comma-separated. By default 4 of the 8 presets take their turn at each pose, other
+//! ones in each scene and for each seed: two poses see every preset, and two seeds do so for a single pose.
 
 #![expect(clippy::print_stderr, reason = "what was compared and where it failed is worth reading")]
 
 mod common;
 
-use common::{data, env_number, plan, reference, scenes, summary};
+use common::{data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
 use presight::compare::{Precision, Report, compare};
-use presight::{FramePlan, Images, Pose, Stats, cpu};
+use presight::{FramePlan, Images, Pose};
 use std::time::Instant;
 
 /// Edge pixels beyond this share fail, in scenes where rays and edges meet by chance only.
@@ -18,22 +20,6 @@ fn most_edge_share(precision: Precision) -> f64 {
         Precision::F64 => 1e-4,
         Precision::F32 => 2e-3,
         Precision::Snapped => 2e-2,
-    }
-}
-
-/// Fills images that held something else before: an engine must write every pixel.
-fn cpu_engine() -> impl FnMut(&FramePlan) -> Images {
-    let mut engine = cpu::Engine::new(2).expect("two threads");
-    move |plan| {
-        let mut images = Images::default();
-        images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
-        images.range.fill(-7.0);
-        images.depth_z.fill(-7.0);
-        images.cos_incidence.fill(-7.0);
-        images.polygon_id.fill(0x7777_7777);
-        images.object_id.fill(0x7777_7777);
-        engine.render(plan, &mut images, &mut Stats::default()).expect("the engine renders");
-        images
     }
 }
 
@@ -52,17 +38,18 @@ fn check_room(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision
     report.check(most_edge_share(precision)).unwrap();
 }
 
-fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision) {
+/// Full images at each pose by `share` presets, or all.
+fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision, poses: usize, share: usize) {
     let wanted = std::env::var("PRESIGHT_SCENES").unwrap_or_else(|_| data::SCENES.join(","));
-    let (seed, poses) = (env_number("PRESIGHT_SEED", 1), env_number("PRESIGHT_POSES", 2) as usize);
-    for scene in wanted.split(',') {
+    let seed = env_number("PRESIGHT_SEED", 1);
+    for (s, scene) in wanted.split(',').enumerate() {
         let Some(world) = data::scene(scene, true) else {
             return;
         };
         let start = Instant::now();
         let mut report = Report::default();
         for (i, pose) in data::poses(&world, poses, seed).iter().enumerate() {
-            for sensor in data::presets() {
+            for sensor in data::presets_at(seed as usize + s, i, share) {
                 let plan = plan(&world, &sensor, pose);
                 let one = compare(&reference(&plan), &render(&plan), &plan, precision).unwrap();
                 if one.fault > 0 {
@@ -78,12 +65,37 @@ fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precisi
     }
 }
 
+fn poses() -> usize {
+    env_number("PRESIGHT_POSES", 2) as usize
+}
+
+/// How many presets at each pose.
+fn share() -> usize {
+    env_number("PRESIGHT_PRESETS", 4) as usize
+}
+
 #[test]
 fn cpu_in_rooms() {
-    check_room(cpu_engine(), Precision::F64);
+    check_room(engines::cpu(2), Precision::F64);
 }
 
 #[test]
 fn cpu_in_real_scenes() {
-    check_scenes(cpu_engine(), Precision::F64);
+    check_scenes(engines::cpu(2), Precision::F64, poses(), share());
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn gpu_in_rooms() {
+    if let Some(gpu) = engines::gpu() {
+        check_room(gpu, Precision::F32);
+    }
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn gpu_in_real_scenes() {
+    if let Some(gpu) = engines::gpu() {
+        check_scenes(gpu, Precision::F32, poses().div_ceil(2), share());
+    }
 }

@@ -1,23 +1,29 @@
 //! Generated hard scenes: the reference against parry, the engines against the reference. 0 faults, always.
 //!
-//! `PROPTEST_CASES` says how many, `PROPTEST_RNG_SEED` spreads runs.
+//! Other cases each run: `PROPTEST_CASES` says how many, `PROPTEST_RNG_SEED` repeats a run.
 
 mod common;
 
 use common::hard::{Case, case};
 use common::oracle::Oracle;
-use common::{plan, reference};
+use common::{engines, plan, reference};
 use presight::compare::{Precision, Values, compare, compare_values};
-use presight::{FramePlan, Images, Stats, cpu};
+use presight::{FramePlan, Images};
 use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+use std::cell::RefCell;
 
 fn config() -> ProptestConfig {
-    let cases = common::env_number("PROPTEST_CASES", 300) as u32;
+    let cases = common::env_number("PROPTEST_CASES", 1500) as u32;
     ProptestConfig { cases, max_shrink_iters: 3000, failure_persistence: None, ..ProptestConfig::default() }
 }
 
 /// Holds an engine to the reference on one case, with every sensor.
-fn check_engine(case: &Case, render: impl Fn(&FramePlan) -> Images, precision: Precision) -> Result<(), TestCaseError> {
+fn check_engine(
+    case: &Case,
+    render: &mut impl FnMut(&FramePlan) -> Images,
+    precision: Precision,
+) -> Result<(), TestCaseError> {
     let (world, pose, sensors) = case.build();
     for sensor in sensors {
         let plan = plan(&world, &sensor, &pose);
@@ -52,22 +58,26 @@ fn check_oracle(case: &Case) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-proptest! {
-    #![proptest_config(config())]
+fn check_cases(check: impl Fn(&Case) -> Result<(), TestCaseError>) {
+    TestRunner::new(config()).run(&case(), |case| check(&case)).unwrap_or_else(|e| panic!("{e}"));
+}
 
-    #[test]
-    fn reference_and_parry_agree(case in case()) {
-        check_oracle(&case)?;
-    }
+#[test]
+fn reference_and_parry_agree() {
+    check_cases(check_oracle);
+}
 
-    #[test]
-    fn cpu_is_right(case in case()) {
-        let render = |plan: &FramePlan| {
-            let mut images = Images::default();
-            let mut engine = cpu::Engine::new(1).expect("a thread");
-            engine.render(plan, &mut images, &mut Stats::default()).expect("the engine renders");
-            images
-        };
-        check_engine(&case, render, Precision::F64)?;
+#[test]
+fn cpu_is_right() {
+    let render = RefCell::new(engines::cpu(1));
+    check_cases(|case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn gpu_is_right() {
+    if let Some(gpu) = engines::gpu() {
+        let render = RefCell::new(gpu);
+        check_cases(|case| check_engine(case, &mut *render.borrow_mut(), Precision::F32));
     }
 }

@@ -39,3 +39,12 @@ pub fn poses(world: &World, n: usize, seed: u64) -> Vec<Pose> {
 pub fn presets() -> Vec<Sensor> {
     presight::sensor::PRESETS.iter().map(|p| presight::preset(p.name).expect("a sound preset")).collect()
 }
+
+/// `share` of the presets, those whose turn it is: `turn` and `pose` rotate the list, so that consecutive poses, or
+/// consecutive turns at one pose, go through all of them.
+pub fn presets_at(turn: usize, pose: usize, share: usize) -> Vec<Sensor> {
+    let (all, count) = (presets(), presight::sensor::PRESETS.len());
+    let share = share.min(count);
+    let first = (turn + pose) * share % count;
+    all.iter().cycle().skip(first).take(share).cloned().collect()
+}

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "no test file uses all of it")]
 
 pub mod data;
+pub mod engines;
 pub mod hard;
 pub mod oracle;
 pub mod scenes;

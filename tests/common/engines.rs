@@ -1,0 +1,48 @@
+//! The engines under test, each as a function from a plan to images.
+
+use presight::{FramePlan, Images, Stats, cpu};
+
+/// Images that held something else before: an engine must write every pixel.
+fn used(plan: &FramePlan) -> Images {
+    let mut images = Images::default();
+    images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
+    images.range.fill(-7.0);
+    images.depth_z.fill(-7.0);
+    images.cos_incidence.fill(-7.0);
+    images.polygon_id.fill(0x7777_7777);
+    images.object_id.fill(0x7777_7777);
+    images
+}
+
+/// The CPU engine on so many threads.
+pub fn cpu(threads: usize) -> impl FnMut(&FramePlan) -> Images {
+    let mut engine = cpu::Engine::new(threads).expect("threads");
+    move |plan| {
+        let mut images = used(plan);
+        engine.render(plan, &mut images, &mut Stats::default()).expect("the engine renders");
+        images
+    }
+}
+
+/// The GPU engine on whatever adapter there is; `None`, said loudly, where there is none and none is required (`CI`,
+/// `PRESIGHT_REQUIRE_GPU`).
+#[cfg(feature = "gpu")]
+pub fn gpu() -> Option<impl FnMut(&FramePlan) -> Images> {
+    let required = ["CI", "PRESIGHT_REQUIRE_GPU"].iter().any(|name| std::env::var_os(name).is_some());
+    let mut engine = match presight::gpu::Engine::new(presight::gpu::DeviceOptions::default()) {
+        Ok(engine) => engine,
+        Err(e) => {
+            assert!(!required, "an adapter is required here: {e}");
+            eprintln!("SKIPPED: no adapter: {e}");
+            return None;
+        }
+    };
+    eprintln!("GPU engine on {}", engine.adapter());
+    Some(move |plan: &FramePlan| {
+        let (mut images, mut stats) = (used(plan), Stats::default());
+        engine.render(plan, &mut images, &mut stats).expect("the engine renders");
+        let lost = stats.counts.iter().find(|(name, _)| name.contains("internal")).map_or(0, |(_, n)| *n);
+        assert_eq!(lost, 0, "hits without id");
+        images
+    })
+}
