@@ -1,7 +1,5 @@
 //! The lens models against OpenCV's own numbers: projectPoints and undistortPoints, 400 points for each of six cameras.
 
-#![expect(clippy::print_stderr, reason = "the errors found are worth reading")]
-
 mod common;
 
 use common::data;
