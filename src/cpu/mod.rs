@@ -250,7 +250,7 @@ pub(crate) struct Bands {
     per_band: usize,
 }
 
-const _: () = assert!(resolve::BLOCK_LINES % hidden::TILE == 0);
+const _: () = assert!(resolve::BLOCK_LINES.is_multiple_of(hidden::TILE));
 
 impl Bands {
     fn new(grid: &PixelGrid, threads: usize) -> Self {
