@@ -27,6 +27,7 @@ pub fn cpu(threads: usize) -> impl FnMut(&FramePlan) -> Images {
 /// The GPU engine on whatever adapter there is; `None`, said loudly, where there is none and none is required (`CI`,
 /// `PRESIGHT_REQUIRE_GPU`).
 #[cfg(feature = "gpu")]
+#[expect(clippy::print_stderr, reason = "a skipped engine says so")]
 pub fn gpu() -> Option<impl FnMut(&FramePlan) -> Images> {
     let required = ["CI", "PRESIGHT_REQUIRE_GPU"].iter().any(|name| std::env::var_os(name).is_some());
     let mut engine = match presight::gpu::Engine::new(presight::gpu::DeviceOptions::default()) {
