@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::hard::{Case, Placing, Shape, case};
+use common::hard::{Case, case};
 use common::oracle::Oracle;
 use common::{engines, plan, reference};
 use presight::compare::{Precision, Values, compare, compare_values};
@@ -78,6 +78,7 @@ fn cpu_is_right() {
 #[cfg(feature = "gpu")]
 #[test]
 fn a_sliver_is_not_seen_at_its_vanishing_point() {
+    use common::hard::{Placing, Shape};
     let shape = Shape::Sliver {
         at: [0.0, 7.313833593351606, 7.313833593351606],
         along: [0.0, 0.0, 1.0],
