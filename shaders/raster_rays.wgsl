@@ -37,13 +37,15 @@ fn supertile(record: u32, index: u32) {
             let at = params.tiles_at + (row * params.tile_columns + column) * 4u;
             let tile_cosine = bitcast<f32>(grid[at + 3u]);
             if tile_cosine <= 1.0 && cones_meet(axis, cosine, words_of_grid(at), tile_cosine) {
-                tile(record, column * TILE, row * TILE);
+                tile(record, axis, cosine, column * TILE, row * TILE);
             }
         }
     }
 }
 
-fn tile(record: u32, first_column: u32, first_row: u32) {
+// Rays outside the polygon's own cone are left out, too: towards the vanishing point of a sliver's long sides all edge
+// planes meet, and rounded to f32 may hold rays there, far from the polygon.
+fn tile(record: u32, axis: vec3f, cosine: f32, first_column: u32, first_row: u32) {
     let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
     let slot = records[record + 3u];
     let edge_count = records[record + 4u];
@@ -54,7 +56,7 @@ fn tile(record: u32, first_column: u32, first_row: u32) {
             // No ray is stored as zero: its inverse range is not above zero.
             let ray = words_of_grid(params.rays_at + pixel * 3u);
             let k = dot(m, ray);
-            var inside = k > 0.0;
+            var inside = k > 0.0 && dot(axis, ray) >= cosine;
             for (var e = 0u; inside && e < edge_count; e++) {
                 let at = edges + e * EDGE_WORDS;
                 inside = dot(vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u)), ray) >= 0.0;

@@ -143,7 +143,9 @@ fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
         most = if turn(most, *v) > 0.0 { *v } else { most };
     }
     let (a, b) = (least.normalize_or_zero(), most.normalize_or_zero());
-    let around = corners.iter().any(|v| turn(a, *v) < 0.0 || turn(*v, b) < 0.0);
+    // The outermost corners themselves are within rounding of 0.
+    let beyond = |turned: f64, v: &DVec3| turned < -1e-12 * v.length();
+    let around = corners.iter().any(|v| beyond(turn(a, *v), v) || beyond(turn(*v, b), v));
     if around || turn(a, b) <= 0.0 {
         return Vec::new();
     }
