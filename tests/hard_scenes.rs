@@ -2,6 +2,8 @@
 //!
 //! `PROPTEST_CASES` says how many, `PRESIGHT_SEED` which: the same ones each time without it.
 
+#![allow(clippy::print_stderr)] // Skips and what was found are said.
+
 mod common;
 
 use common::hard::{Case, case};
@@ -74,26 +76,53 @@ fn cpu_is_right() {
     check_cases(|case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
 }
 
+/// One sliver before the GPU engine: where, along what, how long, its aspect; turn, scale and shear of its mesh.
+#[cfg(feature = "gpu")]
+fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, f64), mesh: ([f64; 3], [f64; 3], f64)) {
+    use common::hard::{Placing, Shape};
+    let placing = Placing { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
+    let shapes = vec![(Shape::Sliver { at, along, long, aspect }, placing)];
+    let case = Case { shapes, unit, at: [0.0; 3], turn: [0.0; 3], limits: None };
+    if let Some(mut gpu) = engines::gpu() {
+        check_engine(&case, &mut gpu, Precision::F32).unwrap();
+    }
+}
+
 /// A sliver whose long sides run towards a ray of the table, which no edge plane tells from a ray inside.
 #[cfg(feature = "gpu")]
 #[test]
 fn a_sliver_is_not_seen_at_its_vanishing_point() {
-    use common::hard::{Placing, Shape};
-    let shape = Shape::Sliver {
-        at: [0.0, 7.313833593351606, 7.313833593351606],
-        along: [0.0, 0.0, 1.0],
-        long: 7.620723058033309,
-        aspect: 61401.428461086725,
-    };
-    let placing = Placing {
-        turn: [1.2823919490829898, 0.0, 1.165545904707838],
-        scale: [3.4516506236495275, -9.504869800754584, -7.818688879321611],
-        shear: 1.6981120438347148,
-    };
-    let case = Case { shapes: vec![(shape, placing)], unit: 0.001, at: [0.0; 3], turn: [0.0; 3], limits: None };
-    if let Some(mut gpu) = engines::gpu() {
-        check_engine(&case, &mut gpu, Precision::F32).unwrap();
-    }
+    let mesh = (
+        [1.2823919490829898, 0.0, 1.165545904707838],
+        [3.4516506236495275, -9.504869800754584, -7.818688879321611],
+        1.6981120438347148,
+    );
+    let along = ([0.0, 0.0, 1.0], 7.620723058033309, 61401.428461086725);
+    check_sliver(1e-3, [0.0, 7.313833593351606, 7.313833593351606], along, mesh);
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+#[ignore = "known fault: on lines, f32 edge planes of a sliver still hold a ray beyond its end"]
+fn a_sliver_is_not_seen_beyond_its_end_on_lines() {
+    let mesh = (
+        [0.0, 0.9812797453782295, 2.5407180247434344],
+        [2.4178157433878704, -2.2541826586488876, 9.314303646842474],
+        1.7002642750806187,
+    );
+    check_sliver(1.0, [0.0, 0.0, 3.047230977134758], ([0.0, 1.0, 1.0], 3.1200004157051215, 21887.168291616068), mesh);
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+#[ignore = "known fault: far and flat to the sensor, f32 edge planes still hold a ray beside its corner"]
+fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
+    let mesh = (
+        [-1.1168009491646285, -2.4374656620128055, -2.692226095330621],
+        [-5.490462491510642, 6.7663527042851275, 7.183942443517694],
+        0.0,
+    );
+    check_sliver(100.0, [0.0, 42.4176835766584, 0.0], ([0.0, 1.0, 1.0], 0.20455509175793538, 10.0), mesh);
 }
 
 #[cfg(feature = "gpu")]

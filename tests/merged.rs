@@ -3,6 +3,8 @@
 //! A pixel agrees if what the merged world shows there is, within the deviation that the import reports, in the plane
 //! and at the range of the triangle that the source world shows. Another polygon may be shown only beside a border.
 
+#![allow(clippy::print_stderr)] // Skips and what was found are said.
+
 mod common;
 
 use common::{data, env_number, plan, reference, scenes};
