@@ -54,18 +54,19 @@ def cpu_name():
 
 
 def run_presight(args):
-    """Seconds, peak resident MB and (status, messages) of one run of the command."""
-    start = time.perf_counter()
-    with tempfile.TemporaryFile() as messages:
-        child = subprocess.Popen([os.environ["PRESIGHT"], *args], stdout=messages, stderr=subprocess.STDOUT)
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
+    """Seconds, peak resident MB (NaN without GNU time) and (status, messages) of one run of the command."""
+    # A child of this process would count this process's own memory, for it starts as its copy: GNU time is small.
+    timer = Path("/usr/bin/time")
+    with tempfile.TemporaryFile() as messages, tempfile.NamedTemporaryFile("r") as kib:
+        measured = [str(timer), "-f", "%M", "-o", kib.name] if timer.exists() else []
+        start = time.perf_counter()
+        done = subprocess.run([*measured, os.environ["PRESIGHT"], *args], stdout=messages, stderr=subprocess.STDOUT)
         seconds = time.perf_counter() - start
         messages.seek(0)
         said = messages.read().decode(errors="replace").strip()
-    # ru_maxrss is in KiB on Linux, in bytes on macOS.
-    unit = 1 if sys.platform == "darwin" else 1024
-    return seconds, usage.ru_maxrss * unit / 1e6, child.returncode, said
+        lines = kib.read().split()
+    megabytes = int(lines[-1]) * 1024 / 1e6 if lines else float("nan")
+    return seconds, megabytes, done.returncode, said
 
 
 def must(args):

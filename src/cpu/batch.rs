@@ -103,9 +103,9 @@ pub(super) fn shade(batches: &[Batch], winner: u32) -> &Shade {
 /// Most batches that winners can number.
 pub(super) const MAX_BATCHES: usize = 1 << (32 - INDEX_BITS);
 
-/// Cuts runs into groups of about a thousand polygons, one batch each.
+/// Cuts runs into groups of about five hundred polygons, one batch each.
 pub(super) fn group_runs(runs: &[Run]) -> Vec<Range<usize>> {
-    const TARGET: usize = 1024;
+    const TARGET: usize = 512;
     // A polygon over the azimuth seam is set up twice; every number must fit.
     const _: () = assert!(2 * (TARGET + limits::CLUSTER_POLYGONS) <= 1 << INDEX_BITS);
     let mut groups = Vec::new();

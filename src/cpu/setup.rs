@@ -53,6 +53,8 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
     let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
+    let mut outline =
+        Outline { corners: [DVec3::ZERO; limits::MAX_CORNERS], planes: [DVec3::ZERO; limits::MAX_CORNERS] };
     let mut placed: Option<(u32, Placed<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
@@ -64,12 +66,18 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
             let footprints = cover_lanes(&bounds, at, records, &mut corners);
             for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
                 if !footprint.lines[0].is_empty() {
-                    set_up(batch, plan, at, first + i as u32, footprint.lines);
+                    set_up(batch, plan, at, first + i as u32, footprint.lines, &mut outline);
                 }
             }
         }
     }
     batch.bin(bands);
+}
+
+/// Room for one polygon's corners and edge planes, kept from polygon to polygon: clearing it costs more than filling it.
+struct Outline {
+    corners: [DVec3; limits::MAX_CORNERS],
+    planes: [DVec3; limits::MAX_CORNERS],
 }
 
 /// Corners of [`LANES`] polygons, x, y and z apart.
@@ -106,7 +114,7 @@ fn cover_lanes(
 }
 
 #[inline(always)]
-fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, cover: Cover) {
+fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, cover: Cover, outline: &mut Outline) {
     let record = &at.mesh.polygons()[polygon as usize];
     let facing = if at.plain { None } else { Some(plan.facings[usize::from(record.material)]) };
     if facing.is_some_and(|f| !f.opaque) {
@@ -134,16 +142,14 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
     if facing.is_some_and(|f| f.one_sided) && (d > 0.0) != at.mesh_mirrored {
         return;
     }
-    let mut corners = [DVec3::ZERO; limits::MAX_CORNERS];
-    for (corner, &i) in corners.iter_mut().zip(indices) {
+    for (corner, &i) in outline.corners.iter_mut().zip(indices) {
         *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
     }
-    let corners = &corners[..indices.len()];
     let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
     let first_edge = batch.edges.len() as u32;
     let (lower, upper, steep) = match plan.sensor.grid() {
-        PixelGrid::Lines(_) => line_edges(batch, indices, corners, outward),
-        PixelGrid::Rays(_) => plane_edges(batch, indices, corners, outward),
+        PixelGrid::Lines(_) => line_edges(batch, indices, outline, outward),
+        PixelGrid::Rays(_) => plane_edges(batch, indices, &outline.corners[..indices.len()], outward),
     };
     let shade = Shade {
         distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
@@ -175,11 +181,11 @@ fn edge_plane(indices: &[u32], corners: &[DVec3], k: usize, outward: f64) -> DVe
 
 /// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
 #[inline(always)]
-fn line_edges(batch: &mut Batch, indices: &[u32], corners: &[DVec3], outward: f64) -> (u8, u8, u8) {
-    let n = corners.len();
-    let mut planes = [DVec3::ZERO; limits::MAX_CORNERS];
+fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> (u8, u8, u8) {
+    let n = indices.len();
+    let Outline { corners, planes } = outline;
     for (k, plane) in planes[..n].iter_mut().enumerate() {
-        *plane = edge_plane(indices, corners, k, outward);
+        *plane = edge_plane(indices, &corners[..n], k, outward);
     }
     let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
     let bound = |e: DVec3| DVec3::new(-e.x / e.z, -e.y / e.z, 0.0);
