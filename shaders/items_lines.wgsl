@@ -1,6 +1,7 @@
 // Work items of a line grid: a polygon and some of its lines, so that a big polygon spreads over many invocations.
 
 fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
+    write_cap(at, instance, first_corner, corner_count);
     let first = survivor.lines & 0xffffu;
     let count = survivor.lines >> 16u;
     let share = max(LINES_PER_ITEM, (count + ITEMS_PER_POLYGON - 1u) / ITEMS_PER_POLYGON);
@@ -9,4 +10,39 @@ fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32,
     for (var i = 0u; i < wanted; i++) {
         put_item(base + i, at, (first + i * share) | (min(share, count - i * share) << 16u));
     }
+}
+
+// |v| / |d| above which a polygon is flat to the sensor.
+const FLAT: f32 = 16.0;
+
+// The cap of the unit sphere around a polygon that is flat to the sensor: its axis and squared chord, -1 for all others.
+// Seen from so nearly within its plane all edge planes nearly are that plane; rounded to f32 they may meet beyond its
+// end or beside its corner, and only the cap says that nothing is there.
+fn write_cap(at: u32, instance: Instance, first_corner: u32, corner_count: u32) {
+    var axis = vec3f();
+    var nearest = HUGE;
+    for (var k = 0u; k < corner_count; k++) {
+        let v = to_image(instance, from_center(instance, vertex(instance, arena[first_corner + k * CORNER_WORDS])));
+        let size = length(v);
+        nearest = min(nearest, size);
+        axis += v / size;
+    }
+    // Its length is 1 / |d|: the first words of the record, turned back from the line frame.
+    var m = vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
+    if GRID == CAMERA {
+        m = vec3f(m.z * params.fx, m.x * params.fy, m.y);
+    }
+    var chord = -1.0;
+    if length(m) * nearest > FLAT {
+        axis = normalize(axis);
+        for (var k = 0u; k < corner_count; k++) {
+            let v = to_image(instance, from_center(instance, vertex(instance, arena[first_corner + k * CORNER_WORDS])));
+            let apart = normalize(v) - axis;
+            chord = max(chord, dot(apart, apart));
+        }
+        // A little wider than rounding; a cap of a quarter turn and more need not hold the polygon.
+        chord = select(-1.0, chord * 1.00001 + 1.0e-11, chord < 1.9);
+    }
+    put(at + 5u, axis);
+    records[at + 8u] = bitcast<u32>(chord);
 }

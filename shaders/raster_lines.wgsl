@@ -44,6 +44,8 @@ fn rasterize(record: u32, first: u32, count: u32) {
     let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
     let slot = records[record + 3u];
     let edge_count = records[record + 4u];
+    let axis = vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u));
+    let chord = float_of(record + 8u);
     // Most polygons have no more than four edges: these stay in registers over all lines.
     let e0 = edge_at(record, edge_count, 0u);
     let e1 = edge_at(record, edge_count, 1u);
@@ -67,10 +69,22 @@ fn rasterize(record: u32, first: u32, count: u32) {
             let end = first_above(interval.y);
             for (var s = first_at_or_above(interval.x); s < end; s++) {
                 let w = weights(s);
-                offer(base + s, k0 * w.x + m.z * w.y, slot);
+                if chord < 0.0 || in_cap(axis, chord, vec3f(line.c * w.x, w.y)) {
+                    offer(base + s, k0 * w.x + m.z * w.y, slot);
+                }
             }
         }
     }
+}
+
+// True if a ray of the line frame meets the cap around a polygon.
+fn in_cap(axis: vec3f, chord: f32, ray: vec3f) -> bool {
+    var u = vec3f(ray.x, ray.y, -ray.z);
+    if GRID == CAMERA {
+        u = normalize(vec3f(ray.z / params.fx, ray.x / params.fy, ray.y));
+    }
+    let apart = u - axis;
+    return dot(apart, apart) <= chord;
 }
 
 struct Line {

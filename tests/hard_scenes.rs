@@ -103,7 +103,6 @@ fn a_sliver_is_not_seen_at_its_vanishing_point() {
 
 #[cfg(feature = "gpu")]
 #[test]
-#[ignore = "known fault: on lines, f32 edge planes of a sliver still hold a ray beyond its end"]
 fn a_sliver_is_not_seen_beyond_its_end_on_lines() {
     let mesh = (
         [0.0, 0.9812797453782295, 2.5407180247434344],
@@ -115,7 +114,6 @@ fn a_sliver_is_not_seen_beyond_its_end_on_lines() {
 
 #[cfg(feature = "gpu")]
 #[test]
-#[ignore = "known fault: far and flat to the sensor, f32 edge planes still hold a ray beside its corner"]
 fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
     let mesh = (
         [-1.1168009491646285, -2.4374656620128055, -2.692226095330621],
