@@ -55,8 +55,8 @@ pub(super) struct Block {
     object_id: Vec<u32>,
 }
 
-/// Lines of a block: two cache lines of a row at a time. Every row of a scanner's image is a page of its own, and with
-/// eight lines the misses of the address translation cost more than all the rest.
+/// Lines of a block: two cache lines of a row at a time. Every row of a scanner's image is a page of its own, and each
+/// visit to it may miss in the address translation.
 pub(super) const BLOCK_LINES: usize = 32;
 
 /// Fills the asked images of a band.
