@@ -47,6 +47,7 @@ pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod index;
 pub mod io;
 pub mod limits;
 pub mod plan;
@@ -62,7 +63,7 @@ pub use io::preset;
 pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, Stats};
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
-pub use world::World;
+pub use world::{Change, World};
 
 /// The README's example is compiled and run as a doc test.
 #[cfg(doctest)]

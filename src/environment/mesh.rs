@@ -87,7 +87,8 @@ pub struct Mesh {
     planes: Vec<Plane>,
     clusters: Vec<Cluster>,
     bounds: Aabb,
-    material_end: u16,
+    /// Those in use, rising.
+    materials: Vec<u16>,
 }
 
 /// How far off its plane a vertex may be, relative to the polygon's largest coordinate extent; what f32 vertices of
@@ -138,6 +139,11 @@ impl Mesh {
         Ok(Self::assemble(name, vertices, &Parts { corners, records, planes }, order))
     }
 
+    /// Holds nothing.
+    pub(crate) fn empty(name: &str) -> Self {
+        Self::assemble(name.to_owned(), Vec::new(), &Parts::default(), PolygonOrder::Given)
+    }
+
     /// As [`Mesh::new`], of parts that were proven sound when they were made; only vertices in use are kept, in the
     /// order of their use.
     pub(crate) fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
@@ -178,7 +184,7 @@ impl Mesh {
             planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
             clusters: Vec::with_capacity(cuts.len()),
             bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
-            material_end: records.iter().map(|r| r.material + 1).max().unwrap_or(0),
+            materials: materials_of(records),
         };
         for &i in &sequence {
             let record = records[i as usize];
@@ -255,10 +261,22 @@ impl Mesh {
         &self.planes
     }
 
-    /// One past the highest material index used.
-    pub(crate) fn material_end(&self) -> u16 {
-        self.material_end
+    /// Material indices in use, rising.
+    pub fn materials(&self) -> &[u16] {
+        &self.materials
     }
+}
+
+fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
+    let mut materials: Vec<u16> = Vec::new();
+    for record in records {
+        // Neighbours mostly share theirs.
+        if materials.last() != Some(&record.material) && !materials.contains(&record.material) {
+            materials.push(record.material);
+        }
+    }
+    materials.sort_unstable();
+    materials
 }
 
 fn check_vertices(vertices: &[Vec3]) -> Result<()> {

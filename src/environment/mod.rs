@@ -28,6 +28,7 @@ pub struct Object {
     pub first_slot: u32,
     /// Number of the object's first triangle in the source file (`source` ids).
     pub first_source: u32,
+    deleted: bool,
 }
 
 impl Object {
@@ -38,7 +39,28 @@ impl Object {
 
     /// Bounds in the world, conservative.
     pub fn world_bounds(&self) -> Aabb {
-        self.mesh.bounds().transformed(&self.world_from_mesh())
+        let b = self.mesh.bounds();
+        let world_from_mesh = self.world_from_mesh();
+        let m = world_from_mesh.matrix3;
+        let turned = b.transformed(&world_from_mesh);
+        // The transform's roundings.
+        let reach = b.min.abs().max(b.max.abs());
+        let size = m.x_axis.abs() * reach.x + m.y_axis.abs() * reach.y + m.z_axis.abs() * reach.z;
+        let slack = 16.0 * f64::EPSILON * (size + world_from_mesh.translation.abs());
+        if b.is_empty() { b } else { Aabb { min: turned.min - slack, max: turned.max + slack } }
+    }
+
+    /// A point of the world in the mesh's frame. World positions are subtracted before anything else: at 5,000,000 m
+    /// the difference is still exact.
+    pub fn point_in_mesh(&self, p_in_world: DVec3) -> DVec3 {
+        let object_from_world = self.world_from_object.rotation_matrix().transpose();
+        let p_in_object = object_from_world * (p_in_world - self.world_from_object.translation);
+        self.object_from_mesh.inverse().transform_point3(p_in_object)
+    }
+
+    /// True once it is deleted: it keeps its number and its slots, which nothing else ever gets, and has no polygons.
+    pub fn is_deleted(&self) -> bool {
+        self.deleted
     }
 }
 
@@ -134,9 +156,9 @@ impl Environment {
     /// [`crate::ErrorKind::Invalid`] if the mesh names a material the environment lacks, or a limit is passed.
     pub fn insert(&mut self, new: NewObject) -> Result<u32> {
         let place = || format!("object {:?}", new.name);
-        if usize::from(new.mesh.material_end()) > self.materials.len() {
+        if let Some(material) = new.mesh.materials().iter().find(|m| usize::from(**m) >= self.materials.len()) {
             return Err(Error::invalid(
-                format!("material {} does not exist", new.mesh.material_end() - 1),
+                format!("material {material} does not exist"),
                 "add the materials before the objects",
             )
             .at(place()));
@@ -159,9 +181,48 @@ impl Environment {
             mesh: new.mesh,
             first_slot: self.next_slot,
             first_source: new.first_source,
+            deleted: false,
         });
         self.next_slot += polygons as u32;
         Ok(index)
+    }
+
+    /// Gives an object another pose.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is no such object or the pose is not finite or out of bounds.
+    pub fn set_pose(&mut self, name: &str, world_from_object: Pose) -> Result<u32> {
+        let index = self.index_of(name)?;
+        let sound = world_from_object.rotation.is_finite()
+            && world_from_object.rotation.is_normalized()
+            && world_from_object.translation.abs().max_element() <= limits::MAX_COORDINATE;
+        if !sound {
+            let what = format!("pose {world_from_object:?} is not finite, not a rotation, or too far away");
+            return Err(Error::invalid(what, "give a finite pose").at(format!("object {name:?}")));
+        }
+        self.objects[index as usize].world_from_object = world_from_object;
+        Ok(index)
+    }
+
+    /// Deletes an object; its name is free again, its number and slots are not. The answer is its index.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is no such object.
+    pub fn delete(&mut self, name: &str) -> Result<u32> {
+        let index = self.index_of(name)?;
+        self.names.remove(name);
+        let object = &mut self.objects[index as usize];
+        (object.mesh, object.deleted) = (Arc::new(Mesh::empty(object.mesh.name())), true);
+        Ok(index)
+    }
+
+    /// The index of the object of that full path.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is none.
+    pub fn index_of(&self, name: &str) -> Result<u32> {
+        let remedy = "presight inspect lists the objects";
+        self.names.get(name).copied().ok_or_else(|| Error::invalid(format!("there is no object {name:?}"), remedy))
     }
 
     fn unique_name(&self, wanted: &str) -> String {
@@ -198,7 +259,9 @@ impl Environment {
         }
         let after = self.objects.partition_point(|o| o.first_slot <= slot);
         let object = after.checked_sub(1)?;
-        Some((object as u32, slot - self.objects[object].first_slot))
+        let polygon = slot - self.objects[object].first_slot;
+        // A deleted object keeps its slots and has no polygons.
+        ((polygon as usize) < self.objects[object].mesh.polygon_count()).then_some((object as u32, polygon))
     }
 
     /// The world vertices of the polygon in a slot, in winding order.

@@ -8,10 +8,11 @@ mod view;
 pub use images::Images;
 pub use request::{IdScheme, Output, Outputs, Request};
 pub use stats::Stats;
-pub use view::View;
+pub use view::region_of;
 
 use crate::environment::{Appearance, Environment};
 use crate::geometry::Pose;
+use crate::index::{Found, ObjectRun};
 use crate::sensor::{PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
@@ -87,8 +88,11 @@ pub struct FramePlan {
     pub objects_out_of_view: usize,
     /// Polygons of selected objects that were not selected.
     pub polygons_out_of_view: usize,
-    /// Objects that the sensor's class cannot see.
+    /// Objects in view that the sensor's class cannot see.
     pub objects_not_opaque: usize,
+    /// Kept from frame to frame.
+    found: Found,
+    selected: Vec<ObjectRun>,
 }
 
 impl FramePlan {
@@ -106,6 +110,8 @@ impl FramePlan {
             objects_out_of_view: 0,
             polygons_out_of_view: 0,
             objects_not_opaque: 0,
+            found: Found::default(),
+            selected: Vec::new(),
         };
         plan.fill();
         plan
@@ -130,22 +136,17 @@ impl FramePlan {
         let environment = self.world.environment();
         let o = &environment.objects()[object as usize];
         let world_from_image = self.world_from_sensor.rotation_matrix() * self.sensor.body_from_image();
-        let object_from_world = o.world_from_object.rotation_matrix().transpose();
         let object_from_mesh = o.object_from_mesh;
-        let mesh_from_object = object_from_mesh.inverse();
-        // Subtract the two world positions before anything else: at 5,000,000 m the difference is still exact.
-        let center_in_object =
-            object_from_world * (self.world_from_sensor.translation - o.world_from_object.translation);
-        let image_from_object = world_from_image.transpose() * object_from_world.transpose();
+        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
         let image_from_mesh = image_from_object * object_from_mesh.matrix3;
-        let plain = o.mesh.polygons().iter().all(|p| {
-            let f = self.facings[usize::from(p.material)];
+        let plain = o.mesh.materials().iter().all(|m| {
+            let f = self.facings[usize::from(*m)];
             f.opaque && !f.one_sided
         });
         Instance {
             object,
             image_from_mesh,
-            center_in_mesh: mesh_from_object.transform_point3(center_in_object),
+            center_in_mesh: o.point_in_mesh(self.world_from_sensor.translation),
             normal_from_mesh: image_from_object * object_from_mesh.matrix3.inverse().transpose(),
             plain,
         }
@@ -179,50 +180,35 @@ impl FramePlan {
                 .iter()
                 .map(|m| Facing { opaque: m.appearance(&class) == Appearance::Opaque, one_sided: m.one_sided }),
         );
-        let view = View::of(&self.sensor);
-        for object in 0..environment.objects().len() as u32 {
-            self.select(object, &view);
+        let region = region_of(&self.sensor, &self.world_from_sensor);
+        let mut selected = std::mem::take(&mut self.selected);
+        selected.clear();
+        world.index().select(environment, &region, &mut self.found, &mut selected);
+        for runs in selected.chunk_by(|a, b| a.object == b.object) {
+            self.take(runs);
         }
+        self.selected = selected;
+        let live = environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0).count();
+        self.objects_out_of_view = live - self.instances.len() - self.objects_not_opaque;
         self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
     }
 
-    fn select(&mut self, object: u32, view: &View) {
-        let environment = self.world.environment().clone();
-        let mesh = &environment.objects()[object as usize].mesh;
-        if mesh.polygon_count() == 0 {
-            return;
-        }
-        let instance = self.instance_of(object);
-        if !instance.plain && !mesh.polygons().iter().any(|p| self.facings[usize::from(p.material)].opaque) {
+    /// Takes the runs of one object in.
+    fn take(&mut self, runs: &[ObjectRun]) {
+        let object = runs[0].object;
+        let world = self.world.clone();
+        let mesh = &world.environment().objects()[object as usize].mesh;
+        if !mesh.materials().iter().any(|m| self.facings[usize::from(*m)].opaque) {
             self.objects_not_opaque += 1;
             return;
         }
-        if view.distance_if_seen(&instance, &mesh.bounds()).is_none() {
-            self.objects_out_of_view += 1;
-            return;
-        }
-        let index = self.instances.len() as u32;
-        let runs_before = self.runs.len();
-        let mut selected = 0;
-        for cluster in mesh.clusters() {
-            let Some(nearest) = view.distance_if_seen(&instance, &cluster.bounds) else {
-                continue;
-            };
-            selected += cluster.count as usize;
-            self.runs.push(Run {
-                instance: index,
-                first: cluster.first,
-                count: cluster.count,
-                nearest: nearest as f32,
-            });
-        }
-        if self.runs.len() == runs_before {
-            self.objects_out_of_view += 1;
-            return;
-        }
+        let instance = self.instances.len() as u32;
+        self.instances.push(self.instance_of(object));
+        let run = |r: &ObjectRun| Run { instance, first: r.first, count: r.count, nearest: r.nearest as f32 };
+        self.runs.extend(runs.iter().map(run));
+        let selected = runs.iter().map(|r| r.count as usize).sum::<usize>();
         self.polygon_count += selected;
         self.polygons_out_of_view += mesh.polygon_count() - selected;
-        self.instances.push(instance);
     }
 
     /// What this prediction does not need, and why.

@@ -1,0 +1,125 @@
+//! Boxes in f32, rounded outward, of which eight are tested at once.
+
+use super::region::Shape;
+use crate::geometry::Aabb;
+use glam::DVec3;
+
+/// Lanes of a test.
+pub(super) const LANES: usize = 8;
+
+/// A box in f32 relative to an origin; holds the box it was made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Box32 {
+    pub min: [f32; 3],
+    pub max: [f32; 3],
+}
+
+impl Box32 {
+    pub const EMPTY: Self = Self { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
+
+    /// Outward, the roundings of the subtraction included.
+    pub fn around(b: &Aabb, origin: DVec3) -> Self {
+        let slack = 2.0 * f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
+        let (min, max) = (b.min - origin - slack, b.max - origin + slack);
+        Self { min: min.to_array().map(down), max: max.to_array().map(up) }
+    }
+
+    /// Twice the centre, on one axis: what splits compare.
+    pub fn middle(&self, axis: usize) -> f32 {
+        self.min[axis] + self.max[axis]
+    }
+
+    pub fn union(&self, other: &Self) -> Self {
+        let mut all = *self;
+        for k in 0..3 {
+            all.min[k] = all.min[k].min(other.min[k]);
+            all.max[k] = all.max[k].max(other.max[k]);
+        }
+        all
+    }
+
+    pub fn holds(&self, other: &Self) -> bool {
+        (0..3).all(|k| self.min[k] <= other.min[k] && self.max[k] >= other.max[k])
+    }
+}
+
+fn down(x: f64) -> f32 {
+    let near = x as f32;
+    if f64::from(near) > x { near.next_down() } else { near }
+}
+
+fn up(x: f64) -> f32 {
+    let near = x as f32;
+    if f64::from(near) < x { near.next_up() } else { near }
+}
+
+/// Where a region's origin is as seen from the boxes' origin: what moves boxes into the region's place.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shift {
+    low: DVec3,
+    high: DVec3,
+    /// For indexes of two axes: heights of everything, in place of those of a box.
+    flat: Option<(f64, f64)>,
+}
+
+impl Shift {
+    /// From the boxes' origin and the region's; the rounding of the sums below is added outward.
+    pub fn new(origin: DVec3, region_origin: DVec3, reach: &Box32, axes: usize) -> Self {
+        let by = origin - region_origin;
+        let far = (0..3).map(|k| reach.min[k].abs().max(reach.max[k].abs())).fold(0.0, f32::max);
+        let far = if far.is_finite() { f64::from(far) } else { 0.0 };
+        let slack = 2.0 * f64::EPSILON * (origin.abs() + region_origin.abs() + far);
+        let (low, high) = (by - slack, by + slack);
+        let flat = (axes == 2).then(|| (f64::from(reach.min[2]) + low.z, f64::from(reach.max[2]) + high.z));
+        Self { low, high, flat }
+    }
+
+    /// The same with boxes wider by a slack on all sides.
+    #[must_use]
+    pub fn grown(self, slack: f64) -> Self {
+        Self { low: self.low - slack, high: self.high + slack, ..self }
+    }
+
+    #[inline(always)]
+    pub fn apply(&self, b: &Box32) -> Aabb {
+        let wide = |v: [f32; 3]| DVec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+        let mut b = Aabb { min: wide(b.min) + self.low, max: wide(b.max) + self.high };
+        if let Some(heights) = self.flat {
+            (b.min.z, b.max.z) = heights;
+        }
+        b
+    }
+}
+
+/// Eight boxes, coordinate by coordinate.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Boxes8 {
+    min: [[f32; LANES]; 3],
+    max: [[f32; LANES]; 3],
+}
+
+impl Boxes8 {
+    /// Holds boxes that meet nothing.
+    pub const EMPTY: Self = Self { min: [[f32::INFINITY; LANES]; 3], max: [[f32::NEG_INFINITY; LANES]; 3] };
+
+    pub fn set(&mut self, lane: usize, b: &Box32) {
+        for k in 0..3 {
+            self.min[k][lane] = b.min[k];
+            self.max[k][lane] = b.max[k];
+        }
+    }
+
+    pub fn get(&self, lane: usize) -> Box32 {
+        Box32 { min: [0, 1, 2].map(|k| self.min[k][lane]), max: [0, 1, 2].map(|k| self.max[k][lane]) }
+    }
+
+    /// Which of the boxes meet the shape.
+    #[inline(always)]
+    pub fn meet<S: Shape>(&self, shape: &S, shift: &Shift) -> [bool; LANES] {
+        let mut met = [false; LANES];
+        for (lane, met) in met.iter_mut().enumerate() {
+            *met = shape.meets(&shift.apply(&self.get(lane)));
+        }
+        met
+    }
+}

@@ -1,0 +1,120 @@
+//! What the two cell schemes share: boxes by id, and filtering a cell.
+
+use super::boxes::{Box32, Boxes8, LANES, Shift};
+use super::region::Shape;
+use super::{Found, NodeView};
+use crate::geometry::Aabb;
+use glam::DVec3;
+
+/// Boxes by id, relative to an origin.
+#[derive(Clone, Debug)]
+pub(super) struct Boxes {
+    pub origin: DVec3,
+    /// Holds every box since the last build.
+    pub reach: Box32,
+    pub count: usize,
+    /// EMPTY where there is none.
+    by_id: Vec<Box32>,
+}
+
+impl Boxes {
+    pub fn new(boxes: &[(u32, Aabb)]) -> Self {
+        let whole = boxes.iter().fold(Aabb::EMPTY, |all, (_, b)| all.union(*b));
+        let origin = if whole.is_empty() { DVec3::ZERO } else { whole.center() };
+        let mut all = Self { origin, reach: Box32::EMPTY, count: 0, by_id: Vec::new() };
+        all.by_id.reserve_exact(boxes.iter().map(|(id, _)| *id as usize + 1).max().unwrap_or(0));
+        for (id, b) in boxes {
+            all.set(*id, b);
+        }
+        all
+    }
+
+    pub fn set(&mut self, id: u32, b: &Aabb) -> Box32 {
+        let b = Box32::around(b, self.origin);
+        if self.by_id.len() <= id as usize {
+            self.by_id.resize(id as usize + 1, Box32::EMPTY);
+        }
+        let old = std::mem::replace(&mut self.by_id[id as usize], b);
+        self.count += usize::from(old == Box32::EMPTY);
+        self.reach = self.reach.union(&b);
+        b
+    }
+
+    pub fn get(&self, id: u32) -> Option<Box32> {
+        self.by_id.get(id as usize).copied().filter(|b| *b != Box32::EMPTY)
+    }
+
+    pub fn take(&mut self, id: u32) -> Option<Box32> {
+        let b = self.get(id)?;
+        self.by_id[id as usize] = Box32::EMPTY;
+        self.count -= 1;
+        Some(b)
+    }
+
+    /// Every id with its box.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, Box32)> + '_ {
+        (0..).zip(self.by_id.iter().copied()).filter(|(_, b)| *b != Box32::EMPTY)
+    }
+
+    /// The tight box of everything held.
+    pub fn tighten(&mut self) {
+        self.reach = self.iter().fold(Box32::EMPTY, |all, (_, b)| all.union(&b));
+    }
+
+    pub fn in_world(&self, b: &Box32) -> Aabb {
+        let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
+        // Outward by the rounding of the sum.
+        let (min, max) = (wide(b.min) + self.origin, wide(b.max) + self.origin);
+        let slack = f64::EPSILON * (min.abs().max(max.abs()) + self.origin.abs());
+        Aabb { min: min - slack, max: max + slack }
+    }
+
+    /// Appends the ids of a cell that meet the shape, eight at a time.
+    #[inline(always)]
+    pub fn filter<S: Shape>(&self, ids: &[u32], shape: &S, shift: &Shift, found: &mut Found) {
+        found.tested += ids.len();
+        for ids in ids.chunks(LANES) {
+            let mut eight = Boxes8::EMPTY;
+            for (lane, id) in ids.iter().enumerate() {
+                eight.set(lane, &self.by_id[*id as usize]);
+            }
+            let met = eight.meet(shape, shift);
+            for (id, met) in ids.iter().zip(met) {
+                if met {
+                    found.ids.push(*id);
+                }
+            }
+        }
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.by_id.capacity() * size_of::<Box32>()
+    }
+}
+
+/// Cells that meet a shape, in the order of their distance.
+pub(super) struct NearCells<'a, 'v> {
+    pub boxes: &'a Boxes,
+    pub shift: Shift,
+    /// Box and ids of each cell that may meet it.
+    pub cells: Vec<(Box32, &'a [u32])>,
+    pub visit: &'v mut dyn FnMut(NodeView<'_>) -> bool,
+}
+
+impl super::region::Visit for NearCells<'_, '_> {
+    type Out = ();
+
+    fn visit<S: Shape>(self, shape: &S) {
+        let mut near: Vec<(f64, Box32, &[u32])> = Vec::with_capacity(self.cells.len());
+        for (b, ids) in self.cells {
+            let here = self.shift.apply(&b);
+            if !ids.is_empty() && shape.meets(&here) {
+                near.push((here.distance_squared(DVec3::ZERO).sqrt(), b, ids));
+            }
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (distance, b, ids) in near {
+            (self.visit)(NodeView { bounds: self.boxes.in_world(&b), distance, ids });
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The tree of one mesh, in its own frame and shared by its instances: nodes over the mesh's clusters, and a box for
+//! each polygon. A mesh keeps its polygons in the order of such a tree, so that every node is one contiguous run.
+
+use super::boxes::{Box32, Boxes8, LANES, Shift};
+use super::region::Shape;
+use crate::environment::Mesh;
+use crate::geometry::Aabb;
+use glam::DVec3;
+
+/// Nodes in preorder.
+#[derive(Clone, Debug)]
+pub(super) struct MeshTree {
+    nodes: Vec<Node>,
+    /// Of polygons, eight by eight.
+    boxes: Vec<Boxes8>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    bounds: Box32,
+    /// Its polygons.
+    first: u32,
+    count: u32,
+    /// The node after all that is below this one.
+    next: u32,
+}
+
+/// A cluster, or a part of one, that a walk came to.
+pub(super) struct Part {
+    pub first: u32,
+    pub count: u32,
+    /// Its box relative to the region's origin, in the mesh's axes.
+    pub bounds: Aabb,
+    /// All of it is in the region.
+    pub whole: bool,
+}
+
+impl MeshTree {
+    pub fn new(mesh: &Mesh) -> Self {
+        let polygons = mesh.polygon_count();
+        let mut boxes = vec![Boxes8::EMPTY; polygons.div_ceil(LANES)];
+        let vertices = mesh.vertices();
+        for (i, record) in mesh.polygons().iter().enumerate() {
+            let mut b = Box32::EMPTY;
+            for corner in record.corners(mesh.all_corners()) {
+                let p = vertices[*corner as usize].to_array();
+                b = b.union(&Box32 { min: p, max: p });
+            }
+            boxes[i / LANES].set(i % LANES, &b);
+        }
+        let clusters: Vec<Box32> = mesh.clusters().iter().map(|c| Box32::around(&c.bounds, DVec3::ZERO)).collect();
+        let mut tree = Self { nodes: Vec::with_capacity(2 * clusters.len()), boxes };
+        if !clusters.is_empty() {
+            tree.link(mesh, &clusters, 0);
+        }
+        tree
+    }
+
+    fn link(&mut self, mesh: &Mesh, boxes: &[Box32], from: usize) {
+        let clusters = &mesh.clusters()[from..from + boxes.len()];
+        let (first, last) = (clusters[0], clusters[clusters.len() - 1]);
+        let index = self.nodes.len();
+        let bounds = boxes.iter().fold(Box32::EMPTY, |all, b| all.union(b));
+        self.nodes.push(Node { bounds, first: first.first, count: last.first + last.count - first.first, next: 0 });
+        if boxes.len() > 1 {
+            let middle = boxes.len() / 2;
+            self.link(mesh, &boxes[..middle], from);
+            self.link(mesh, &boxes[middle..], from + middle);
+        }
+        self.nodes[index].next = self.nodes.len() as u32;
+    }
+
+    /// Every node that meets the shape and is wholly in it or a leaf, once, in rising order.
+    #[inline(always)]
+    pub fn walk<S: Shape>(&self, shape: &S, shift: &Shift, visited: &mut usize, mut visit: impl FnMut(Part)) {
+        let mut at = 0;
+        while let Some(node) = self.nodes.get(at) {
+            *visited += 1;
+            let bounds = shift.apply(&node.bounds);
+            let leaf = node.next as usize == at + 1;
+            if !shape.meets(&bounds) {
+                at = node.next as usize;
+                continue;
+            }
+            let whole = shape.covers(&bounds);
+            if whole || leaf {
+                visit(Part { first: node.first, count: node.count, bounds, whole });
+                at = node.next as usize;
+            } else {
+                at += 1;
+            }
+        }
+    }
+
+    /// Polygons of a part that meet the shape.
+    #[inline(always)]
+    pub fn filter<S: Shape>(&self, part: &Part, shape: &S, shift: &Shift, mut visit: impl FnMut(u32)) {
+        let (first, end) = (part.first as usize, (part.first + part.count) as usize);
+        for group in first / LANES..end.div_ceil(LANES) {
+            let met = self.boxes[group].meet(shape, shift);
+            for (lane, met) in met.into_iter().enumerate() {
+                let polygon = group * LANES + lane;
+                if met & (polygon >= first) & (polygon < end) {
+                    visit(polygon as u32);
+                }
+            }
+        }
+    }
+
+    pub fn bounds(&self) -> Box32 {
+        self.nodes.first().map_or(Box32::EMPTY, |root| root.bounds)
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.nodes.capacity() * size_of::<Node>() + self.boxes.capacity() * size_of::<Boxes8>()
+    }
+
+    pub fn assert_well_formed(&self, mesh: &Mesh) {
+        let mut clusters = mesh.clusters().iter();
+        let mut end = 0;
+        for (at, node) in self.nodes.iter().enumerate() {
+            if node.next as usize == at + 1 {
+                let cluster = clusters.next();
+                assert_eq!(cluster.map(|c| (c.first, c.count)), Some((node.first, node.count)));
+                assert_eq!(node.first, end, "leaves follow each other");
+                end = node.first + node.count;
+            }
+            for polygon in node.first..node.first + node.count {
+                let b = self.boxes[polygon as usize / LANES].get(polygon as usize % LANES);
+                assert!(node.bounds.holds(&b), "a box reaches out of its node");
+                for p in mesh.corner_indices(polygon).iter().map(|c| mesh.vertices()[*c as usize].to_array()) {
+                    assert!(b.holds(&Box32 { min: p, max: p }), "a corner reaches out of its box");
+                }
+            }
+        }
+        assert!(clusters.next().is_none());
+        assert_eq!(end as usize, mesh.polygon_count());
+    }
+}

@@ -1,0 +1,426 @@
+//! Query regions: plain geometry in the world, made from a sensor and its pose (paper section 2.2).
+
+use super::sector::{Rect, Sector, greater, lesser};
+use crate::geometry::{Aabb, Pose};
+use glam::{DMat3, DVec2, DVec3};
+use std::f64::consts::FRAC_PI_2;
+
+/// Where polygons are asked for. All regions are closed, and answers are conservative: every box with a point in the
+/// region is found, and hardly any other.
+///
+/// ```
+/// use presight::{Aabb, index::Region};
+/// use glam::{DVec2, DVec3};
+/// // The paper's query: 10 m, 60 degrees.
+/// let region = Region::sector(DVec2::ZERO, 0.0, 60f64.to_radians(), 10.0);
+/// let at = |p: DVec3| Aabb::of([p, p + 0.1]);
+/// assert!(region.meets(&at(DVec3::new(9.0, 0.0, 50.0))));
+/// assert!(!region.meets(&at(DVec3::new(1.0, 1.0, 0.0))));
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct Region {
+    /// Apex or centre, in the world.
+    pub(super) origin: DVec3,
+    /// Turns the world's axes into the region's; identity but for sensors that lean.
+    pub(super) region_from_world: DMat3,
+    pub(super) form: Form,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Form {
+    Sector(Upright),
+    Segment(Segment),
+    Frustum(Frustum),
+    Cuboid(Cuboid),
+}
+
+/// What an index asks of a region about boxes relative to its origin.
+pub(super) trait Shape: Copy + Sync {
+    /// True if the box has a point in it; may keep too much.
+    fn meets(&self, b: &Aabb) -> bool;
+    /// True only if all of the box is in it, but for rounding.
+    fn covers(&self, b: &Aabb) -> bool;
+    /// True if the point is in it.
+    fn contains(&self, p: DVec3) -> bool;
+    /// Lower bound of the distance of the box from the origin, metres.
+    #[inline(always)]
+    fn distance(&self, b: &Aabb) -> f64 {
+        nearest_squared(b).sqrt() * (1.0 - 8.0 * f64::EPSILON)
+    }
+}
+
+/// A circular sector of any height.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Upright(Sector);
+
+/// Directions between two azimuths and two elevations, up to a radius: two sectors in perpendicular planes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Segment {
+    azimuth: Sector,
+    /// In the half plane of horizontal distance and height.
+    elevation: Sector,
+}
+
+/// A pyramid of rays: inward normals of planes through the apex, and a radius.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frustum {
+    planes: [DVec3; Region::MAX_PLANES],
+    count: usize,
+    radius: f64,
+}
+
+/// A box around the origin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cuboid(DVec3);
+
+/// A shape whose axes are turned (or scaled) against those of the boxes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turned<S> {
+    pub shape: S,
+    pub shape_from_box: DMat3,
+}
+
+/// A frustum whose axes are turned against those of the boxes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TurnedFrustum {
+    planes: Frustum,
+    ball: Turned<Frustum>,
+}
+
+/// Angles are widened by this much, radians: a region may hold too much, never too little.
+const SLACK: f64 = 1e-9;
+
+impl Region {
+    /// Most planes of a frustum.
+    pub const MAX_PLANES: usize = 6;
+
+    /// A circular sector of any height: apex in the world's horizontal plane, heading and opening in radians
+    /// (counter-clockwise from +x), radius in metres. An opening of a full turn is the whole circle.
+    pub fn sector(apex: DVec2, heading: f64, opening: f64, radius: f64) -> Self {
+        let form = Form::Sector(Upright(Sector::new(heading, opening, radius)));
+        Self { origin: apex.extend(0.0), region_from_world: DMat3::IDENTITY, form }
+    }
+
+    /// A spherical segment: the directions with azimuth within `opening / 2` of `heading` and elevation (positive up)
+    /// in `elevations`, all in the frame of the pose, radians, up to a radius in metres.
+    ///
+    /// A level pose is tested in the world's axes by two sector-rectangle tests in perpendicular planes, as the paper
+    /// does; for one that leans boxes are turned into its frame first.
+    pub fn segment(world_from_body: &Pose, heading: f64, opening: f64, elevations: (f64, f64), radius: f64) -> Self {
+        let rotation = world_from_body.rotation_matrix();
+        // Exactly: near the poles the least lean turns azimuths by any angle.
+        let level = rotation.z_axis == DVec3::Z;
+        let (turn, region_from_world) = if level {
+            (rotation.x_axis.y.atan2(rotation.x_axis.x), DMat3::IDENTITY)
+        } else {
+            (0.0, rotation.transpose())
+        };
+        let (low, high) = elevations;
+        let segment = Segment {
+            azimuth: Sector::new(heading + turn, opening + 2.0 * SLACK, radius),
+            elevation: Sector::new(0.5 * (low + high), high - low + 2.0 * SLACK, radius),
+        };
+        Self { origin: world_from_body.translation, region_from_world, form: Form::Segment(segment) }
+    }
+
+    /// A ball around a point: a segment of all directions.
+    pub fn ball(center: DVec3, radius: f64) -> Self {
+        let pose = Pose { translation: center, ..Pose::IDENTITY };
+        Self::segment(&pose, 0.0, std::f64::consts::TAU, (-FRAC_PI_2, FRAC_PI_2), radius)
+    }
+
+    /// A pyramid with its apex at `apex`: inward unit normals (world axes) of planes through the apex, at most
+    /// [`Region::MAX_PLANES`] (more are left out, which keeps too much), and a radius in metres. Without planes it is
+    /// a ball.
+    pub fn frustum(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
+        let count = normals.len().min(Self::MAX_PLANES);
+        let mut planes = [DVec3::ZERO; Self::MAX_PLANES];
+        planes[..count].copy_from_slice(&normals[..count]);
+        let form = Form::Frustum(Frustum { planes, count, radius });
+        Self { origin: apex, region_from_world: DMat3::IDENTITY, form }
+    }
+
+    /// An axis-aligned box in the world.
+    pub fn cuboid(bounds: &Aabb) -> Self {
+        let form = Form::Cuboid(Cuboid(bounds.half_extent()));
+        Self { origin: bounds.center(), region_from_world: DMat3::IDENTITY, form }
+    }
+
+    /// Everywhere.
+    pub fn everything() -> Self {
+        Self::frustum(DVec3::ZERO, &[], f64::INFINITY)
+    }
+
+    /// Apex or centre in the world, metres (z is 0 for a sector).
+    pub fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// True if the box (world, metres) has a point in the region; may keep too much, never too little.
+    pub fn meets(&self, bounds: &Aabb) -> bool {
+        let slack = 4.0 * f64::EPSILON * (bounds.min.abs().max(bounds.max.abs()) + self.origin.abs());
+        let b = Aabb { min: bounds.min - self.origin - slack, max: bounds.max - self.origin + slack };
+        self.with(Meets(b))
+    }
+
+    /// True if the point (world, metres) is in the region.
+    pub fn contains(&self, p_in_world: DVec3) -> bool {
+        self.with(Contains(p_in_world - self.origin))
+    }
+
+    /// Hands the shape to a visitor, compiled for it.
+    #[inline(always)]
+    pub(super) fn with<V: Visit>(&self, visitor: V) -> V::Out {
+        let shape_from_box = self.region_from_world;
+        match self.form {
+            Form::Sector(shape) => visitor.visit(&shape),
+            Form::Segment(shape) if shape_from_box == DMat3::IDENTITY => visitor.visit(&shape),
+            Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box }),
+            Form::Frustum(shape) => visitor.visit(&shape),
+            Form::Cuboid(shape) => visitor.visit(&shape),
+        }
+    }
+
+    /// The same for boxes of another frame, of which `region_from_box` is the linear part.
+    #[inline(always)]
+    pub(super) fn with_turned<V: Visit>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
+        match self.form {
+            Form::Sector(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+            Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+            Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
+            Form::Cuboid(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        }
+    }
+
+    /// A box in the world that holds the region; infinite sides where it has none.
+    pub fn bounds(&self) -> Aabb {
+        let around = |half: DVec3| Aabb { min: self.origin - half, max: self.origin + half };
+        match self.form {
+            Form::Sector(Upright(s)) => around(DVec3::new(s.radius(), s.radius(), f64::INFINITY)),
+            Form::Segment(s) => around(DVec3::splat(s.azimuth.radius())),
+            Form::Frustum(f) => around(DVec3::splat(f.radius)),
+            Form::Cuboid(c) => around(c.0),
+        }
+    }
+}
+
+/// Something done with a shape, whichever it is.
+pub(super) trait Visit {
+    /// What comes of it.
+    type Out;
+    fn visit<S: Shape>(self, shape: &S) -> Self::Out;
+}
+
+struct Meets(Aabb);
+
+impl Visit for Meets {
+    type Out = bool;
+
+    fn visit<S: Shape>(self, shape: &S) -> bool {
+        shape.meets(&self.0)
+    }
+}
+
+struct Contains(DVec3);
+
+impl Visit for Contains {
+    type Out = bool;
+
+    fn visit<S: Shape>(self, shape: &S) -> bool {
+        shape.contains(self.0)
+    }
+}
+
+#[inline(always)]
+fn horizontal(b: &Aabb) -> Rect {
+    Rect { min: b.min.truncate(), max: b.max.truncate() }
+}
+
+impl Shape for Upright {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        self.0.meets(&horizontal(b))
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        self.0.covers(&horizontal(b))
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        self.0.contains(p.truncate())
+    }
+
+    /// Heights do not count: the origin has none.
+    #[inline(always)]
+    fn distance(&self, b: &Aabb) -> f64 {
+        let flat = |p: DVec3| p.truncate().extend(0.0);
+        nearest_squared(&Aabb { min: flat(b.min), max: flat(b.max) }).sqrt() * (1.0 - 8.0 * f64::EPSILON)
+    }
+}
+
+impl Segment {
+    /// Horizontal distances and heights of a box: what its second test is about.
+    #[inline(always)]
+    fn upright(b: &Aabb) -> Rect {
+        let gap = |min: f64, max: f64| greater(greater(min, -max), 0.0);
+        let far = |min: f64, max: f64| greater(-min, max);
+        let (gx, gy) = (gap(b.min.x, b.max.x), gap(b.min.y, b.max.y));
+        let (fx, fy) = (far(b.min.x, b.max.x), far(b.min.y, b.max.y));
+        let (near, far) = ((gx * gx + gy * gy).sqrt(), (fx * fx + fy * fy).sqrt());
+        let slack = 4.0 * f64::EPSILON;
+        Rect { min: DVec2::new(near * (1.0 - slack), b.min.z), max: DVec2::new(far * (1.0 + slack), b.max.z) }
+    }
+}
+
+impl Shape for Segment {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        self.azimuth.meets(&horizontal(b)) & self.elevation.meets(&Self::upright(b))
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        self.azimuth.covers(&horizontal(b)) && self.elevation.covers(&Self::upright(b))
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        let flat = p.truncate();
+        self.azimuth.contains(flat) && self.elevation.contains(DVec2::new(flat.length(), p.z))
+    }
+}
+
+/// Greatest squared distance of a point of the box.
+#[inline(always)]
+fn farthest_squared(b: &Aabb) -> f64 {
+    b.min.abs().max(b.max.abs()).length_squared()
+}
+
+#[inline(always)]
+fn nearest_squared(b: &Aabb) -> f64 {
+    let gap = |min: f64, max: f64| greater(greater(min, -max), 0.0);
+    let g = DVec3::new(gap(b.min.x, b.max.x), gap(b.min.y, b.max.y), gap(b.min.z, b.max.z));
+    g.length_squared()
+}
+
+impl Shape for Frustum {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        let mut met = nearest_squared(b) <= self.radius * self.radius * (1.0 + 8.0 * f64::EPSILON);
+        for n in &self.planes[..self.count] {
+            // The corner farthest along the normal.
+            let reach = greater(n.x * b.min.x, n.x * b.max.x)
+                + greater(n.y * b.min.y, n.y * b.max.y)
+                + greater(n.z * b.min.z, n.z * b.max.z);
+            let size = greater(-b.min.x, b.max.x) + greater(-b.min.y, b.max.y) + greater(-b.min.z, b.max.z);
+            met &= reach >= -SLACK * size.abs();
+        }
+        met
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        farthest_squared(b) <= self.radius * self.radius
+            && self.planes[..self.count].iter().all(|n| {
+                let least = lesser(n.x * b.min.x, n.x * b.max.x)
+                    + lesser(n.y * b.min.y, n.y * b.max.y)
+                    + lesser(n.z * b.min.z, n.z * b.max.z);
+                least >= 0.0
+            })
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        p.length_squared() <= self.radius * self.radius && self.planes[..self.count].iter().all(|n| n.dot(p) >= 0.0)
+    }
+}
+
+impl Frustum {
+    /// Planes turn exactly where boxes only grow.
+    fn turned(&self, shape_from_box: DMat3) -> TurnedFrustum {
+        let box_from_normal = shape_from_box.transpose();
+        let planes = self.planes.map(|n| (box_from_normal * n).normalize_or_zero());
+        let ball = Self { count: 0, ..*self };
+        TurnedFrustum {
+            planes: Self { planes, radius: f64::INFINITY, ..*self },
+            ball: Turned { shape: ball, shape_from_box },
+        }
+    }
+}
+
+impl Shape for TurnedFrustum {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        self.planes.meets(b) & self.ball.meets(b)
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        self.planes.covers(b) && self.ball.covers(b)
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        self.planes.contains(p) && self.ball.contains(p)
+    }
+
+    #[inline(always)]
+    fn distance(&self, b: &Aabb) -> f64 {
+        self.ball.distance(b)
+    }
+}
+
+impl Shape for Cuboid {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        let h = self.0;
+        (b.min.x <= h.x)
+            & (b.max.x >= -h.x)
+            & (b.min.y <= h.y)
+            & (b.max.y >= -h.y)
+            & (b.min.z <= h.z)
+            & (b.max.z >= -h.z)
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        b.min.cmpge(-self.0).all() && b.max.cmple(self.0).all()
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        p.abs().cmple(self.0).all()
+    }
+}
+
+impl<S: Shape> Turned<S> {
+    /// The box around the turned box.
+    #[inline(always)]
+    pub fn turn(&self, b: &Aabb) -> Aabb {
+        let m = &self.shape_from_box;
+        let (center, half) = (0.5 * (b.min + b.max), 0.5 * (b.max - b.min));
+        let c = m.x_axis * center.x + m.y_axis * center.y + m.z_axis * center.z;
+        let h = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
+        // Roundings of the sums, those of the matrix's elements included (a unit quaternion is one to a few eps).
+        let slack = 64.0 * f64::EPSILON * (c.abs() + h + (c.x.abs() + c.y.abs() + c.z.abs()));
+        Aabb { min: c - h - slack, max: c + h + slack }
+    }
+}
+
+impl<S: Shape> Shape for Turned<S> {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        self.shape.meets(&self.turn(b))
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        self.shape.covers(&self.turn(b))
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        self.shape.contains(self.shape_from_box * p)
+    }
+
+    #[inline(always)]
+    fn distance(&self, b: &Aabb) -> f64 {
+        self.shape.distance(&self.turn(b))
+    }
+}

@@ -1,0 +1,386 @@
+use super::*;
+use crate::geometry::Pose;
+use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use glam::{DAffine3, DVec2, DVec3, Vec3};
+use proptest::prelude::*;
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+const FLAT: [Scheme; 4] = [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d];
+
+fn point() -> impl Strategy<Value = DVec3> {
+    [-30.0..30.0f64, -30.0..30.0f64, -3.0..6.0f64].prop_map(DVec3::from)
+}
+
+/// Boxes as worlds have them, and as they should not: evenly spread, in a line, at one point, a giant floor with
+/// screws, and all of it far away.
+fn boxes() -> impl Strategy<Value = Vec<Aabb>> {
+    let around = |p: DVec3, half: DVec3| Aabb { min: p - half, max: p + half };
+    let spread = prop::collection::vec((point(), point()), 0..300)
+        .prop_map(move |all| all.into_iter().map(|(p, h)| around(p, h.abs() * 0.03)).collect());
+    let line = prop::collection::vec(-30.0..30.0f64, 0..300)
+        .prop_map(move |all| all.into_iter().map(|x| around(DVec3::X * x, DVec3::splat(0.01))).collect());
+    let heap = (point(), 0..300usize).prop_map(move |(p, n)| vec![around(p, DVec3::ZERO); n]);
+    let floor = prop::collection::vec(point(), 1..300).prop_map(move |all| {
+        let floor = around(DVec3::ZERO, DVec3::new(40.0, 40.0, 0.0));
+        all.into_iter().map(|p| around(p, DVec3::splat(0.002))).chain([floor]).collect()
+    });
+    let kinds = prop_oneof![spread, line, heap, floor];
+    (kinds, prop_oneof![Just(0.0), Just(5e6), Just(-5e6)]).prop_map(|(boxes, far): (Vec<Aabb>, f64)| {
+        boxes.into_iter().map(|b| Aabb { min: b.min + far, max: b.max + far }).collect()
+    })
+}
+
+/// Every form of region, near or around the origin.
+fn regions() -> impl Strategy<Value = Region> {
+    let opening = || prop_oneof![0.01..TAU, Just(PI), Just(TAU), Just(PI / 3.0)];
+    let radius = || prop_oneof![0.1..40.0f64, Just(10.0), Just(f64::INFINITY)];
+    let lean = || prop_oneof![Just(0.0), -1.0..1.0f64, Just(1e-7)];
+    let pose = (point(), lean(), lean(), -4.0..4.0f64).prop_map(|(p, r, q, y)| Pose::from_xyz_rpy(p, r, q, y));
+    let sector = (point(), -4.0..4.0f64, opening(), radius())
+        .prop_map(|(p, heading, opening, radius)| Region::sector(p.truncate(), heading, opening, radius));
+    let segment = (pose, -4.0..4.0f64, opening(), [-1.57..1.57f64, -1.57..1.57f64], radius()).prop_map(
+        |(pose, heading, opening, [a, b], radius)| {
+            Region::segment(&pose, heading, opening, (a.min(b), a.max(b)), radius)
+        },
+    );
+    let frustum = (point(), point(), 0.05..1.2f64, radius()).prop_map(|(apex, ahead, half, radius)| {
+        let ahead = ahead.normalize_or(DVec3::X);
+        let (side, up) = ahead.any_orthonormal_pair();
+        let (sin, cos) = f64::sin_cos(half);
+        Region::frustum(apex, &[side, -side, up, -up].map(|d| ahead * sin + d * cos), radius)
+    });
+    let cuboid = (point(), point()).prop_map(|(p, q)| Region::cuboid(&Aabb::of([p, q])));
+    prop_oneof![sector, segment, frustum, cuboid, Just(Region::everything())]
+}
+
+/// The region moved along with boxes.
+fn at(region: &Region, far: f64) -> Region {
+    Region { origin: region.origin + far, ..*region }
+}
+
+/// What any index must find, and nothing found twice or far from the region.
+fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], region: &Region) {
+    let mut found = Found::default();
+    index.query(region, &mut found);
+    let mut ids: Vec<u32> = found.all().collect();
+    ids.sort_unstable();
+    assert!(ids.windows(2).all(|w| w[0] < w[1]), "{}: an id twice", scheme.name());
+    let two_axes = scheme != Scheme::S3d;
+    let heights = held.iter().flatten().fold(Aabb::EMPTY, |all, b| all.union(*b));
+    for (id, b) in (0..).zip(held) {
+        let was_found = ids.binary_search(&id).is_ok();
+        let Some(b) = b else {
+            assert!(!was_found, "{}: {id} was removed", scheme.name());
+            continue;
+        };
+        let stored = index.bounds_of(id);
+        let holds = stored.is_some_and(|s| s.min.cmple(b.min).all() && s.max.cmpge(b.max).all());
+        assert!(holds, "{}: {id} is stored as {stored:?}", scheme.name());
+        if region.meets(b) {
+            assert!(was_found, "{}: {id} at {b:?} is missing", scheme.name());
+        }
+        if was_found && let Some(mut near) = stored {
+            let slack = 1e-6 + 1e-12 * near.max.abs().max_element();
+            (near.min, near.max) = (near.min - slack, near.max + slack);
+            if two_axes {
+                // Heights are not theirs to know, and those of removed boxes linger.
+                (near.min.z, near.max.z) = (heights.min.z - 1e3, heights.max.z + 1e3);
+            }
+            assert!(region.meets(&near), "{}: {id} at {near:?} should not be found", scheme.name());
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Insert(usize, usize),
+    Remove(usize),
+}
+
+fn steps() -> impl Strategy<Value = Vec<Step>> {
+    let step = prop_oneof![
+        3 => (any::<prop::sample::Index>(), any::<prop::sample::Index>())
+            .prop_map(|(i, j)| Step::Insert(i.index(400), j.index(1 << 20))),
+        2 => any::<prop::sample::Index>().prop_map(|i| Step::Remove(i.index(400))),
+    ];
+    prop::collection::vec(step, 0..400)
+}
+
+fn params() -> impl Strategy<Value = Params> {
+    let split_axis = prop_oneof![Just(SplitAxis::Longest), Just(SplitAxis::Alternating)];
+    (prop_oneof![Just(0.0), Just(0.5), Just(20.0)], prop_oneof![Just(1usize), Just(8), Just(32)], split_axis).prop_map(
+        |(least_cell, cell_polygons, split_axis)| Params { least_cell, cell_polygons, split_axis, filter: true },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn fresh_indexes_find_what_brute_force_finds(
+        boxes in boxes(), regions in prop::collection::vec(regions(), 8), params in params(),
+    ) {
+        let far = boxes.first().map_or(0.0, |b| (b.min.x / 1e6).round() * 1e6);
+        let held: Vec<Option<Aabb>> = boxes.iter().copied().map(Some).collect();
+        let items: Vec<(u32, Aabb)> = (0..).zip(boxes).collect();
+        for scheme in FLAT {
+            let index = build(scheme, params, &items).unwrap();
+            index.assert_well_formed();
+            assert_eq!(index.len(), items.len());
+            for region in &regions {
+                check(index.as_ref(), scheme, &held, &at(region, far));
+            }
+        }
+    }
+
+    #[test]
+    fn changed_indexes_find_what_brute_force_finds(
+        boxes in boxes(), steps in steps(), regions in prop::collection::vec(regions(), 4), params in params(),
+    ) {
+        prop_assume!(!boxes.is_empty());
+        let far = (boxes[0].min.x / 1e6).round() * 1e6;
+        for scheme in FLAT {
+            let mut held = vec![None; 400];
+            let items: Vec<(u32, Aabb)> = (0..).zip(boxes.iter().copied()).take(boxes.len() / 2).collect();
+            for (id, b) in &items {
+                held[*id as usize] = Some(*b);
+            }
+            let mut index = build(scheme, params, &items).unwrap();
+            for step in &steps {
+                match *step {
+                    Step::Insert(id, which) => {
+                        let b = boxes[which % boxes.len()];
+                        index.insert(id as u32, &b);
+                        held[id] = Some(b);
+                    }
+                    Step::Remove(id) => {
+                        let was = held[id].take().is_some();
+                        prop_assert_eq!(index.remove(id as u32), was);
+                    }
+                }
+                index.assert_well_formed();
+            }
+            for region in &regions {
+                check(index.as_ref(), scheme, &held, &at(region, far));
+            }
+        }
+    }
+
+    /// Nodes come nearest first, hold what they promise, and together all that a query finds.
+    #[test]
+    fn walks_come_nearest_first(boxes in boxes(), region in regions()) {
+        let far = boxes.first().map_or(0.0, |b| (b.min.x / 1e6).round() * 1e6);
+        let region = at(&region, far);
+        let items: Vec<(u32, Aabb)> = (0..).zip(boxes).collect();
+        for scheme in FLAT {
+            let index = build(scheme, Params::default(), &items).unwrap();
+            let (mut last, mut seen) = (0.0, Vec::new());
+            index.nearest_first(&region, &mut |node| {
+                assert!(node.distance >= last, "{}: not nearest first", scheme.name());
+                last = node.distance;
+                seen.extend_from_slice(node.ids);
+                true
+            });
+            let mut found = Found::default();
+            index.query(&region, &mut found);
+            assert!(found.all().all(|id| seen.contains(&id)), "{}: the walk missed some", scheme.name());
+        }
+    }
+
+    /// All schemes, over an environment that changes: objects are inserted, moved and deleted.
+    #[test]
+    fn worlds_keep_their_index_in_step(
+        places in prop::collection::vec((point(), -4.0..4.0f64, -1.0..1.0f64, 0.2..3.0f64), 1..20),
+        moves in prop::collection::vec((any::<prop::sample::Index>(), point(), any::<bool>()), 0..20),
+        regions in prop::collection::vec(regions(), 4),
+    ) {
+        let mesh = bowl();
+        for scheme in Scheme::ALL {
+            let mut world = crate::World::with_index(Environment::new(), scheme, Params::default());
+            world.apply(crate::Change::AddMaterial(Material::named("m"))).unwrap();
+            for (p, yaw, roll, scale) in &places {
+                let mut new = NewObject::new("bowl", Pose::from_xyz_rpy(*p, *roll, 0.0, *yaw), mesh.clone());
+                new.object_from_mesh = DAffine3::from_scale(DVec3::new(*scale, -1.0, 1.0));
+                world.apply(crate::Change::InsertObject(new)).unwrap();
+            }
+            let before = world.clone();
+            for (which, p, delete) in &moves {
+                let name = world.environment().objects()[which.index(places.len())].name.clone();
+                let change = if *delete {
+                    crate::Change::DeleteObject { name }
+                } else {
+                    crate::Change::MoveObject { name, world_from_object: Pose::from_xyz_rpy(*p, 0.1, 0.2, 0.3) }
+                };
+                // What is deleted already is refused.
+                let _ = world.apply(change);
+                world.index().assert_well_formed(world.environment());
+            }
+            before.index().assert_well_formed(before.environment());
+            for region in &regions {
+                check_world(&world, region);
+            }
+        }
+    }
+}
+
+/// A mesh of a few clusters.
+fn bowl() -> Arc<Mesh> {
+    let side = 16u32;
+    let vertex = |i: u32| {
+        let (x, y) = ((i % (side + 1)) as f32 / 4.0 - 2.0, (i / (side + 1)) as f32 / 4.0 - 2.0);
+        Vec3::new(x, y, 0.2 * (x * x + y * y))
+    };
+    let faces = (0..side * side).flat_map(|i| {
+        let a = i / side * (side + 1) + i % side;
+        [vec![a, a + 1, a + side + 1], vec![a + 1, a + side + 2, a + side + 1]].map(|c| Polygon::new(c, 0))
+    });
+    let vertices = (0..(side + 1) * (side + 1)).map(vertex).collect();
+    Arc::new(Mesh::new("bowl", vertices, faces.collect(), PolygonOrder::Spatial).unwrap())
+}
+
+fn check_world(world: &crate::World, region: &Region) {
+    let (environment, name) = (world.environment(), world.index().scheme().name());
+    let mut found = Found::default();
+    world.index().query(environment, region, &mut found);
+    let mut slots: Vec<u32> = found.all().collect();
+    slots.sort_unstable();
+    assert!(slots.windows(2).all(|w| w[0] < w[1]), "{name}: a slot twice");
+    let mut runs = Vec::new();
+    world.index().select(environment, region, &mut found, &mut runs);
+    let mut selected: Vec<u32> = Vec::new();
+    for run in &runs {
+        let first = environment.objects()[run.object as usize].first_slot + run.first;
+        selected.extend(first..first + run.count);
+        let clusters = environment.objects()[run.object as usize].mesh.clusters();
+        let within = clusters.iter().any(|c| c.first <= run.first && run.first + run.count <= c.first + c.count);
+        assert!(within, "{name}: a run over two clusters");
+    }
+    let total = selected.len();
+    selected.sort_unstable();
+    selected.dedup();
+    assert_eq!(total, selected.len(), "{name}: a polygon in two runs");
+    for slot in 0..environment.slot_count() {
+        let Some(corners) = environment.polygon_in_world(slot) else { continue };
+        if corners.iter().any(|p| region.contains(*p)) {
+            assert!(slots.binary_search(&slot).is_ok(), "{name}: {slot} is missing");
+            assert!(selected.binary_search(&slot).is_ok(), "{name}: {slot} is not selected");
+        }
+    }
+}
+
+/// A planted fault: an index that has lost one id is caught.
+#[test]
+#[should_panic(expected = "is missing")]
+fn a_lost_id_is_noticed() {
+    let b = Aabb::of([DVec3::ZERO, DVec3::ONE]);
+    let index = build(Scheme::S3d, Params::default(), &[(0, b)]).unwrap();
+    let mut held = vec![Some(b); 1];
+    held.push(Some(b));
+    // Id 1 was never inserted; its box is claimed to be stored as id 0's is.
+    struct Lying(Box<dyn SpatialIndex>);
+    impl std::fmt::Debug for Lying {
+        fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str("Lying")
+        }
+    }
+    impl SpatialIndex for Lying {
+        fn len(&self) -> usize {
+            2
+        }
+        fn bounds_of(&self, _: u32) -> Option<Aabb> {
+            self.0.bounds_of(0)
+        }
+        fn insert(&mut self, id: u32, bounds: &Aabb) {
+            self.0.insert(id, bounds);
+        }
+        fn remove(&mut self, id: u32) -> bool {
+            self.0.remove(id)
+        }
+        fn query(&self, region: &Region, found: &mut Found) {
+            self.0.query(region, found);
+        }
+        fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
+            self.0.nearest_first(region, visit);
+        }
+        fn bytes(&self) -> usize {
+            0
+        }
+        fn boxed_clone(&self) -> Box<dyn SpatialIndex> {
+            self.0.boxed_clone()
+        }
+        fn assert_well_formed(&self) {}
+    }
+    check(&Lying(index), Scheme::S3d, &held, &Region::sector(DVec2::ZERO, 0.0, TAU, 10.0));
+}
+
+/// A giant floor with 100,000 screws: answers stay small, memory too.
+#[test]
+fn a_floor_with_screws_stays_cheap() {
+    let screws = (0..100_000u32).map(|i| {
+        let p = DVec3::new(f64::from(i % 316), f64::from(i / 316), 0.0) * 0.3;
+        (i, Aabb { min: p, max: p + 0.01 })
+    });
+    let floor = Aabb { min: DVec3::splat(-1.0), max: DVec3::new(200.0, 200.0, 0.0) };
+    let items: Vec<(u32, Aabb)> = screws.chain([(100_000, floor)]).collect();
+    for scheme in FLAT {
+        let index = build(scheme, Params::default(), &items).unwrap();
+        index.assert_well_formed();
+        let mut found = Found::default();
+        index.query(&Region::sector(DVec2::new(50.0, 50.0), 0.0, PI / 3.0, 10.0), &mut found);
+        assert!(found.ids.contains(&100_000));
+        let per_id = index.bytes() as f64 / items.len() as f64;
+        assert!(per_id < 80.0, "{}: {per_id} bytes an id", scheme.name());
+        assert!(found.tested + found.visited < 4000, "{}: {} + {}", scheme.name(), found.tested, found.visited);
+        // 52 m^2 of 11 screws each.
+        assert!((500..700).contains(&found.count()), "{}: {} found", scheme.name(), found.count());
+    }
+}
+
+/// 100,000 random changes leave a tree that answers nearly as cheaply as one built anew.
+#[test]
+fn trees_stay_balanced() {
+    let mut state = 1u64;
+    let mut random = move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as f64 / (1u64 << 31) as f64
+    };
+    let mut place = move || {
+        let p = DVec3::new(random() * 100.0, random() * 100.0, random() * 5.0);
+        Aabb { min: p, max: p + DVec3::new(random(), random(), random()) * 0.4 }
+    };
+    let mut held: Vec<(u32, Aabb)> = (0..20_000).map(|i| (i, place())).collect();
+    for scheme in FLAT {
+        let mut index = build(scheme, Params::default(), &held).unwrap();
+        for i in 0..100_000u32 {
+            let id = i.wrapping_mul(7919) % 20_000;
+            let b = place();
+            // Half of them are taken out first.
+            if i % 2 == 0 {
+                index.remove(id);
+            }
+            index.insert(id, &b);
+            held[id as usize].1 = b;
+        }
+        index.assert_well_formed();
+        let fresh = build(scheme, Params::default(), &held).unwrap();
+        let work = |index: &dyn SpatialIndex| {
+            let mut found = Found::default();
+            for i in 0..200 {
+                let apex = DVec2::new(f64::from(i % 20) * 5.0, f64::from(i / 20) * 10.0);
+                index.query(&Region::sector(apex, f64::from(i), PI / 3.0, 10.0), &mut found);
+            }
+            (found.visited + found.tested) as f64
+        };
+        let ratio = work(index.as_ref()) / work(fresh.as_ref());
+        assert!(ratio < 1.3, "{}: {ratio} times the work of a fresh one", scheme.name());
+    }
+}
+
+#[test]
+fn schemes_are_named() {
+    for scheme in Scheme::ALL {
+        assert_eq!(scheme.name().parse::<Scheme>().unwrap(), scheme);
+    }
+    assert!("r-tree".parse::<Scheme>().is_err());
+}

@@ -1,0 +1,450 @@
+//! An index in step with an environment, whatever the scheme.
+
+use super::boxes::Shift;
+use super::mesh_tree::{MeshTree, Part};
+use super::region::{Shape, Visit};
+use super::{Found, Params, Region, Scheme, Skd, SpatialIndex, build};
+use crate::environment::{Environment, Mesh, Object};
+use crate::geometry::Aabb;
+use glam::DVec3;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Finds the polygons of an environment that have a point in a region.
+///
+/// ```
+/// use presight::{Environment, index::{Found, Params, Region, Scheme, WorldIndex}};
+/// let environment = Environment::new();
+/// let index = WorldIndex::new(&environment, Scheme::S3d, Params::default());
+/// let mut found = Found::default();
+/// index.query(&environment, &Region::everything(), &mut found);
+/// assert_eq!(found.count(), 0);
+/// ```
+#[derive(Clone, Debug)]
+pub struct WorldIndex {
+    scheme: Scheme,
+    params: Params,
+    kind: Kind,
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    None,
+    /// Over slots.
+    Flat(Box<dyn SpatialIndex>),
+    /// Over objects, and the tree of each object's mesh.
+    TwoLevel {
+        objects: Skd<3>,
+        trees: Vec<Arc<MeshTree>>,
+    },
+}
+
+/// Neighbouring polygons of one cluster of an object's mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectRun {
+    /// Index of the object.
+    pub object: u32,
+    /// First polygon of the mesh.
+    pub first: u32,
+    /// Number of polygons.
+    pub count: u32,
+    /// Lower bound of the distance from the region's origin, metres.
+    pub nearest: f64,
+}
+
+impl WorldIndex {
+    /// Builds the index of an environment.
+    pub fn new(environment: &Environment, scheme: Scheme, params: Params) -> Self {
+        let kind = match scheme {
+            Scheme::None => Kind::None,
+            Scheme::TwoLevel => two_level(environment, params),
+            _ => {
+                let boxes: Vec<(u32, Aabb)> = environment.objects().iter().flat_map(polygon_boxes).collect();
+                build(scheme, params, &boxes).map_or(Kind::None, Kind::Flat)
+            }
+        };
+        Self { scheme, params, kind }
+    }
+
+    /// The scheme.
+    pub fn scheme(&self) -> Scheme {
+        self.scheme
+    }
+
+    /// How it was tuned.
+    pub fn params(&self) -> Params {
+        self.params
+    }
+
+    /// Takes an object in, or moves it where it is now; `environment` has it already.
+    pub fn insert_object(&mut self, environment: &Environment, object: u32) {
+        let o = &environment.objects()[object as usize];
+        match &mut self.kind {
+            Kind::None => {}
+            Kind::Flat(index) => polygon_boxes(o).for_each(|(slot, b)| index.insert(slot, &b)),
+            Kind::TwoLevel { objects, trees } => {
+                for new in &environment.objects()[trees.len().min(object as usize + 1)..=object as usize] {
+                    let tree = tree_of(&new.mesh, environment, trees);
+                    trees.push(tree);
+                }
+                if o.mesh.polygon_count() > 0 {
+                    objects.insert(object, &o.world_bounds());
+                }
+            }
+        }
+    }
+
+    /// Takes an object out that `environment` still has.
+    pub fn remove_object(&mut self, environment: &Environment, object: u32) {
+        let o = &environment.objects()[object as usize];
+        match &mut self.kind {
+            Kind::None => {}
+            Kind::Flat(index) => {
+                for slot in o.first_slot..o.first_slot + o.mesh.polygon_count() as u32 {
+                    index.remove(slot);
+                }
+            }
+            Kind::TwoLevel { objects, .. } => {
+                objects.remove(object);
+            }
+        }
+    }
+
+    /// Slots of all polygons whose box meets the region, appended.
+    pub fn query(&self, environment: &Environment, region: &Region, found: &mut Found) {
+        match &self.kind {
+            Kind::Flat(index) => index.query(region, found),
+            Kind::None => {
+                for (_, slot, b) in all_boxes(environment) {
+                    found.tested += 1;
+                    if region.meets(&b) {
+                        found.ids.push(slot);
+                    }
+                }
+            }
+            Kind::TwoLevel { objects, trees } => {
+                let mut near = found.near.take().unwrap_or_default();
+                near.clear();
+                objects.query(region, &mut near);
+                for object in &near.ids {
+                    let (o, tree) = (&environment.objects()[*object as usize], &trees[*object as usize]);
+                    let filter = self.params.filter;
+                    with_mesh(o, tree, region, MeshQuery { tree, first_slot: o.first_slot, filter, found });
+                }
+                found.visited += near.visited;
+                found.near = Some(near);
+            }
+        }
+    }
+
+    /// What a prediction draws: runs of polygons that may have a point in the region, each within one cluster, object by
+    /// object, appended.
+    pub fn select(&self, environment: &Environment, region: &Region, found: &mut Found, runs: &mut Vec<ObjectRun>) {
+        found.clear();
+        match &self.kind {
+            Kind::None => {
+                for (object, o) in (0..).zip(environment.objects()) {
+                    if o.mesh.polygon_count() > 0 {
+                        let matrix = region.region_from_world * o.world_from_mesh().matrix3;
+                        region.with_turned(matrix, Clusters { object, o, origin: region.origin(), runs });
+                    }
+                }
+            }
+            Kind::Flat(index) => {
+                index.query(region, found);
+                found.ids.sort_unstable();
+                gather(environment, index.as_ref(), region, &found.ids, runs);
+            }
+            Kind::TwoLevel { objects, trees } => {
+                objects.query(region, found);
+                for at in 0..found.ids.len() {
+                    let object = found.ids[at];
+                    let (o, tree) = (&environment.objects()[object as usize], &trees[object as usize]);
+                    let filter = self.params.filter;
+                    with_mesh(o, tree, region, MeshSelect { tree, mesh: &o.mesh, object, filter, runs });
+                }
+            }
+        }
+    }
+
+    /// Visits polygons nearest first, node by node: `visit` gets the slots of a leaf, or none for an inner node, with
+    /// the node's box, and says whether to go on into the node. Schemes without nodes of polygons have none to visit;
+    /// in two levels the nodes are those of the objects.
+    pub fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(super::NodeView<'_>) -> bool) {
+        match &self.kind {
+            Kind::None => {}
+            Kind::Flat(index) => index.nearest_first(region, visit),
+            Kind::TwoLevel { objects, .. } => objects.nearest_first(region, visit),
+        }
+    }
+
+    /// Memory in bytes, boxes included.
+    pub fn bytes(&self) -> usize {
+        match &self.kind {
+            Kind::None => 0,
+            Kind::Flat(index) => index.bytes(),
+            Kind::TwoLevel { objects, trees } => {
+                let mut seen: Vec<*const MeshTree> = trees.iter().map(Arc::as_ptr).collect();
+                seen.sort_unstable();
+                let own: usize = trees.iter().filter(|t| first_of(&mut seen, Arc::as_ptr(t))).map(|t| t.bytes()).sum();
+                objects.bytes() + trees.capacity() * size_of::<Arc<MeshTree>>() + own
+            }
+        }
+    }
+
+    /// Checks all that must hold between its parts and the environment.
+    ///
+    /// # Panics
+    /// If something does not: a bug.
+    pub fn assert_well_formed(&self, environment: &Environment) {
+        match &self.kind {
+            Kind::None => {}
+            Kind::Flat(index) => {
+                index.assert_well_formed();
+                let mut count = 0;
+                for (_, slot, b) in all_boxes(environment) {
+                    let stored = index.bounds_of(slot);
+                    assert!(stored.is_some_and(|s| s.min.cmple(b.min).all() && s.max.cmpge(b.max).all()));
+                    count += 1;
+                }
+                assert_eq!(count, index.len());
+            }
+            Kind::TwoLevel { objects, trees } => {
+                objects.assert_well_formed();
+                let mut count = 0;
+                for (object, o) in (0..).zip(environment.objects()).filter(|(_, o)| o.mesh.polygon_count() > 0) {
+                    let (stored, b) = (objects.bounds_of(object), o.world_bounds());
+                    assert!(stored.is_some_and(|s| s.min.cmple(b.min).all() && s.max.cmpge(b.max).all()));
+                    trees[object as usize].assert_well_formed(&o.mesh);
+                    count += 1;
+                }
+                assert_eq!(count, objects.len());
+            }
+        }
+    }
+}
+
+/// True the first time it is asked for a pointer of the sorted list.
+fn first_of(sorted: &mut Vec<*const MeshTree>, pointer: *const MeshTree) -> bool {
+    let range = sorted.partition_point(|p| *p < pointer)..sorted.partition_point(|p| *p <= pointer);
+    let first = !range.is_empty();
+    sorted.drain(range);
+    first
+}
+
+fn two_level(environment: &Environment, params: Params) -> Kind {
+    let mut by_mesh: HashMap<*const Mesh, Arc<MeshTree>> = HashMap::new();
+    let trees = environment
+        .objects()
+        .iter()
+        .map(|o| by_mesh.entry(Arc::as_ptr(&o.mesh)).or_insert_with(|| Arc::new(MeshTree::new(&o.mesh))).clone())
+        .collect();
+    let boxes: Vec<(u32, Aabb)> = (0..)
+        .zip(environment.objects())
+        .filter(|(_, o)| o.mesh.polygon_count() > 0)
+        .map(|(i, o)| (i, o.world_bounds()))
+        .collect();
+    Kind::TwoLevel { objects: Skd::build(params, &boxes), trees }
+}
+
+/// The tree of a mesh, shared with an object that has it already.
+fn tree_of(mesh: &Arc<Mesh>, environment: &Environment, trees: &[Arc<MeshTree>]) -> Arc<MeshTree> {
+    let known = environment.objects().iter().zip(trees).find(|(o, _)| Arc::ptr_eq(&o.mesh, mesh));
+    known.map_or_else(|| Arc::new(MeshTree::new(mesh)), |(_, tree)| tree.clone())
+}
+
+/// Slot and box in the world of each polygon of an object.
+fn polygon_boxes(o: &Object) -> impl Iterator<Item = (u32, Aabb)> + '_ {
+    let world_from_mesh = o.world_from_mesh();
+    let m = world_from_mesh.matrix3;
+    let growth = [m.x_axis, m.y_axis, m.z_axis].map(|a| a.abs().element_sum()).into_iter().fold(0.0, f64::max);
+    (0..o.mesh.polygon_count() as u32).map(move |polygon| {
+        let mut b = Aabb::EMPTY;
+        let mut reach: f64 = 0.0;
+        for p in o.mesh.corners_of(polygon) {
+            b = b.with(world_from_mesh.transform_point3(p));
+            reach = reach.max(p.abs().max_element());
+        }
+        // The transform's roundings.
+        let slack = 8.0 * f64::EPSILON * (reach * growth + world_from_mesh.translation.abs().max_element());
+        (o.first_slot + polygon, Aabb { min: b.min - slack, max: b.max + slack })
+    })
+}
+
+fn all_boxes(environment: &Environment) -> impl Iterator<Item = (u32, u32, Aabb)> + '_ {
+    let objects = (0..).zip(environment.objects());
+    objects.flat_map(|(object, o)| polygon_boxes(o).map(move |(slot, b)| (object, slot, b)))
+}
+
+/// Visits the region's shape in the frame of an object's mesh.
+fn with_mesh<V: MeshVisit>(o: &Object, tree: &MeshTree, region: &Region, visitor: V) {
+    let matrix = region.region_from_world * o.world_from_mesh().matrix3;
+    let origin = o.point_in_mesh(region.origin());
+    let shift = Shift::new(DVec3::ZERO, origin, &tree.bounds(), 3);
+    // The subtraction of world positions is exact to their own last digits: in the mesh's units, these.
+    let slack = point_slack(o, region.origin());
+    region.with_turned(matrix, Dispatch { shift: shift.grown(slack), visitor });
+}
+
+/// How far [`Object::point_in_mesh`] may be off, in the mesh's units.
+fn point_slack(o: &Object, p: DVec3) -> f64 {
+    let apart = p.abs().max_element() + o.world_from_object.translation.abs().max_element();
+    let least = {
+        let m = o.object_from_mesh.matrix3.inverse();
+        [m.x_axis, m.y_axis, m.z_axis].map(|a| a.abs().element_sum()).into_iter().fold(0.0, f64::max)
+    };
+    8.0 * f64::EPSILON * apart * least
+}
+
+/// What is done in the frame of a mesh.
+trait MeshVisit {
+    fn visit<S: Shape>(self, shape: &S, shift: &Shift);
+}
+
+struct Dispatch<V> {
+    shift: Shift,
+    visitor: V,
+}
+
+impl<V: MeshVisit> Visit for Dispatch<V> {
+    type Out = ();
+
+    fn visit<S: Shape>(self, shape: &S) {
+        struct Run<'a, S, V>(&'a S, Dispatch<V>);
+        impl<S: Shape, V: MeshVisit> pulp::WithSimd for Run<'_, S, V> {
+            type Output = ();
+
+            #[inline(always)]
+            fn with_simd<D: pulp::Simd>(self, _: D) {
+                self.1.visitor.visit(self.0, &self.1.shift);
+            }
+        }
+        pulp::Arch::new().dispatch(Run(shape, self));
+    }
+}
+
+/// Slots of a mesh's polygons.
+struct MeshQuery<'a> {
+    tree: &'a MeshTree,
+    first_slot: u32,
+    filter: bool,
+    found: &'a mut Found,
+}
+
+impl MeshVisit for MeshQuery<'_> {
+    #[inline(always)]
+    fn visit<S: Shape>(self, shape: &S, shift: &Shift) {
+        let Self { tree, first_slot, filter, found } = self;
+        let mut visited = 0;
+        tree.walk(shape, shift, &mut visited, |part| {
+            if part.whole || !filter {
+                let first = first_slot + part.first;
+                found.runs.push(first..first + part.count);
+            } else {
+                found.tested += part.count as usize;
+                tree.filter(&part, shape, shift, |polygon| found.ids.push(first_slot + polygon));
+            }
+        });
+        found.visited += visited;
+    }
+}
+
+/// Runs of a mesh's polygons.
+struct MeshSelect<'a> {
+    tree: &'a MeshTree,
+    mesh: &'a Mesh,
+    object: u32,
+    filter: bool,
+    runs: &'a mut Vec<ObjectRun>,
+}
+
+impl MeshVisit for MeshSelect<'_> {
+    #[inline(always)]
+    fn visit<S: Shape>(self, shape: &S, shift: &Shift) {
+        let Self { tree, mesh, object, filter, runs } = self;
+        tree.walk(shape, shift, &mut 0, |part: Part| {
+            if part.whole {
+                let clusters = mesh.clusters();
+                let from = clusters.partition_point(|c| c.first < part.first);
+                for c in clusters[from..].iter().take_while(|c| c.first < part.first + part.count) {
+                    let b = shift.apply(&super::boxes::Box32::around(&c.bounds, DVec3::ZERO));
+                    runs.push(ObjectRun { object, first: c.first, count: c.count, nearest: shape.distance(&b) });
+                }
+                return;
+            }
+            let nearest = shape.distance(&part.bounds);
+            let (mut first, mut end) = (part.first, part.first + part.count);
+            if filter {
+                // What lies between is drawn with it: one run costs less than several.
+                (first, end) = (u32::MAX, 0);
+                tree.filter(&part, shape, shift, |polygon| (first, end) = (first.min(polygon), polygon + 1));
+            }
+            if first < end {
+                runs.push(ObjectRun { object, first, count: end - first, nearest });
+            }
+        });
+    }
+}
+
+/// Clusters of a mesh, without any tree.
+struct Clusters<'a> {
+    object: u32,
+    o: &'a Object,
+    origin: DVec3,
+    runs: &'a mut Vec<ObjectRun>,
+}
+
+impl Visit for Clusters<'_> {
+    type Out = ();
+
+    fn visit<S: Shape>(self, shape: &S) {
+        let Self { object, o, origin, runs } = self;
+        let (center, slack) = (o.point_in_mesh(origin), point_slack(o, origin));
+        let here = |b: &Aabb| {
+            let slack = slack + 4.0 * f64::EPSILON * (center.abs() + b.min.abs().max(b.max.abs()));
+            Aabb { min: b.min - center - slack, max: b.max - center + slack }
+        };
+        if !shape.meets(&here(&o.mesh.bounds())) {
+            return;
+        }
+        for c in o.mesh.clusters() {
+            let b = here(&c.bounds);
+            if shape.meets(&b) {
+                runs.push(ObjectRun { object, first: c.first, count: c.count, nearest: shape.distance(&b) });
+            }
+        }
+    }
+}
+
+/// Runs of rising slots: in each cluster from the first to the last that was found.
+fn gather(
+    environment: &Environment,
+    index: &dyn SpatialIndex,
+    region: &Region,
+    slots: &[u32],
+    runs: &mut Vec<ObjectRun>,
+) {
+    let mut at = 0;
+    while at < slots.len() {
+        let Some((object, _)) = environment.locate(slots[at]) else { break };
+        let o = &environment.objects()[object as usize];
+        let end = o.first_slot + o.mesh.polygon_count() as u32;
+        let mut clusters = o.mesh.clusters().iter();
+        while at < slots.len() && slots[at] < end {
+            let polygon = slots[at] - o.first_slot;
+            let Some(cluster) = clusters.find(|c| polygon < c.first + c.count) else { break };
+            let cluster_end = o.first_slot + cluster.first + cluster.count;
+            let mut nearest = f64::INFINITY;
+            let mut last = slots[at];
+            while at < slots.len() && slots[at] < cluster_end {
+                last = slots[at];
+                let b = index.bounds_of(last);
+                nearest = b.map_or(0.0, |b| b.distance_squared(region.origin())).min(nearest);
+                at += 1;
+            }
+            let first = polygon;
+            // Polygons between those found may be nearer, but were not asked for: the key is of what was found.
+            runs.push(ObjectRun { object, first, count: last - o.first_slot - first + 1, nearest: nearest.sqrt() });
+        }
+    }
+}
