@@ -53,6 +53,7 @@ pub mod limits;
 pub mod plan;
 mod predict;
 pub mod reference;
+pub mod report;
 pub mod sensor;
 mod world;
 

@@ -150,7 +150,7 @@ impl Predictor {
             }
             None => FramePlan::new(world, sensor, world_from_sensor, request),
         };
-        let mut stats = Stats::default();
+        let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         stats.stage("selection", start);
         let rendered = self.render(&plan, images, &mut stats);
         stats.left_out = plan.left_out();

@@ -3,6 +3,7 @@
 use super::{Verdict, load, print};
 use crate::compare::{Precision, Report, compare, compare_exactly};
 use crate::error::{Error, Result};
+use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::exr::{self, Attributes, ImageFile};
 use crate::io::gltf::ImportOptions;
@@ -178,7 +179,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
         merge: ids == IdScheme::Model,
         merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
     };
-    let world = load::scene(scene, &options)?.world;
+    let world = load::scene(scene, &options, Scheme::default())?.world;
     let request = Request { outputs: reference.images.outputs(), ids };
     let plan = FramePlan::new(&world, &sensor, &world_from_sensor, &request);
     compare(&reference.images, other, &plan, args.precision.into())

@@ -5,6 +5,7 @@ use super::{Verdict, print};
 use crate::environment::{Appearance, Environment, Material, Object};
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;
+use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -39,7 +40,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Verdict> {
     let mut options = ImportOptions::default();
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
-    let scene = load::scene(&args.scene, &options)?;
+    let scene = load::scene(&args.scene, &options, Scheme::None)?;
     let text = if args.json {
         let value = as_json(&args.scene, &scene);
         let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);

@@ -3,6 +3,7 @@
 use crate::acquire::ImportReport;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::index::{Params, Scheme};
 use crate::io::gltf::{ImportOptions, import};
 use crate::io::materials::Sidecar;
 use crate::world::World;
@@ -19,15 +20,15 @@ pub struct Scene {
     pub report: ImportReport,
 }
 
-/// Imports a scene.
+/// Imports a scene; its world gets an index of that scheme.
 ///
 /// # Errors
 /// Those of the import.
-pub fn scene(path: &Path, options: &ImportOptions) -> Result<Scene> {
+pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Scene> {
     let imported = import(path, options)?;
     let z_up_from_y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
     Ok(Scene {
-        world: World::new(imported.environment),
+        world: World::with_index(imported.environment, scheme, Params::default()),
         world_from_gltf: Sidecar::beside(path)?.world_from_scene.then(&z_up_from_y_up),
         report: imported.report,
     })

@@ -1,6 +1,7 @@
 //! The command: parse first, then touch the world. The only place that prints.
 
 mod compare;
+mod index;
 mod inspect;
 mod load;
 mod pose;
@@ -38,6 +39,7 @@ enum Command {
     Predict(Box<predict::Args>),
     Inspect(inspect::Args),
     Sensors(sensors::Args),
+    Index(index::Args),
     Compare(compare::Args),
 }
 
@@ -51,6 +53,7 @@ pub fn main() -> ExitCode {
         Command::Predict(args) => predict::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Sensors(args) => sensors::run(&args),
+        Command::Index(args) => index::run(&args),
         Command::Compare(args) => compare::run(&args),
     };
     conclude(done)

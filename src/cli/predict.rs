@@ -5,6 +5,7 @@ use super::pose::{GivenPose, PoseArgs};
 use super::statistics::{Statistics, Subject};
 use super::{Verdict, print};
 use crate::error::{Error, Result};
+use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
 use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor_toml};
@@ -49,6 +50,10 @@ pub struct Args {
     /// Which engine predicts
     #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
     backend: BackendArg,
+
+    /// How polygons are selected: none, grid, plop, s2d, s3d or two-level; the images are the same with any
+    #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
+    index: Scheme,
 
     /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence
     #[arg(long, value_name = "LIST", default_value = "range,polygon_id,object_id,cos_incidence")]
@@ -229,7 +234,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     print::notices(&notices);
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
-    let scene = load::scene(&args.scene, &job.import)?;
+    let scene = load::scene(&args.scene, &job.import, args.index)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;

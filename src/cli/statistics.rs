@@ -44,6 +44,7 @@ pub struct Statistics {
     engine: String,
     adapter: Option<String>,
     threads: usize,
+    index: String,
     /// Measured predictions; one before them, unmeasured, warmed up.
     repeat: usize,
     prediction_ms: Milliseconds,
@@ -98,6 +99,7 @@ impl Statistics {
             engine: last.engine,
             adapter: last.adapter,
             threads: last.threads,
+            index: last.index,
             repeat: times_ms.len(),
             prediction_ms: Milliseconds::of(times_ms),
             stages_ms: OrderedMap(names.into_iter().map(stage).collect()),
@@ -128,6 +130,7 @@ impl Statistics {
             format!("sensor    {}, {} x {}", self.sensor, self.width, self.height),
             format!("outputs   {}", self.outputs.join(", ")),
             format!("engine    {}", self.engine_in_words()),
+            format!("index     {}", self.index),
         ];
         let ms = &self.prediction_ms;
         lines.push(match self.repeat {

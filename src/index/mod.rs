@@ -11,6 +11,7 @@
 
 mod boxes;
 mod cells;
+mod exact;
 mod grid;
 mod mesh_tree;
 mod plop;
@@ -21,6 +22,7 @@ mod skd;
 mod tests;
 mod world_index;
 
+pub use exact::polygon_meets;
 pub use grid::Grid;
 pub use plop::Plop;
 pub use region::Region;

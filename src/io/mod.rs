@@ -13,6 +13,7 @@ mod points;
 pub mod robot_toml;
 pub mod sensor_toml;
 pub(crate) mod text;
+pub mod tum;
 
 pub use load::{load_sensor, preset};
 pub use points::{PointCloud, PointsFrame};

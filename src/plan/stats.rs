@@ -13,6 +13,8 @@ pub struct Stats {
     pub adapter: Option<String>,
     /// CPU threads.
     pub threads: usize,
+    /// Scheme of the index that selected polygons.
+    pub index: String,
     /// Milliseconds by stage, in order.
     pub stages_ms: Vec<(String, f64)>,
     /// Counts by name (polygons selected, set up, edge-on, ...), in order.

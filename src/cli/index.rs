@@ -1,0 +1,169 @@
+//! `presight index`: what the spatial indexes cost and how well they select.
+
+use super::{Verdict, load, print};
+use crate::error::{Error, ErrorKind, Result};
+use crate::free_poses::free_poses;
+use crate::geometry::Pose;
+use crate::index::{Params, Scheme};
+use crate::io::atomic::write_atomically;
+use crate::io::gltf::ImportOptions;
+use crate::io::{load_sensor, preset, tum};
+use crate::predict::{Backend, Options};
+use crate::report::index_study::{self, Row, Study};
+use crate::sensor::PRESETS;
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "Examples:
+  presight index hall.glb
+  presight index hall.glb --out study                  index.csv and index.svg besides
+  presight index hall.glb --sweep --sensor vlp-16 --out study";
+
+/// Measure the spatial indexes: build time, memory, access time, selectivity, whole predictions
+///
+/// For every index and every query - `sector` (10 m, 60 degrees, any height) and each preset's region - medians over
+/// many free poses. needed: polygons with a point in the region; selectivity: needed / returned.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The model: a .glb or .gltf file
+    scene: PathBuf,
+
+    /// Write index.csv and a plot, index.svg, into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+
+    /// How many free poses
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    count: u32,
+
+    /// Which free poses
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+
+    /// Poses of the sensors instead: lines of timestamp tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE.tum", conflicts_with_all = ["count", "seed"])]
+    poses: Option<PathBuf>,
+
+    /// Only these indexes [default: all]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    only: Vec<Scheme>,
+
+    /// Only this sensor's region beside the sector [default: all presets]
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: Option<String>,
+
+    /// Try many cell sizes of every index
+    #[arg(long)]
+    sweep: bool,
+
+    /// Return the polygons of cells partly in the region whole, as the paper's indexes did
+    #[arg(long)]
+    unfiltered: bool,
+
+    /// Repeats of each query and prediction, of which the fastest counts
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeat: u32,
+
+    /// CPU threads of predictions, 0 = all cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the scene, the sensor and the poses, of predictions, and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let sensors = match &args.sensor {
+        Some(name) => {
+            let (sensor, notices) = load_sensor(name)?;
+            print::notices(&notices);
+            vec![(sensor.spec().name.clone(), sensor)]
+        }
+        None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
+    };
+    let given = args.poses.as_deref().map(tum::read).transpose()?;
+    let world = load::scene(&args.scene, &ImportOptions::default(), Scheme::default())?.world;
+    let seed = given.is_none().then_some(args.seed);
+    let poses: Vec<Pose> = match given {
+        Some(given) => given.into_iter().map(|s| s.pose).collect(),
+        None => free_poses(&world, args.count as usize, args.seed)?,
+    };
+    index_study::check_poses(&poses)?;
+    let count = poses.len();
+    let options = Options { backend: Backend::Cpu, threads: args.threads };
+    let study = Study { poses, sensors, options, repeats: args.repeat as usize };
+    let progress = |what: &str| {
+        if std::io::stderr().is_terminal() {
+            print::message(what);
+        }
+    };
+    let rows = study.run(&world, &args.variants(), progress)?;
+    print::data(&table(&rows, count, world.environment().slot_count()))?;
+    if let Some(folder) = &args.out {
+        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "make the folder", e))?;
+        let csv = index_study::to_csv(&rows, count, seed);
+        write_atomically(&folder.join("index.csv"), |file| file.write_all(csv.as_bytes()))?;
+        let title = format!("{}: {count} poses", args.scene.display());
+        match index_study::to_svg(&rows, &title) {
+            Ok(svg) => write_atomically(&folder.join("index.svg"), |file| file.write_all(svg.as_bytes()))?,
+            Err(e) if e.kind() == ErrorKind::Unsupported => print::message(&format!("note: no index.svg: {e}")),
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(Verdict::Done)
+}
+
+impl Args {
+    fn variants(&self) -> Vec<(Scheme, Params)> {
+        let mut variants = match self.sweep {
+            true => index_study::sweep(),
+            false => Scheme::ALL.map(|s| (s, Params::default())).to_vec(),
+        };
+        variants.retain(|(scheme, _)| self.only.is_empty() || self.only.contains(scheme));
+        for (_, params) in &mut variants {
+            params.filter = !self.unfiltered;
+        }
+        variants
+    }
+}
+
+fn table(rows: &[Row], poses: usize, polygons: u32) -> String {
+    let mut text = format!("{polygons} polygons, {poses} poses, medians; selectivity = needed / returned\n");
+    let swept = rows.iter().any(|r| r.params.cell_polygons != rows[0].params.cell_polygons);
+    let wide = rows.iter().map(|r| r.query.len()).max().unwrap_or(0).max(5);
+    text += &format!(
+        "{:9}  {:wide$}  {:>9}  {:>11}  {:>9}  {:>8}  {:>8}  {:>11}  {:>13}{}\n",
+        "scheme",
+        "query",
+        "build ms",
+        "bytes",
+        "access us",
+        "needed",
+        "returned",
+        "selectivity",
+        "prediction ms",
+        if swept { "  tuned" } else { "" },
+    );
+    for r in rows {
+        let prediction = r.prediction_ms.map_or_else(|| "-".into(), |ms| format!("{ms:.3}"));
+        text += &format!(
+            "{:9}  {:wide$}  {:>9.2}  {:>11}  {:>9.1}  {:>8}  {:>8}  {:>11.3}  {prediction:>13}",
+            r.scheme.name(),
+            r.query,
+            r.build_ms,
+            r.bytes,
+            r.access_us,
+            r.needed,
+            r.returned,
+            r.selectivity,
+        );
+        if swept {
+            let Params { cell_polygons, least_cell, split_axis, .. } = r.params;
+            text += &format!("  {cell_polygons} polygons, {least_cell} m, {split_axis:?}");
+        }
+        text.push('\n');
+    }
+    text
+}

@@ -1,0 +1,70 @@
+//! Trajectories as the TUM RGB-D benchmark writes them: a line a pose, `timestamp tx ty tz qx qy qz qw`.
+
+use super::text::read_text;
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use glam::{DQuat, DVec3};
+use std::path::Path;
+
+/// A pose and when it was, seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stamped {
+    /// Seconds.
+    pub time: f64,
+    /// The pose.
+    pub pose: Pose,
+}
+
+/// Reads a trajectory; lines that start with `#` and empty ones are skipped.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] naming the line that is not eight finite numbers with a quaternion of some length.
+pub fn read(path: &Path) -> Result<Vec<Stamped>> {
+    let text = read_text(path)?;
+    let mut poses = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let line = line.trim();
+        if !line.is_empty() && !line.starts_with('#') {
+            poses.push(parse(line).map_err(|e| e.at(format!("line {number}")).in_file(path))?);
+        }
+    }
+    Ok(poses)
+}
+
+fn parse(line: &str) -> Result<Stamped> {
+    let wrong = |what: String| Error::invalid(what, "write timestamp tx ty tz qx qy qz qw, separated by spaces");
+    let mut numbers = [0.0; 8];
+    let mut words = line.split_whitespace();
+    for number in &mut numbers {
+        let word = words.next().ok_or_else(|| wrong("there are fewer than eight numbers".into()))?;
+        let value = word.parse::<f64>().ok().filter(|v| v.is_finite());
+        *number = value.ok_or_else(|| wrong(format!("{word:?} is not a finite number")))?;
+    }
+    if let Some(word) = words.next() {
+        return Err(wrong(format!("{word:?} comes after the eighth number")));
+    }
+    let [time, x, y, z, qx, qy, qz, qw] = numbers;
+    let pose = Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
+    Ok(Stamped { time, pose: pose.map_err(|_| wrong("the quaternion has no length".into()))? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_become_poses_and_faults_name_theirs() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.tum");
+        std::fs::write(&path, "# time x y z q\n\n1.5 1 2 3 0 0 0 2\n").unwrap();
+        let read_back = read(&path).unwrap();
+        assert_eq!(read_back.len(), 1);
+        assert_eq!((read_back[0].time, read_back[0].pose.translation), (1.5, DVec3::new(1.0, 2.0, 3.0)));
+        assert_eq!(read_back[0].pose.rotation, DQuat::IDENTITY);
+        for bad in ["1 2 3", "0 0 0 0 0 0 0 0", "0 0 NaN 0 0 0 0 1", "0 0 0 0 0 0 0 1 9", "0 0 0 x 0 0 0 1"] {
+            std::fs::write(&path, format!("# a\n{bad}\n")).unwrap();
+            let e = read(&path).unwrap_err();
+            assert!(e.to_string().contains("line 2"), "{e}");
+        }
+    }
+}
