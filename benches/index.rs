@@ -204,10 +204,7 @@ fn query_bench() {
         Box::new(|q, ids| {
             bvh.traverse(|node: &BvhNode| {
                 let (min, max) = (node.mins(), node.maxs());
-                let rect = Rect {
-                    min: DVec2::new(min.x, min.y) - q.apex,
-                    max: DVec2::new(max.x, max.y) - q.apex,
-                };
+                let rect = Rect { min: DVec2::new(min.x, min.y) - q.apex, max: DVec2::new(max.x, max.y) - q.apex };
                 if !q.sector.meets(&rect) {
                     return TraversalAction::Prune;
                 }
@@ -253,7 +250,11 @@ fn fastest<T>(rounds: usize, mut run: impl FnMut() -> T) -> f64 {
 fn build_bench() {
     let environment = factory(1_000_000, true);
     let boxes = boxes_of(&environment);
-    println!("\n## Build of {} polygons, {} threads\n", boxes.len(), std::thread::available_parallelism().map_or(1, |n| n.get()));
+    println!(
+        "\n## Build of {} polygons, {} threads\n",
+        boxes.len(),
+        std::thread::available_parallelism().map_or(1, |n| n.get())
+    );
     let leaves = parry_boxes(&boxes);
     let parry = fastest(3, || Bvh::from_leaves(BvhBuildStrategy::Binned, &leaves));
     let ploc = fastest(3, || Bvh::from_leaves(BvhBuildStrategy::Ploc, &leaves));
@@ -294,7 +295,9 @@ fn move_bench() {
                 let at = DVec3::new(random.unit() * 40.0 - 20.0, random.unit() * 40.0 - 20.0, 0.0);
                 let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.unit() * 6.28);
                 let start = Instant::now();
-                world.apply(Change::MoveObject { name: "machine".into(), world_from_object: pose }).expect("it is there");
+                world
+                    .apply(Change::MoveObject { name: "machine".into(), world_from_object: pose })
+                    .expect("it is there");
                 start.elapsed().as_secs_f64() * 1e6
             })
             .collect();
@@ -368,7 +371,8 @@ fn plot(names: &[&str], curves: &[Vec<(f64, f64)>]) -> String {
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     let out = arguments.iter().position(|a| a == "--out").and_then(|i| arguments.get(i + 1)).map(PathBuf::from);
-    let asked: Vec<&str> = ["query", "build", "move", "size"].into_iter().filter(|n| arguments.iter().any(|a| a == n)).collect();
+    let asked: Vec<&str> =
+        ["query", "build", "move", "size"].into_iter().filter(|n| arguments.iter().any(|a| a == n)).collect();
     let wanted = |name: &str| asked.is_empty() || asked.contains(&name);
     if wanted("query") {
         query_bench();

@@ -113,13 +113,13 @@ impl Boxes8 {
         Box32 { min: [0, 1, 2].map(|k| self.min[k][lane]), max: [0, 1, 2].map(|k| self.max[k][lane]) }
     }
 
-    /// Which of the boxes meet the shape.
+    /// Which of the boxes meet the shape, a bit each.
     #[inline(always)]
-    pub fn meet<S: Shape>(&self, shape: &S, shift: &Shift) -> [bool; LANES] {
-        let mut met = [false; LANES];
+    pub fn meet<S: Shape>(&self, shape: &S, shift: &Shift) -> u32 {
+        let mut met = [0u32; LANES];
         for (lane, met) in met.iter_mut().enumerate() {
-            *met = shape.meets(&shift.apply(&self.get(lane)));
+            *met = u32::from(shape.meets(&shift.apply(&self.get(lane)))) << lane;
         }
-        met
+        met.iter().fold(0, |all, one| all | one)
     }
 }

@@ -78,11 +78,10 @@ impl Boxes {
             for (lane, id) in ids.iter().enumerate() {
                 eight.set(lane, &self.by_id[*id as usize]);
             }
-            let met = eight.meet(shape, shift);
-            for (id, met) in ids.iter().zip(met) {
-                if met {
-                    found.ids.push(*id);
-                }
+            let mut met = eight.meet(shape, shift) & ((1 << ids.len()) - 1);
+            while met != 0 {
+                found.ids.push(ids[met.trailing_zeros() as usize]);
+                met &= met - 1;
             }
         }
     }

@@ -6,6 +6,7 @@ use super::region::Shape;
 use crate::environment::Mesh;
 use crate::geometry::Aabb;
 use glam::DVec3;
+use std::ops::Range;
 
 /// Nodes in preorder.
 #[derive(Clone, Debug)]
@@ -70,41 +71,41 @@ impl MeshTree {
         self.nodes[index].next = self.nodes.len() as u32;
     }
 
-    /// Every node that meets the shape and is wholly in it or a leaf, once, in rising order.
+    /// The next part from node `at` on that meets the shape: a node wholly in it, or a leaf. Parts come once each, in
+    /// rising order.
     #[inline(always)]
-    pub fn walk<S: Shape>(&self, shape: &S, shift: &Shift, visited: &mut usize, mut visit: impl FnMut(Part)) {
-        let mut at = 0;
-        while let Some(node) = self.nodes.get(at) {
+    pub fn next_part<S: Shape>(&self, at: &mut usize, shape: &S, shift: &Shift, visited: &mut usize) -> Option<Part> {
+        while let Some(node) = self.nodes.get(*at) {
             *visited += 1;
             let bounds = shift.apply(&node.bounds);
-            let leaf = node.next as usize == at + 1;
+            let leaf = node.next as usize == *at + 1;
             if !shape.meets(&bounds) {
-                at = node.next as usize;
+                *at = node.next as usize;
                 continue;
             }
             let whole = shape.covers(&bounds);
             if whole || leaf {
-                visit(Part { first: node.first, count: node.count, bounds, whole });
-                at = node.next as usize;
-            } else {
-                at += 1;
+                *at = node.next as usize;
+                return Some(Part { first: node.first, count: node.count, bounds, whole });
             }
+            *at += 1;
         }
+        None
     }
 
-    /// Polygons of a part that meet the shape.
+    /// Groups of eight polygons that a part has members in.
+    pub fn groups(part: &Part) -> Range<u32> {
+        part.first / LANES as u32..(part.first + part.count).div_ceil(LANES as u32)
+    }
+
+    /// Polygons of a group that are of the part and meet the shape, a bit each.
     #[inline(always)]
-    pub fn filter<S: Shape>(&self, part: &Part, shape: &S, shift: &Shift, mut visit: impl FnMut(u32)) {
-        let (first, end) = (part.first as usize, (part.first + part.count) as usize);
-        for group in first / LANES..end.div_ceil(LANES) {
-            let met = self.boxes[group].meet(shape, shift);
-            for (lane, met) in met.into_iter().enumerate() {
-                let polygon = group * LANES + lane;
-                if met & (polygon >= first) & (polygon < end) {
-                    visit(polygon as u32);
-                }
-            }
-        }
+    pub fn filter<S: Shape>(&self, group: u32, part: &Part, shape: &S, shift: &Shift) -> u32 {
+        let first = i64::from(group) * LANES as i64;
+        let below = (i64::from(part.first) - first).max(0) as u32;
+        let above = (i64::from(part.first + part.count) - first).min(LANES as i64) as u32;
+        let own = ((1u32 << above) - 1) & !((1u32 << below) - 1);
+        self.boxes[group as usize].meet(shape, shift) & own
     }
 
     pub fn bounds(&self) -> Box32 {

@@ -2,7 +2,7 @@
 
 use super::sector::{Rect, Sector, greater, lesser};
 use crate::geometry::{Aabb, Pose};
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::FRAC_PI_2;
 
 /// Where polygons are asked for. All regions are closed, and answers are conservative: every box with a point in the
@@ -85,6 +85,75 @@ pub(super) struct Turned<S> {
 pub(super) struct TurnedFrustum {
     planes: Frustum,
     ball: Turned<Frustum>,
+}
+
+/// A shape given in the axes of boxes that stand or lie: axis `UP` is the shape's vertical, so turning is exact.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lying<S, const UP: usize> {
+    shape: S,
+    axes: Axes,
+}
+
+/// How a box's axes stand in a region's, where one of them is vertical and the scale is uniform.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Axes {
+    /// Which axis of the box is the region's z, or its opposite.
+    up: usize,
+    down: bool,
+    /// Takes the region's horizontal directions to the box's other two axes, in cyclic order.
+    box_from_region: DMat2,
+    /// Metres of a box's unit.
+    scale: f64,
+}
+
+impl Axes {
+    /// `None` for any other matrix.
+    fn of(region_from_box: DMat3) -> Option<Self> {
+        /// A few roundings of a rotation's elements.
+        const NOTHING: f64 = 8.0 * f64::EPSILON;
+        let m = region_from_box.to_cols_array_2d();
+        let scale = region_from_box.x_axis.length();
+        let is = |value: f64, wanted: f64| (value - wanted).abs() <= NOTHING * scale;
+        let up = (0..3).find(|k| is(m[*k][2].abs(), scale))?;
+        let (i, j) = ((up + 1) % 3, (up + 2) % 3);
+        let flat = is(m[up][0], 0.0) && is(m[up][1], 0.0) && is(m[i][2], 0.0) && is(m[j][2], 0.0);
+        let (a, b) = (DVec2::new(m[i][0], m[i][1]), DVec2::new(m[j][0], m[j][1]));
+        let even = is(a.length(), scale) && is(b.length(), scale) && (a.dot(b) / scale).abs() <= NOTHING * scale;
+        let box_from_region = DMat2::from_cols(a, b).transpose() * (1.0 / scale);
+        (flat && even).then_some(Self { up, down: m[up][2] < 0.0, box_from_region, scale })
+    }
+}
+
+impl<S: Shape, const UP: usize> Lying<S, UP> {
+    /// The box with its vertical last.
+    #[inline(always)]
+    fn stand(&self, b: &Aabb) -> Aabb {
+        let (min, max) = (b.min.to_array(), b.max.to_array());
+        let (i, j) = ((UP + 1) % 3, (UP + 2) % 3);
+        let (low, high) = if self.axes.down { (-max[UP], -min[UP]) } else { (min[UP], max[UP]) };
+        Aabb { min: DVec3::new(min[i], min[j], low), max: DVec3::new(max[i], max[j], high) }
+    }
+}
+
+impl<S: Shape, const UP: usize> Shape for Lying<S, UP> {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        self.shape.meets(&self.stand(b))
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        self.shape.covers(&self.stand(b))
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        self.shape.contains(self.stand(&Aabb { min: p, max: p }).min)
+    }
+
+    #[inline(always)]
+    fn distance(&self, b: &Aabb) -> f64 {
+        self.shape.distance(&self.stand(b)) * self.axes.scale * (1.0 - 64.0 * f64::EPSILON)
+    }
 }
 
 /// Angles are widened by this much, radians: a region may hold too much, never too little.
@@ -184,14 +253,34 @@ impl Region {
     /// The same for boxes of another frame, of which `region_from_box` is the linear part.
     #[inline(always)]
     pub(super) fn with_turned<V: Visit>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
-        match self.form {
-            Form::Sector(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
-            Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
-            Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
-            Form::Cuboid(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        let axes = Axes::of(region_from_box);
+        match (self.form, axes) {
+            (Form::Sector(shape), Some(axes)) => visit_lying(shape.in_axes(&axes), axes, visitor),
+            (Form::Segment(shape), Some(axes)) => visit_lying(shape.in_axes(&axes), axes, visitor),
+            (form, _) => visit_turned(form, region_from_box, visitor),
         }
     }
+}
 
+#[inline(always)]
+fn visit_lying<S: Shape, V: Visit>(shape: S, axes: Axes, visitor: V) -> V::Out {
+    match axes.up {
+        0 => visitor.visit(&Lying::<S, 0> { shape, axes }),
+        1 => visitor.visit(&Lying::<S, 1> { shape, axes }),
+        _ => visitor.visit(&Lying::<S, 2> { shape, axes }),
+    }
+}
+
+fn visit_turned<V: Visit>(form: Form, region_from_box: DMat3, visitor: V) -> V::Out {
+    match form {
+        Form::Sector(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
+        Form::Cuboid(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+    }
+}
+
+impl Region {
     /// A box in the world that holds the region; infinite sides where it has none.
     pub fn bounds(&self) -> Aabb {
         let around = |half: DVec3| Aabb { min: self.origin - half, max: self.origin + half };
@@ -236,6 +325,12 @@ fn horizontal(b: &Aabb) -> Rect {
     Rect { min: b.min.truncate(), max: b.max.truncate() }
 }
 
+impl Upright {
+    fn in_axes(&self, axes: &Axes) -> Self {
+        Self(self.0.in_axes(axes.box_from_region, 1.0 / axes.scale))
+    }
+}
+
 impl Shape for Upright {
     #[inline(always)]
     fn meets(&self, b: &Aabb) -> bool {
@@ -260,6 +355,14 @@ impl Shape for Upright {
 }
 
 impl Segment {
+    fn in_axes(&self, axes: &Axes) -> Self {
+        let scale = 1.0 / axes.scale;
+        Self {
+            azimuth: self.azimuth.in_axes(axes.box_from_region, scale),
+            elevation: self.elevation.in_axes(DMat2::IDENTITY, scale),
+        }
+    }
+
     /// Horizontal distances and heights of a box: what its second test is about.
     #[inline(always)]
     fn upright(b: &Aabb) -> Rect {

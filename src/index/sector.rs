@@ -1,6 +1,6 @@
 //! Circular sector against rectangle: the test that every query is made of (paper section 2.2).
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use std::f64::consts::{PI, TAU};
 
 /// A rectangle relative to the sector's apex.
@@ -51,6 +51,14 @@ impl Sector {
         Self { wedge, complement: Wedge::new(heading + PI, TAU - opening.clamp(0.0, TAU), false), radius }
     }
 
+    /// The same sector in a plane of other axes: `turn` is a rotation or a reflection that takes directions there,
+    /// `scale` the length there of a metre here.
+    pub(super) fn in_axes(&self, turn: DMat2, scale: f64) -> Self {
+        let mirrored = turn.determinant() < 0.0;
+        let wedge = self.wedge.in_axes(turn, mirrored);
+        Self { wedge, complement: self.complement.in_axes(turn, mirrored), radius: self.radius * scale }
+    }
+
     /// Metres.
     pub fn radius(&self) -> f64 {
         self.radius
@@ -89,12 +97,7 @@ impl Sector {
 
 impl Wedge {
     fn new(heading: f64, opening: f64, whole: bool) -> Self {
-        let side = |angle: f64| {
-            let direction = DVec2::from_angle(angle);
-            // A component of 0 would make 0 * infinity in the slab test; this one makes the same decision.
-            let inverse = |d: f64| if d.abs() < 1e-300 { 1e300f64.copysign(d) } else { 1.0 / d };
-            Side { direction, inverse: DVec2::new(inverse(direction.x), inverse(direction.y)) }
-        };
+        let side = |angle: f64| Side::new(DVec2::from_angle(angle));
         Self {
             heading: DVec2::from_angle(heading),
             from: side(heading - 0.5 * opening),
@@ -102,6 +105,12 @@ impl Wedge {
             whole,
             reflex: opening > PI,
         }
+    }
+
+    fn in_axes(&self, turn: DMat2, mirrored: bool) -> Self {
+        let side = |s: Side| Side::new(turn * s.direction);
+        let (from, to) = if mirrored { (self.to, self.from) } else { (self.from, self.to) };
+        Self { heading: turn * self.heading, from: side(from), to: side(to), ..*self }
     }
 
     #[inline(always)]
@@ -115,6 +124,12 @@ impl Wedge {
 }
 
 impl Side {
+    fn new(direction: DVec2) -> Self {
+        // A component of 0 would make 0 * infinity in the slab test; this one makes the same decision.
+        let inverse = |d: f64| if d.abs() < 1e-300 { 1e300f64.copysign(d) } else { 1.0 / d };
+        Self { direction, inverse: DVec2::new(inverse(direction.x), inverse(direction.y)) }
+    }
+
     /// True if the ray from the apex along this side meets the rectangle within the radius (slab test).
     #[inline(always)]
     fn hits(&self, r: &Rect, radius: f64) -> bool {

@@ -477,11 +477,11 @@ impl<const K: usize> Skd<K> {
         let ids = &self.ids[bucket * self.capacity()..][..count];
         let boxes = &self.boxes[bucket * self.width..][..self.width];
         for (ids, boxes) in ids.chunks(LANES).zip(boxes) {
-            let met = boxes.meet(shape, shift);
-            for (id, met) in ids.iter().zip(met) {
-                if met {
-                    found.ids.push(*id);
-                }
+            // Lanes beyond the count are empty, but an infinite region knows no difference.
+            let mut met = boxes.meet(shape, shift) & ((1 << ids.len()) - 1);
+            while met != 0 {
+                found.ids.push(ids[met.trailing_zeros() as usize]);
+                met &= met - 1;
             }
         }
     }

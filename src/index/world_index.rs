@@ -1,7 +1,7 @@
 //! An index in step with an environment, whatever the scheme.
 
-use super::boxes::Shift;
-use super::mesh_tree::{MeshTree, Part};
+use super::boxes::{Box32, LANES, Shift};
+use super::mesh_tree::MeshTree;
 use super::region::{Shape, Visit};
 use super::{Found, Params, Region, Scheme, Skd, SpatialIndex, build};
 use crate::environment::{Environment, Mesh, Object};
@@ -288,12 +288,13 @@ fn with_mesh<V: MeshVisit>(o: &Object, tree: &MeshTree, region: &Region, visitor
 
 /// How far [`Object::point_in_mesh`] may be off, in the mesh's units.
 fn point_slack(o: &Object, p: DVec3) -> f64 {
-    let apart = p.abs().max_element() + o.world_from_object.translation.abs().max_element();
+    // The mesh's own extent stands for the roundings of the matrix's elements.
+    let apart = p.abs().max_element() + o.world_from_object.translation.abs().max_element() + o.world_bounds().size();
     let least = {
         let m = o.object_from_mesh.matrix3.inverse();
         [m.x_axis, m.y_axis, m.z_axis].map(|a| a.abs().element_sum()).into_iter().fold(0.0, f64::max)
     };
-    8.0 * f64::EPSILON * apart * least
+    32.0 * f64::EPSILON * apart * least
 }
 
 /// What is done in the frame of a mesh.
@@ -335,16 +336,22 @@ impl MeshVisit for MeshQuery<'_> {
     #[inline(always)]
     fn visit<S: Shape>(self, shape: &S, shift: &Shift) {
         let Self { tree, first_slot, filter, found } = self;
-        let mut visited = 0;
-        tree.walk(shape, shift, &mut visited, |part| {
+        let (mut at, mut visited) = (0, 0);
+        while let Some(part) = tree.next_part(&mut at, shape, shift, &mut visited) {
             if part.whole || !filter {
                 let first = first_slot + part.first;
                 found.runs.push(first..first + part.count);
-            } else {
-                found.tested += part.count as usize;
-                tree.filter(&part, shape, shift, |polygon| found.ids.push(first_slot + polygon));
+                continue;
             }
-        });
+            found.tested += part.count as usize;
+            for group in MeshTree::groups(&part) {
+                let mut met = tree.filter(group, &part, shape, shift);
+                while met != 0 {
+                    found.ids.push(first_slot + group * LANES as u32 + met.trailing_zeros());
+                    met &= met - 1;
+                }
+            }
+        }
         found.visited += visited;
     }
 }
@@ -362,27 +369,34 @@ impl MeshVisit for MeshSelect<'_> {
     #[inline(always)]
     fn visit<S: Shape>(self, shape: &S, shift: &Shift) {
         let Self { tree, mesh, object, filter, runs } = self;
-        tree.walk(shape, shift, &mut 0, |part: Part| {
+        let mut at = 0;
+        while let Some(part) = tree.next_part(&mut at, shape, shift, &mut 0) {
             if part.whole {
                 let clusters = mesh.clusters();
                 let from = clusters.partition_point(|c| c.first < part.first);
                 for c in clusters[from..].iter().take_while(|c| c.first < part.first + part.count) {
-                    let b = shift.apply(&super::boxes::Box32::around(&c.bounds, DVec3::ZERO));
+                    let b = shift.apply(&Box32::around(&c.bounds, DVec3::ZERO));
                     runs.push(ObjectRun { object, first: c.first, count: c.count, nearest: shape.distance(&b) });
                 }
-                return;
+                continue;
             }
-            let nearest = shape.distance(&part.bounds);
             let (mut first, mut end) = (part.first, part.first + part.count);
             if filter {
-                // What lies between is drawn with it: one run costs less than several.
+                // What lies between the first and the last is drawn with them: one run costs less than several.
                 (first, end) = (u32::MAX, 0);
-                tree.filter(&part, shape, shift, |polygon| (first, end) = (first.min(polygon), polygon + 1));
+                for group in MeshTree::groups(&part) {
+                    let met = tree.filter(group, &part, shape, shift);
+                    if met != 0 {
+                        first = first.min(group * LANES as u32 + met.trailing_zeros());
+                        end = group * LANES as u32 + u32::BITS - met.leading_zeros();
+                    }
+                }
             }
             if first < end {
+                let nearest = shape.distance(&part.bounds);
                 runs.push(ObjectRun { object, first, count: end - first, nearest });
             }
-        });
+        }
     }
 }
 

@@ -114,11 +114,13 @@ impl Study {
         let (mut access, mut returned, mut prediction) = (Vec::new(), Vec::new(), Vec::new());
         let mut images = Images::default();
         for (region, pose) in query.regions.iter().zip(&self.poses) {
-            access.push(fastest(self.repeats, || {
-                found.clear();
-                index.query(environment, region, &mut found);
-                Ok(())
-            })? * 1e6);
+            access.push(
+                fastest(self.repeats, || {
+                    found.clear();
+                    index.query(environment, region, &mut found);
+                    Ok(())
+                })? * 1e6,
+            );
             returned.push(found.count() as f64);
             if let Some(sensor) = query.sensor {
                 let request = Request::default();
@@ -158,7 +160,8 @@ pub fn sweep() -> Vec<(Scheme, Params)> {
     let mut variants = Vec::new();
     for scheme in [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d, Scheme::TwoLevel] {
         let tree = matches!(scheme, Scheme::S2d | Scheme::S3d | Scheme::TwoLevel);
-        let axes: &[SplitAxis] = if tree { &[SplitAxis::Longest, SplitAxis::Alternating] } else { &[SplitAxis::Longest] };
+        let axes: &[SplitAxis] =
+            if tree { &[SplitAxis::Longest, SplitAxis::Alternating] } else { &[SplitAxis::Longest] };
         for &split_axis in axes {
             for cell_polygons in [4, 8, 16, 32, 64, 128] {
                 for least_cell in [0.0, 1.0] {
