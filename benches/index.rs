@@ -120,13 +120,13 @@ struct Query {
     region: Region,
 }
 
-fn queries(side: f64, count: usize) -> Vec<Query> {
+fn queries(side: f64, radius: f64, count: usize) -> Vec<Query> {
     let mut random = Random(3);
-    let (heading, opening, radius) = (0.7, 60f64.to_radians(), 10.0);
-    let inside = (side - 20.0).max(0.0);
+    let opening = 60f64.to_radians();
+    let inside = (side - 2.0 * radius).max(0.0);
     let query = |_| {
         let apex = DVec2::new(random.unit(), random.unit()) * inside + (side - inside) / 2.0;
-        let heading = heading + 6.28 * random.unit();
+        let heading = 6.28 * random.unit();
         Query {
             apex,
             sector: Sector::new(heading, opening, radius),
@@ -179,7 +179,7 @@ fn query_bench() {
     let environment = factory(50_000, false);
     let boxes = boxes_of(&environment);
     println!("## The paper's sector in {} polygons\n", boxes.len());
-    let queries = queries(side_of(&boxes), 200);
+    let queries = queries(side_of(&boxes), 10.0, 200);
     let indexes: Vec<_> = [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d]
         .map(|s| (s.name(), build(s, Params::default(), &boxes).expect("it is over polygons")))
         .into();
@@ -226,6 +226,7 @@ fn query_bench() {
     for ((name, _), (us, found)) in contenders.iter().zip(&times) {
         println!("| {name} | {us:.1} | {found} | {:.2} | {:.2} |", us / times[0].0, us / times[4].0);
     }
+    segments(&environment, &indexes, &two_level, side_of(&boxes));
     println!("\nbytes a polygon:");
     println!("- two-level {:.1} (meshes shared)", two_level.bytes() as f64 / boxes.len() as f64);
     let own = factory(50_000, true);
@@ -233,6 +234,36 @@ fn query_bench() {
     println!("- two-level {:.1} (no mesh shared)", alone.bytes() as f64 / own.slot_count() as f64);
     for (name, index) in &indexes {
         println!("- {name} {:.1}", index.bytes() as f64 / boxes.len() as f64);
+    }
+}
+
+/// What the second sector test costs: the same sector of any height, and between elevations of -10 and 10 degrees.
+fn segments<'a>(
+    environment: &'a Environment,
+    indexes: &'a [(&'static str, Box<dyn SpatialIndex>)],
+    two_level: &'a WorldIndex,
+    side: f64,
+) {
+    let flat = queries(side, 10.0, 200);
+    let mut random = Random(3);
+    let upright: Vec<Query> = flat
+        .iter()
+        .map(|q| {
+            let pose = Pose { translation: q.apex.extend(1.0), ..Pose::IDENTITY };
+            // The same headings come again from the same seed.
+            let (_, _, heading) = (random.unit(), random.unit(), 6.28 * random.unit());
+            let region = Region::segment(&pose, heading, 60f64.to_radians(), (-0.1745, 0.1745), 10.0);
+            Query { region, ..*q }
+        })
+        .collect();
+    println!("\n| index | sector us | found | segment us | found | ratio |\n|---|---|---|---|---|---|");
+    let mut contenders: Vec<Contender<'a>> = vec![("two-level", Box::new(by_world(two_level, environment)))];
+    for (name, index) in indexes {
+        contenders.push((name, Box::new(by_index(index.as_ref()))));
+    }
+    let (first, second) = (race(&mut contenders, &flat, 20), race(&mut contenders, &upright, 20));
+    for (((name, _), (us, n)), (second_us, second_n)) in contenders.iter().zip(first).zip(second) {
+        println!("| {name} | {us:.1} | {n} | {second_us:.1} | {second_n} | {:.2} |", second_us / us);
     }
 }
 
@@ -307,7 +338,7 @@ fn move_bench() {
 }
 
 fn size_bench(out: Option<&Path>) {
-    println!("\n## Cost against size: the paper's sector, about 2,500 polygons found\n");
+    println!("\n## Cost against size: a sector of 2 m and 60 degrees, about 100 polygons found\n");
     let sizes = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
     let schemes = [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d, Scheme::TwoLevel];
     let mut curves: Vec<Vec<(f64, f64)>> = vec![Vec::new(); schemes.len()];
@@ -315,7 +346,7 @@ fn size_bench(out: Option<&Path>) {
     for size in sizes {
         let environment = factory(size, false);
         let boxes = boxes_of(&environment);
-        let queries = queries(side_of(&boxes), 200);
+        let queries = queries(side_of(&boxes), 2.0, 200);
         let mut cells = Vec::new();
         let mut found = 0;
         for (curve, scheme) in curves.iter_mut().zip(schemes) {
@@ -343,7 +374,7 @@ fn plot(names: &[&str], curves: &[Vec<(f64, f64)>]) -> String {
         area.fill(&WHITE).expect("text can be drawn to");
         let highest = curves.iter().flatten().map(|p| p.1).fold(0.0, f64::max);
         let mut chart = ChartBuilder::on(&area)
-            .caption("10 m, 60 degree sector: us a query against polygons", ("sans-serif", 20))
+            .caption("2 m, 60 degree sector: us a query against polygons", ("sans-serif", 20))
             .margin(12)
             .x_label_area_size(44)
             .y_label_area_size(64)

@@ -1,6 +1,6 @@
 //! Boxes in f32, rounded outward, of which eight are tested at once.
 
-use super::region::Shape;
+use super::shapes::Shape;
 use crate::geometry::Aabb;
 use glam::DVec3;
 
@@ -22,6 +22,14 @@ impl Box32 {
         let slack = 2.0 * f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
         let (min, max) = (b.min - origin - slack, b.max - origin + slack);
         Self { min: min.to_array().map(down), max: max.to_array().map(up) }
+    }
+
+    /// The box in the world; outward by the rounding of the sums.
+    pub fn in_world(&self, origin: DVec3) -> Aabb {
+        let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
+        let (min, max) = (wide(self.min) + origin, wide(self.max) + origin);
+        let slack = f64::EPSILON * (min.abs().max(max.abs()) + origin.abs());
+        Aabb { min: min - slack, max: max + slack }
     }
 
     /// Twice the centre, on one axis: what splits compare.

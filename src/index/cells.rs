@@ -1,7 +1,7 @@
 //! What the two cell schemes share: boxes by id, and filtering a cell.
 
 use super::boxes::{Box32, Boxes8, LANES, Shift};
-use super::region::Shape;
+use super::shapes::Shape;
 use super::{Found, NodeView};
 use crate::geometry::Aabb;
 use glam::DVec3;
@@ -61,14 +61,6 @@ impl Boxes {
         self.reach = self.iter().fold(Box32::EMPTY, |all, (_, b)| all.union(&b));
     }
 
-    pub fn in_world(&self, b: &Box32) -> Aabb {
-        let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
-        // Outward by the rounding of the sum.
-        let (min, max) = (wide(b.min) + self.origin, wide(b.max) + self.origin);
-        let slack = f64::EPSILON * (min.abs().max(max.abs()) + self.origin.abs());
-        Aabb { min: min - slack, max: max + slack }
-    }
-
     /// Appends the ids of a cell that meet the shape, eight at a time.
     #[inline(always)]
     pub fn filter<S: Shape>(&self, ids: &[u32], shape: &S, shift: &Shift, found: &mut Found) {
@@ -113,7 +105,7 @@ impl super::region::Visit for NearCells<'_, '_> {
         }
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (distance, b, ids) in near {
-            (self.visit)(NodeView { bounds: self.boxes.in_world(&b), distance, ids });
+            (self.visit)(NodeView { bounds: b.in_world(self.boxes.origin), distance, ids });
         }
     }
 }

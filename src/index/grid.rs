@@ -2,8 +2,8 @@
 
 use super::boxes::{Box32, Shift};
 use super::cells::{Boxes, NearCells};
-use super::region::{Shape, Visit};
-use super::{Found, NodeView, Params, Region, SpatialIndex};
+use super::shapes::Shape;
+use super::{Found, NodeView, Params, Region, SpatialIndex, Walk, ask};
 use crate::geometry::Aabb;
 
 /// A uniform grid.
@@ -148,32 +148,6 @@ impl Grid {
         Shift::new(self.boxes.origin, region.origin(), &self.boxes.reach, 2)
     }
 
-    #[inline(always)]
-    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
-        let Some([(x0, x1), (y0, y1)]) = self.window(region) else { return };
-        let shift = self.shift(region);
-        found.epoch = found.epoch.wrapping_add(1);
-        if found.epoch == 0 {
-            found.seen.fill(0);
-            found.epoch = 1;
-        }
-        for y in y0..=y1 {
-            for x in x0..=x1 {
-                let cell = &self.cells[y * self.size[0] + x];
-                found.visited += 1;
-                if cell.is_empty() {
-                    continue;
-                }
-                let here = shift.apply(&self.cell_box(x, y));
-                if shape.meets(&here) {
-                    let whole = !self.params.filter || shape.covers(&here);
-                    self.first_time(cell, whole, shape, &shift, found);
-                }
-            }
-        }
-        self.first_time(&self.wide, !self.params.filter, shape, &shift, found);
-    }
-
     /// Appends ids of a cell that no cell before had, all of them or those that meet the shape.
     #[inline(always)]
     fn first_time<S: Shape>(&self, ids: &[u32], whole: bool, shape: &S, shift: &Shift, found: &mut Found) {
@@ -199,26 +173,31 @@ impl Grid {
     }
 }
 
-struct Query<'a> {
-    grid: &'a Grid,
-    region: &'a Region,
-    found: &'a mut Found,
-}
-
-impl Visit for Query<'_> {
-    type Out = ();
-
-    fn visit<S: Shape>(self, shape: &S) {
-        struct Walk<'a, S>(&'a S, Query<'a>);
-        impl<S: Shape> pulp::WithSimd for Walk<'_, S> {
-            type Output = ();
-
-            #[inline(always)]
-            fn with_simd<D: pulp::Simd>(self, _: D) {
-                self.1.grid.walk(self.0, self.1.region, self.1.found);
+impl Walk for Grid {
+    #[inline(always)]
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
+        let Some([(x0, x1), (y0, y1)]) = self.window(region) else { return };
+        let shift = self.shift(region);
+        found.epoch = found.epoch.wrapping_add(1);
+        if found.epoch == 0 {
+            found.seen.fill(0);
+            found.epoch = 1;
+        }
+        for y in y0..=y1 {
+            for x in x0..=x1 {
+                let cell = &self.cells[y * self.size[0] + x];
+                found.visited += 1;
+                if cell.is_empty() {
+                    continue;
+                }
+                let here = shift.apply(&self.cell_box(x, y));
+                if shape.meets(&here) {
+                    let whole = !self.params.filter || shape.covers(&here);
+                    self.first_time(cell, whole, shape, &shift, found);
+                }
             }
         }
-        pulp::Arch::new().dispatch(Walk(shape, Query { grid: self.grid, region: self.region, found: self.found }));
+        self.first_time(&self.wide, !self.params.filter, shape, &shift, found);
     }
 }
 
@@ -228,7 +207,7 @@ impl SpatialIndex for Grid {
     }
 
     fn bounds_of(&self, id: u32) -> Option<Aabb> {
-        self.boxes.get(id).map(|b| self.boxes.in_world(&b))
+        self.boxes.get(id).map(|b| b.in_world(self.boxes.origin))
     }
 
     fn insert(&mut self, id: u32, bounds: &Aabb) {
@@ -256,7 +235,7 @@ impl SpatialIndex for Grid {
     }
 
     fn query(&self, region: &Region, found: &mut Found) {
-        region.with(Query { grid: self, region, found });
+        ask(self, region, found);
     }
 
     fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {

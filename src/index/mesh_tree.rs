@@ -2,7 +2,7 @@
 //! each polygon. A mesh keeps its polygons in the order of such a tree, so that every node is one contiguous run.
 
 use super::boxes::{Box32, Boxes8, LANES, Shift};
-use super::region::Shape;
+use super::shapes::Shape;
 use crate::environment::Mesh;
 use crate::geometry::Aabb;
 use glam::DVec3;

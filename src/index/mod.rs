@@ -17,6 +17,7 @@ mod mesh_tree;
 mod plop;
 mod region;
 mod sector;
+mod shapes;
 mod skd;
 #[cfg(test)]
 mod tests;
@@ -33,6 +34,7 @@ pub use world_index::{ObjectRun, WorldIndex};
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;
 use boxes::Box32;
+use shapes::Shape;
 
 /// How polygons are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -201,6 +203,34 @@ impl Clone for Box<dyn SpatialIndex> {
     fn clone(&self) -> Self {
         self.boxed_clone()
     }
+}
+
+/// How an index answers a query, compiled for each shape.
+trait Walk {
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found);
+}
+
+/// Walks an index, compiled for the vector width of this machine.
+fn ask<T: Walk>(index: &T, region: &Region, found: &mut Found) {
+    struct Ask<'a, T>(&'a T, &'a Region, &'a mut Found);
+    struct Dispatched<'a, T, S>(Ask<'a, T>, &'a S);
+    impl<T: Walk> region::Visit for Ask<'_, T> {
+        type Out = ();
+
+        fn visit<S: Shape>(self, shape: &S) {
+            pulp::Arch::new().dispatch(Dispatched(self, shape));
+        }
+    }
+    impl<T: Walk, S: Shape> pulp::WithSimd for Dispatched<'_, T, S> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<D: pulp::Simd>(self, _: D) {
+            let Self(Ask(index, region, found), shape) = self;
+            index.walk(shape, region, found);
+        }
+    }
+    region.with(Ask(index, region, found));
 }
 
 /// An index of a scheme over ids 0, 1, .. with these boxes; `None` for the schemes that are none over polygons.

@@ -4,8 +4,8 @@
 
 use super::boxes::{Box32, Shift};
 use super::cells::{Boxes, NearCells};
-use super::region::{Shape, Visit};
-use super::{Found, NodeView, Params, Region, SpatialIndex};
+use super::shapes::Shape;
+use super::{Found, NodeView, Params, Region, SpatialIndex, Walk, ask};
 use crate::geometry::Aabb;
 
 /// A PLOP hash table over x and y.
@@ -190,7 +190,9 @@ impl Plop {
         let reach = self.boxes.reach;
         Box32 { min: [x.min, y.min, reach.min[2]], max: [x.max, y.max, reach.max[2]] }
     }
+}
 
+impl Walk for Plop {
     #[inline(always)]
     fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
         let shift = self.shift(region);
@@ -216,36 +218,13 @@ impl Plop {
     }
 }
 
-struct Query<'a> {
-    table: &'a Plop,
-    region: &'a Region,
-    found: &'a mut Found,
-}
-
-impl Visit for Query<'_> {
-    type Out = ();
-
-    fn visit<S: Shape>(self, shape: &S) {
-        struct Walk<'a, S>(&'a S, Query<'a>);
-        impl<S: Shape> pulp::WithSimd for Walk<'_, S> {
-            type Output = ();
-
-            #[inline(always)]
-            fn with_simd<D: pulp::Simd>(self, _: D) {
-                self.1.table.walk(self.0, self.1.region, self.1.found);
-            }
-        }
-        pulp::Arch::new().dispatch(Walk(shape, Query { table: self.table, region: self.region, found: self.found }));
-    }
-}
-
 impl SpatialIndex for Plop {
     fn len(&self) -> usize {
         self.boxes.count
     }
 
     fn bounds_of(&self, id: u32) -> Option<Aabb> {
-        self.boxes.get(id).map(|b| self.boxes.in_world(&b))
+        self.boxes.get(id).map(|b| b.in_world(self.boxes.origin))
     }
 
     fn insert(&mut self, id: u32, bounds: &Aabb) {
@@ -270,7 +249,7 @@ impl SpatialIndex for Plop {
     }
 
     fn query(&self, region: &Region, found: &mut Found) {
-        region.with(Query { table: self, region, found });
+        ask(self, region, found);
     }
 
     fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {

@@ -2,7 +2,8 @@
 
 use super::boxes::{Box32, LANES, Shift};
 use super::mesh_tree::MeshTree;
-use super::region::{Shape, Visit};
+use super::region::Visit;
+use super::shapes::Shape;
 use super::{Found, Params, Region, Scheme, Skd, SpatialIndex, build};
 use crate::environment::{Environment, Mesh, Object};
 use crate::geometry::Aabb;

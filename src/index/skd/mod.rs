@@ -1,12 +1,13 @@
 //! Spatial-kD tree: ids by centroid; nodes hold the hyperplane and how far the ids of each side reach over it (Ooi,
 //! Sacks-Davis and McDonell, "Spatial indexing by binary decomposition and spatial bounding", 1987/1991).
 
-use super::boxes::{Box32, Boxes8, LANES, Shift};
-use super::region::{Shape, Visit};
-use super::{Found, NodeView, Params, Region, SpatialIndex, SplitAxis};
+mod build;
+mod query;
+
+use super::boxes::{Box32, Boxes8, LANES};
+use super::{Found, NodeView, Params, Region, SpatialIndex, ask};
 use crate::geometry::Aabb;
 use glam::DVec3;
-use std::collections::BinaryHeap;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// A spatial-kD tree over the first `K` axes.
@@ -69,8 +70,6 @@ struct Entry {
 const NOWHERE: u32 = u32::MAX;
 /// Marks a child that is a bucket.
 const LEAF: u32 = 1 << 31;
-/// Below this a task of its own costs more than it saves.
-const PARALLEL: usize = 8192;
 
 impl<const K: usize> Skd<K> {
     /// Builds a tree; of an id given twice the last box counts.
@@ -112,95 +111,6 @@ impl<const K: usize> Skd<K> {
 
     fn capacity(&self) -> usize {
         self.width * LANES
-    }
-
-    /// Makes everything anew from entries.
-    fn fill(&mut self, entries: &mut [Entry]) {
-        self.nodes.clear();
-        self.buckets.clear();
-        self.boxes.clear();
-        self.ids.clear();
-        self.free_nodes.clear();
-        self.free_buckets.clear();
-        self.count = entries.len();
-        self.reach = Box32::EMPTY;
-        self.root = NOWHERE;
-        if !entries.is_empty() {
-            let leaves = leaves_of(entries.len(), self.capacity());
-            self.nodes.reserve_exact(leaves - 1);
-            self.buckets.reserve_exact(leaves);
-            self.boxes.reserve_exact(leaves * self.width);
-            self.ids.reserve_exact(leaves * self.capacity());
-            (self.root, self.reach) = self.subtree(entries, NOWHERE);
-        }
-    }
-
-    /// Builds a subtree of entries; the answer is its reference and its box.
-    fn subtree(&mut self, entries: &mut [Entry], parent: u32) -> (u32, Box32) {
-        let levels = (usize::BITS - entries.len().div_ceil(self.capacity()).leading_zeros() + 1) as usize;
-        let axes: Vec<AtomicU8> = (0..1usize << levels).map(|_| AtomicU8::new(0)).collect();
-        order::<K>(entries, self.capacity(), 1, self.params.split_axis, &axes);
-        self.link(entries, parent, 1, &axes)
-    }
-
-    /// Makes nodes and buckets of ordered entries.
-    fn link(&mut self, entries: &[Entry], parent: u32, place: usize, axes: &[AtomicU8]) -> (u32, Box32) {
-        if entries.len() <= self.capacity() {
-            return self.new_bucket(entries, parent);
-        }
-        let axis = axes[place].load(Ordering::Relaxed);
-        let (low, high) = entries.split_at(entries.len() / 2);
-        let split = high[0].b.middle(usize::from(axis));
-        let node = Node {
-            split,
-            low_max: 0.0,
-            high_min: 0.0,
-            low: NOWHERE,
-            high: NOWHERE,
-            parent,
-            built: entries.len() as u32,
-            changes: 0,
-            axis,
-            small: false,
-        };
-        let index = match self.free_nodes.pop() {
-            Some(index) => {
-                self.nodes[index as usize] = node;
-                index
-            }
-            None => {
-                self.nodes.push(node);
-                self.nodes.len() as u32 - 1
-            }
-        };
-        let (low, low_box) = self.link(low, index, 2 * place, axes);
-        let (high, high_box) = self.link(high, index, 2 * place + 1, axes);
-        let whole = low_box.union(&high_box);
-        let node = &mut self.nodes[index as usize];
-        (node.low, node.high) = (low, high);
-        (node.low_max, node.high_min) = (low_box.max[usize::from(axis)], high_box.min[usize::from(axis)]);
-        node.small = (0..K).all(|k| f64::from(whole.max[k]) - f64::from(whole.min[k]) <= self.params.least_cell);
-        (index, whole)
-    }
-
-    fn new_bucket(&mut self, entries: &[Entry], parent: u32) -> (u32, Box32) {
-        let bucket = Bucket { bounds: Box32::EMPTY, parent, count: 0 };
-        let index = match self.free_buckets.pop() {
-            Some(index) => {
-                self.buckets[index as usize] = bucket;
-                index
-            }
-            None => {
-                self.buckets.push(bucket);
-                self.boxes.extend(std::iter::repeat_n(Boxes8::EMPTY, self.width));
-                self.ids.extend(std::iter::repeat_n(NOWHERE, self.capacity()));
-                self.buckets.len() as u32 - 1
-            }
-        };
-        for entry in entries {
-            self.put(index, entry);
-        }
-        (index | LEAF, self.buckets[index as usize].bounds)
     }
 
     /// Adds an entry to a bucket that has room.
@@ -333,7 +243,7 @@ impl<const K: usize> Skd<K> {
         self.free_buckets.push(bucket);
         let axes = [const { AtomicU8::new(0) }; 4];
         // As if there were one too many: two halves.
-        order::<K>(&mut entries, self.capacity() - 1, 1, self.params.split_axis, &axes);
+        build::order::<K>(&mut entries, self.capacity() - 1, 1, self.params.split_axis, &axes);
         let axis = axes[1].load(Ordering::Relaxed);
         let (low, high) = entries.split_at(entries.len() / 2);
         let node = Node {
@@ -367,254 +277,6 @@ impl<const K: usize> Skd<K> {
             }
         }
     }
-
-    fn shift(&self, region: &Region) -> Shift {
-        Shift::new(self.origin, region.origin(), &self.reach, K)
-    }
-
-    fn in_world(&self, b: &Box32) -> Aabb {
-        let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
-        // Outward by the rounding of the sum.
-        let (min, max) = (wide(b.min) + self.origin, wide(b.max) + self.origin);
-        let slack = f64::EPSILON * (min.abs().max(max.abs()) + self.origin.abs());
-        Aabb { min: min - slack, max: max + slack }
-    }
-
-    /// The boxes of a node's children within its own.
-    #[inline(always)]
-    fn halves(node: &Node, b: &Box32) -> (Box32, Box32) {
-        let (mut low, mut high) = (*b, *b);
-        let axis = usize::from(node.axis);
-        low.max[axis] = low.max[axis].min(node.low_max);
-        high.min[axis] = high.min[axis].max(node.high_min);
-        (low, high)
-    }
-
-    /// Ids of everything below a reference, without a test.
-    #[inline(always)]
-    fn take(&self, from: u32, found: &mut Found) {
-        let floor = found.stack.len();
-        found.stack.push((from, Box32::EMPTY));
-        while found.stack.len() > floor {
-            let Some((at, _)) = found.stack.pop() else { break };
-            if at & LEAF == 0 {
-                let node = &self.nodes[at as usize];
-                found.stack.push((node.high, Box32::EMPTY));
-                found.stack.push((node.low, Box32::EMPTY));
-            } else {
-                let bucket = (at & !LEAF) as usize;
-                let first = bucket * self.capacity();
-                found.ids.extend_from_slice(&self.ids[first..first + self.buckets[bucket].count as usize]);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn walk<S: Shape>(&self, shape: &S, shift: &Shift, found: &mut Found) {
-        found.stack.clear();
-        if self.root != NOWHERE {
-            found.stack.push((self.root, self.reach));
-        }
-        while let Some((at, b)) = found.stack.pop() {
-            found.visited += 1;
-            if at & LEAF != 0 {
-                self.leaf((at & !LEAF) as usize, shape, shift, found);
-                continue;
-            }
-            let here = shift.apply(&b);
-            if !shape.meets(&here) {
-                continue;
-            }
-            if shape.covers(&here) {
-                self.take(at, found);
-                continue;
-            }
-            let node = &self.nodes[at as usize];
-            if node.small {
-                // Below the least cell: no more cells, only what they hold.
-                self.leaves_below(at, shape, shift, found);
-                continue;
-            }
-            let (low, high) = Self::halves(node, &b);
-            found.stack.push((node.high, high));
-            found.stack.push((node.low, low));
-        }
-    }
-
-    fn leaves_below<S: Shape>(&self, from: u32, shape: &S, shift: &Shift, found: &mut Found) {
-        let mut stack = vec![from];
-        while let Some(at) = stack.pop() {
-            if at & LEAF == 0 {
-                let node = &self.nodes[at as usize];
-                stack.extend([node.high, node.low]);
-            } else {
-                self.filter((at & !LEAF) as usize, shape, shift, found);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn leaf<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut Found) {
-        let bounds = shift.apply(&self.buckets[bucket].bounds);
-        if !shape.meets(&bounds) {
-            return;
-        }
-        if shape.covers(&bounds) {
-            self.take(bucket as u32 | LEAF, found);
-        } else {
-            self.filter(bucket, shape, shift, found);
-        }
-    }
-
-    #[inline(always)]
-    fn filter<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut Found) {
-        if !self.params.filter {
-            self.take(bucket as u32 | LEAF, found);
-            return;
-        }
-        let count = self.buckets[bucket].count as usize;
-        found.tested += count;
-        let ids = &self.ids[bucket * self.capacity()..][..count];
-        let boxes = &self.boxes[bucket * self.width..][..self.width];
-        for (ids, boxes) in ids.chunks(LANES).zip(boxes) {
-            // Lanes beyond the count are empty, but an infinite region knows no difference.
-            let mut met = boxes.meet(shape, shift) & ((1 << ids.len()) - 1);
-            while met != 0 {
-                found.ids.push(ids[met.trailing_zeros() as usize]);
-                met &= met - 1;
-            }
-        }
-    }
-}
-
-/// Sorts entries into halves of halves until they fit a bucket, and notes the axis of each split at its place (1 is the
-/// root, 2 and 3 its halves, ..).
-fn order<const K: usize>(entries: &mut [Entry], capacity: usize, place: usize, split: SplitAxis, axes: &[AtomicU8]) {
-    if entries.len() <= capacity {
-        // Rising ids: neighbours of a mesh stay together.
-        entries.sort_unstable_by_key(|e| e.id);
-        return;
-    }
-    let axis = match split {
-        SplitAxis::Alternating => place.ilog2() as usize % K,
-        SplitAxis::Longest => {
-            let mut range = [(f32::INFINITY, f32::NEG_INFINITY); K];
-            for e in entries.iter() {
-                for (k, range) in range.iter_mut().enumerate() {
-                    let m = e.b.middle(k);
-                    *range = (range.0.min(m), range.1.max(m));
-                }
-            }
-            let spread = |k: usize| range[k].1 - range[k].0;
-            (1..K).fold(0, |best, k| if spread(k) > spread(best) { k } else { best })
-        }
-    };
-    axes[place].store(axis as u8, Ordering::Relaxed);
-    let middle = entries.len() / 2;
-    entries.select_nth_unstable_by(middle, |a, b| a.b.middle(axis).total_cmp(&b.b.middle(axis)).then(a.id.cmp(&b.id)));
-    let (low, high) = entries.split_at_mut(middle);
-    if low.len() >= PARALLEL {
-        rayon::join(
-            || order::<K>(low, capacity, 2 * place, split, axes),
-            || order::<K>(high, capacity, 2 * place + 1, split, axes),
-        );
-    } else {
-        order::<K>(low, capacity, 2 * place, split, axes);
-        order::<K>(high, capacity, 2 * place + 1, split, axes);
-    }
-}
-
-/// Buckets that halving makes of so many entries.
-fn leaves_of(count: usize, capacity: usize) -> usize {
-    if count <= capacity {
-        return 1;
-    }
-    let half = count / 2;
-    // Both halves differ by at most one: the same depth but at a boundary.
-    if count % 2 == 0 {
-        2 * leaves_of(half, capacity)
-    } else {
-        leaves_of(half, capacity) + leaves_of(half + 1, capacity)
-    }
-}
-
-struct Query<'a, const K: usize> {
-    tree: &'a Skd<K>,
-    shift: Shift,
-    found: &'a mut Found,
-}
-
-impl<const K: usize> Visit for Query<'_, K> {
-    type Out = ();
-
-    fn visit<S: Shape>(self, shape: &S) {
-        struct Walk<'a, S, const K: usize>(&'a S, Query<'a, K>);
-        impl<S: Shape, const K: usize> pulp::WithSimd for Walk<'_, S, K> {
-            type Output = ();
-
-            #[inline(always)]
-            fn with_simd<D: pulp::Simd>(self, _: D) {
-                self.1.tree.walk(self.0, &self.1.shift, self.1.found);
-            }
-        }
-        pulp::Arch::new().dispatch(Walk(shape, Query { tree: self.tree, shift: self.shift, found: self.found }));
-    }
-}
-
-struct NearestFirst<'a, 'v, const K: usize> {
-    tree: &'a Skd<K>,
-    shift: Shift,
-    visit: &'v mut dyn FnMut(NodeView<'_>) -> bool,
-}
-
-/// A node in the queue; the heap's greatest is the nearest.
-struct Near(f64, u32, Box32);
-
-impl PartialEq for Near {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Near {}
-impl PartialOrd for Near {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Near {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
-    }
-}
-
-impl<const K: usize> Visit for NearestFirst<'_, '_, K> {
-    type Out = ();
-
-    fn visit<S: Shape>(self, shape: &S) {
-        let tree = self.tree;
-        let near = |at: u32, b: Box32| {
-            let b = if at & LEAF == 0 { b } else { tree.buckets[(at & !LEAF) as usize].bounds };
-            let here = self.shift.apply(&b);
-            shape.meets(&here).then(|| Near(here.distance_squared(DVec3::ZERO).sqrt(), at, b))
-        };
-        let mut queue = BinaryHeap::new();
-        if tree.root != NOWHERE {
-            queue.extend(near(tree.root, tree.reach));
-        }
-        while let Some(Near(distance, at, b)) = queue.pop() {
-            let bounds = tree.in_world(&b);
-            if at & LEAF != 0 {
-                let bucket = (at & !LEAF) as usize;
-                let ids = &tree.ids[bucket * tree.capacity()..][..tree.buckets[bucket].count as usize];
-                (self.visit)(NodeView { bounds, distance, ids });
-            } else if (self.visit)(NodeView { bounds, distance, ids: &[] }) {
-                let node = &tree.nodes[at as usize];
-                let (low, high) = Skd::<K>::halves(node, &b);
-                queue.extend(near(node.low, low));
-                queue.extend(near(node.high, high));
-            }
-        }
-    }
 }
 
 impl<const K: usize> SpatialIndex for Skd<K> {
@@ -624,7 +286,7 @@ impl<const K: usize> SpatialIndex for Skd<K> {
 
     fn bounds_of(&self, id: u32) -> Option<Aabb> {
         let at = *self.places.get(id as usize)?;
-        (at != NOWHERE).then(|| self.in_world(&self.entry(at as usize).b))
+        (at != NOWHERE).then(|| self.entry(at as usize).b.in_world(self.origin))
     }
 
     fn insert(&mut self, id: u32, bounds: &Aabb) {
@@ -685,11 +347,11 @@ impl<const K: usize> SpatialIndex for Skd<K> {
     }
 
     fn query(&self, region: &Region, found: &mut Found) {
-        region.with(Query { tree: self, shift: self.shift(region), found });
+        ask(self, region, found);
     }
 
     fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
-        region.with(NearestFirst { tree: self, shift: self.shift(region), visit });
+        self.walk_nearest_first(region, visit);
     }
 
     fn bytes(&self) -> usize {

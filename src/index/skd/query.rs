@@ -1,0 +1,185 @@
+//! Queries and walks through a tree.
+
+use super::{LEAF, NOWHERE, Node, Skd};
+use crate::index::boxes::{Box32, LANES, Shift};
+use crate::index::region::Visit;
+use crate::index::shapes::Shape;
+use crate::index::{Found, NodeView, Region, Walk};
+use glam::DVec3;
+use std::collections::BinaryHeap;
+
+impl<const K: usize> Walk for Skd<K> {
+    #[inline(always)]
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
+        let shift = &self.shift(region);
+        found.stack.clear();
+        if self.root != NOWHERE {
+            found.stack.push((self.root, self.reach));
+        }
+        while let Some((at, b)) = found.stack.pop() {
+            found.visited += 1;
+            if at & LEAF != 0 {
+                self.leaf((at & !LEAF) as usize, shape, shift, found);
+                continue;
+            }
+            let here = shift.apply(&b);
+            if !shape.meets(&here) {
+                continue;
+            }
+            if shape.covers(&here) {
+                self.take(at, found);
+                continue;
+            }
+            let node = &self.nodes[at as usize];
+            if node.small {
+                // Below the least cell: no more cells, only what they hold.
+                self.leaves_below(at, shape, shift, found);
+                continue;
+            }
+            let (low, high) = Self::halves(node, &b);
+            found.stack.push((node.high, high));
+            found.stack.push((node.low, low));
+        }
+    }
+}
+
+impl<const K: usize> Skd<K> {
+    /// The boxes of a node's children within its own.
+    #[inline(always)]
+    pub(super) fn halves(node: &Node, b: &Box32) -> (Box32, Box32) {
+        let (mut low, mut high) = (*b, *b);
+        let axis = usize::from(node.axis);
+        low.max[axis] = low.max[axis].min(node.low_max);
+        high.min[axis] = high.min[axis].max(node.high_min);
+        (low, high)
+    }
+
+    /// Ids of everything below a reference, without a test.
+    #[inline(always)]
+    fn take(&self, from: u32, found: &mut Found) {
+        let floor = found.stack.len();
+        found.stack.push((from, Box32::EMPTY));
+        while found.stack.len() > floor {
+            let Some((at, _)) = found.stack.pop() else { break };
+            if at & LEAF == 0 {
+                let node = &self.nodes[at as usize];
+                found.stack.push((node.high, Box32::EMPTY));
+                found.stack.push((node.low, Box32::EMPTY));
+            } else {
+                let bucket = (at & !LEAF) as usize;
+                let first = bucket * self.capacity();
+                found.ids.extend_from_slice(&self.ids[first..first + self.buckets[bucket].count as usize]);
+            }
+        }
+    }
+
+    fn shift(&self, region: &Region) -> Shift {
+        Shift::new(self.origin, region.origin(), &self.reach, K)
+    }
+
+    fn leaves_below<S: Shape>(&self, from: u32, shape: &S, shift: &Shift, found: &mut Found) {
+        let mut stack = vec![from];
+        while let Some(at) = stack.pop() {
+            if at & LEAF == 0 {
+                let node = &self.nodes[at as usize];
+                stack.extend([node.high, node.low]);
+            } else {
+                self.filter((at & !LEAF) as usize, shape, shift, found);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn leaf<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut Found) {
+        let bounds = shift.apply(&self.buckets[bucket].bounds);
+        if !shape.meets(&bounds) {
+            return;
+        }
+        if shape.covers(&bounds) {
+            self.take(bucket as u32 | LEAF, found);
+        } else {
+            self.filter(bucket, shape, shift, found);
+        }
+    }
+
+    #[inline(always)]
+    fn filter<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut Found) {
+        if !self.params.filter {
+            self.take(bucket as u32 | LEAF, found);
+            return;
+        }
+        let count = self.buckets[bucket].count as usize;
+        found.tested += count;
+        let ids = &self.ids[bucket * self.capacity()..][..count];
+        let boxes = &self.boxes[bucket * self.width..][..self.width];
+        for (ids, boxes) in ids.chunks(LANES).zip(boxes) {
+            // Lanes beyond the count are empty, but an infinite region knows no difference.
+            let mut met = boxes.meet(shape, shift) & ((1 << ids.len()) - 1);
+            while met != 0 {
+                found.ids.push(ids[met.trailing_zeros() as usize]);
+                met &= met - 1;
+            }
+        }
+    }
+
+    /// See [`crate::index::SpatialIndex::nearest_first`].
+    pub(super) fn walk_nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
+        region.with(NearestFirst { tree: self, shift: self.shift(region), visit });
+    }
+}
+
+struct NearestFirst<'a, 'v, const K: usize> {
+    tree: &'a Skd<K>,
+    shift: Shift,
+    visit: &'v mut dyn FnMut(NodeView<'_>) -> bool,
+}
+
+/// A node in the queue; the heap's greatest is the nearest.
+struct Near(f64, u32, Box32);
+
+impl PartialEq for Near {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+impl Eq for Near {}
+impl PartialOrd for Near {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Near {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
+    }
+}
+
+impl<const K: usize> Visit for NearestFirst<'_, '_, K> {
+    type Out = ();
+
+    fn visit<S: Shape>(self, shape: &S) {
+        let tree = self.tree;
+        let near = |at: u32, b: Box32| {
+            let b = if at & LEAF == 0 { b } else { tree.buckets[(at & !LEAF) as usize].bounds };
+            let here = self.shift.apply(&b);
+            shape.meets(&here).then(|| Near(here.distance_squared(DVec3::ZERO).sqrt(), at, b))
+        };
+        let mut queue = BinaryHeap::new();
+        if tree.root != NOWHERE {
+            queue.extend(near(tree.root, tree.reach));
+        }
+        while let Some(Near(distance, at, b)) = queue.pop() {
+            let bounds = b.in_world(tree.origin);
+            if at & LEAF != 0 {
+                let bucket = (at & !LEAF) as usize;
+                let ids = &tree.ids[bucket * tree.capacity()..][..tree.buckets[bucket].count as usize];
+                (self.visit)(NodeView { bounds, distance, ids });
+            } else if (self.visit)(NodeView { bounds, distance, ids: &[] }) {
+                let node = &tree.nodes[at as usize];
+                let (low, high) = Skd::<K>::halves(node, &b);
+                queue.extend(near(node.low, low));
+                queue.extend(near(node.high, high));
+            }
+        }
+    }
+}
