@@ -323,7 +323,7 @@ fn a_lost_device_is_a_typed_error_and_a_new_engine_works() {
     let (world, sensor) = (scene(5, 5, DVec3::ZERO), &sensors()[0]);
     let pose = poses(DVec3::ZERO)[0];
     check("before", &mut engine, &world, sensor, &pose);
-    engine.lose_device();
+    engine.device_loss()();
     let mut images = Images::default();
     for _ in 0..2 {
         let lost = engine.render(&plan(&world, sensor, &pose), &mut images, &mut Stats::default()).unwrap_err();

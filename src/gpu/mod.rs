@@ -89,10 +89,11 @@ impl Engine {
         self.gpu.made.so_far()
     }
 
-    /// Destroys the device, as a driver's reset would: for tests of what comes after.
+    /// Destroys the device when it is called, as a driver's reset would: for tests of what comes after.
     #[doc(hidden)]
-    pub fn lose_device(&self) {
-        self.gpu.device.destroy();
+    pub fn device_loss(&self) -> impl Fn() + Send + use<> {
+        let device = self.gpu.device.clone();
+        move || device.destroy()
     }
 
     /// Fills the asked images; `depth_z` only for cameras.
