@@ -129,7 +129,7 @@ fn asked_for_by_name_a_lost_gpu_is_an_error_until_it_can_be_opened() {
 #[test]
 fn too_little_memory_is_an_error_by_name_and_the_cpu_with_auto() {
     let Some(mut task) = Task::new() else { return };
-    let small = Opening { largest_binding: Some(1 << 18), ..ANY };
+    let small = Opening { largest_binding: Some(1 << 19), ..ANY };
     let (mut named, mut auto) = (on(Backend::Gpu, small), on(Backend::Auto, small));
     let fits = task.predict(&mut named).unwrap();
     let smaller = std::mem::replace(&mut task.sensor, scenes::camera(400, 300));
