@@ -101,7 +101,7 @@ fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, 
     use common::hard::{Placing, Shape};
     let placing = Placing { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
     let shapes = vec![(Shape::Sliver { at, along, long, aspect }, placing)];
-    let case = Case { shapes, unit, at: [0.0; 3], turn: [0.0; 3], limits: None };
+    let case = Case { shapes, unit, at: [0.0; 3], turn: [0.0; 3], limits: None, fine: false };
     if let Some(mut gpu) = engines::gpu() {
         check_engine(&case, &mut gpu, Precision::F32).unwrap();
     }
@@ -154,7 +154,8 @@ fn a_cell_of_a_carpet_ends_at_its_corners_on_a_ray_table() {
         cells: 7,
     };
     let placing = Placing { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 };
-    let case = Case { shapes: vec![(carpet, placing)], unit: 1.0, at: [0.0; 3], turn: [0.0; 3], limits: None };
+    let case =
+        Case { shapes: vec![(carpet, placing)], unit: 1.0, at: [0.0; 3], turn: [0.0; 3], limits: None, fine: false };
     if let Some(mut gpu) = engines::gpu() {
         check_engine(&case, &mut gpu, Precision::F32).unwrap();
     }

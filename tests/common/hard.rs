@@ -58,6 +58,8 @@ pub struct Case {
     pub turn: [f64; 3],
     /// Range limits in units, if any.
     pub limits: Option<(f64, f64)>,
+    /// Seen by sensors of small pixels ahead instead of by those that see all round.
+    pub fine: bool,
 }
 
 impl Case {
@@ -96,6 +98,9 @@ impl Case {
     }
 
     fn sensors(&self) -> Vec<Sensor> {
+        if self.fine {
+            return scenes::fine().into();
+        }
         [
             scenes::camera(33, 25),
             scenes::scanner(48, 13),
@@ -250,7 +255,7 @@ pub fn case() -> impl Strategy<Value = Case> {
     let unit = prop::sample::select(vec![1.0, 1e-3, 1e2, 1.0, 1e3]);
     let limits = prop::option::weighted(0.4, (0.05..2.0f64, 3.0..60.0f64));
     (prop::collection::vec((shape(), placing()), 1..8), unit, at, turn, limits)
-        .prop_map(|(shapes, unit, at, turn, limits)| Case { shapes, unit, at, turn, limits })
+        .prop_map(|(shapes, unit, at, turn, limits)| Case { shapes, unit, at, turn, limits, fine: false })
 }
 
 /// Directions of all kinds of rows and columns: towards the poles and a camera's middle, exactly or nearly, or anywhere.
@@ -282,6 +287,6 @@ pub fn grazing() -> impl Strategy<Value = Case> {
     let at = prop::sample::select(vec![[0.0, 0.0, 0.0], [12.3, -4.5, 1.7], [5e6 + 0.1, 3e6 + 0.7, 0.0]]);
     let turn = prop_oneof![Just([0.0; 3]), [-3.0..3.0f64, -1.5..1.5f64, -3.0..3.0f64]];
     let unit = prop::sample::select(vec![1.0, 1e-3, 1e2]);
-    (prop::collection::vec((grazing_carpet(), placing()), 1..3), unit, at, turn)
-        .prop_map(|(shapes, unit, at, turn)| Case { shapes, unit, at, turn, limits: None })
+    (prop::collection::vec((grazing_carpet(), placing()), 1..3), unit, at, turn, any::<bool>())
+        .prop_map(|(shapes, unit, at, turn, fine)| Case { shapes, unit, at, turn, limits: None, fine })
 }
