@@ -62,7 +62,6 @@ pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
 pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, Stats};
-#[cfg(feature = "gpu")]
 #[doc(hidden)]
 pub use predict::Opening;
 pub use predict::{Backend, Options, Prediction, Predictor};

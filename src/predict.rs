@@ -69,7 +69,6 @@ pub struct Predictor {
 }
 
 /// How a predictor opens the GPU; tests of its recovery open it otherwise.
-#[cfg(feature = "gpu")]
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Opening {
@@ -94,23 +93,10 @@ impl Predictor {
     /// [`ErrorKind::NoDevice`] if [`Backend::Gpu`] is asked for and no adapter is found;
     /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
     pub fn new(options: Options) -> Result<Self> {
-        #[cfg(feature = "gpu")]
-        return Self::opened(options, Opening::default());
-        #[cfg(not(feature = "gpu"))]
-        match options.backend {
-            Backend::Gpu => Err(Error::new(
-                ErrorKind::NoDevice,
-                "this presight was built without the GPU engine",
-                "build it with the cargo feature `gpu`, or use --backend cpu",
-            )),
-            Backend::Auto | Backend::Cpu => {
-                Ok(Self { engine: Engine::Cpu(cpu::Engine::new(options.threads)?), plan: None, notice: None })
-            }
-        }
+        Self::opened(options, Opening::default())
     }
 
     /// [`Predictor::new`] with the GPU opened in a way of one's own.
-    #[cfg(feature = "gpu")]
     #[doc(hidden)]
     pub fn opened(options: Options, opening: Opening) -> Result<Self> {
         let on_cpu = || Ok(Engine::Cpu(cpu::Engine::new(options.threads)?));
@@ -124,7 +110,15 @@ impl Predictor {
                 Err(e) => (on_cpu()?, Some(format!("the CPU engine is used: {e}"))),
             },
         };
-        Ok(Self { options, opening, engine, plan: None, notice })
+        Ok(Self {
+            #[cfg(feature = "gpu")]
+            options,
+            #[cfg(feature = "gpu")]
+            opening,
+            engine,
+            plan: None,
+            notice,
+        })
     }
 
     /// `cpu`, or `gpu` with its adapter.
@@ -198,22 +192,25 @@ impl Predictor {
     }
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
-        #[cfg(feature = "gpu")]
-        let selection = stats.clone();
-        #[cfg(feature = "gpu")]
-        let mut again = true;
-        loop {
-            match &mut self.engine {
-                Engine::Cpu(engine) => return engine.render(plan, images, stats),
-                #[cfg(feature = "gpu")]
-                Engine::Gpu(engine) => {
-                    let Err(fault) = engine.render(plan, images, stats) else { return Ok(()) };
-                    self.recover(fault, again)?;
-                    again = false;
-                    stats.clone_from(&selection);
-                }
-            }
+        match &mut self.engine {
+            Engine::Cpu(engine) => engine.render(plan, images, stats),
+            #[cfg(feature = "gpu")]
+            Engine::Gpu(_) => self.render_on_gpu(plan, images, stats),
         }
+    }
+
+    #[cfg(feature = "gpu")]
+    fn render_on_gpu(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let selection = stats.clone();
+        let mut again = true;
+        while let Engine::Gpu(engine) = &mut self.engine {
+            let Err(fault) = engine.render(plan, images, stats) else { return Ok(()) };
+            self.recover(fault, again)?;
+            again = false;
+            // Nothing of the attempt that failed is told.
+            stats.clone_from(&selection);
+        }
+        self.render(plan, images, stats)
     }
 
     /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine.
@@ -253,6 +250,16 @@ impl Predictor {
         };
         move || device.iter().for_each(|lose| lose())
     }
+}
+
+/// No GPU engine was built.
+#[cfg(not(feature = "gpu"))]
+fn open_gpu(_: Options, _: Opening) -> Result<Engine> {
+    Err(Error::new(
+        ErrorKind::NoDevice,
+        "this presight was built without the GPU engine",
+        "build it with the cargo feature `gpu`, or use --backend cpu",
+    ))
 }
 
 /// The GPU engine: on hardware only, unless it was asked for by name.

@@ -33,10 +33,12 @@ fn main() {
     }
 }
 
+type Render<'a> = Box<dyn FnMut(&FramePlan, &mut Images) + 'a>;
+
 /// A way of making images, its times at each pose and what is wrong with them.
 struct Rival<'a> {
     name: &'static str,
-    render: Box<dyn FnMut(&FramePlan, &mut Images) + 'a>,
+    render: Render<'a>,
     precision: Precision,
     medians: Vec<f64>,
     least: Vec<f64>,
@@ -89,11 +91,7 @@ fn measure(scene: &str, world: &World) {
     }
 }
 
-fn rival<'a>(
-    name: &'static str,
-    render: Box<dyn FnMut(&FramePlan, &mut Images) + 'a>,
-    precision: Precision,
-) -> Rival<'a> {
+fn rival<'a>(name: &'static str, render: Render<'a>, precision: Precision) -> Rival<'a> {
     Rival { name, render, precision, medians: Vec::new(), least: Vec::new(), report: Report::default(), other_ids: 0 }
 }
 

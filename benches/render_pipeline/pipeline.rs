@@ -160,7 +160,7 @@ impl Pipeline {
             let view = self.readback.get_mapped_range(..).expect("mapped");
             let (ids, rest) = view.split_at(plane as usize);
             let (cosines, depths) = rest.split_at(plane as usize);
-            let [ids, cosines, depths] = [ids, cosines, depths].map(|b| bytemuck::cast_slice::<u8, u32>(b));
+            let [ids, cosines, depths] = [ids, cosines, depths].map(bytemuck::cast_slice::<u8, u32>);
             self.resolve(plan, ids, cosines, depths, images);
         }
         self.readback.unmap();
