@@ -119,7 +119,7 @@ const POLYGON_WORDS: u32 = 7u;
 // A corner: its vertex.
 const CORNER_WORDS: u32 = 1u;
 const VERTEX_WORDS: u32 = 3u;
-// A record: m.xyz, slot, edge count, cone axis.xyz, cone cosine, then edges of 3 words.
+// A record: m.xyz, slot, edge count, cap axis.xyz, squared chord of the cap (negative: no cap), then edges of 3 words.
 const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
 // An item: record, then first line | count << 16 (line grids) or supertile (ray grids).

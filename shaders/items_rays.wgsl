@@ -7,15 +7,17 @@ fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32,
         axis += normalize(to_image(instance, from_center(instance, p)));
     }
     axis = normalize(axis + vec3f(1.0e-12, 0.0, 0.0));
-    var cosine = 1.0;
+    var chord = 0.0;
     for (var k = 0u; k < corner_count; k++) {
         let p = vertex(instance, arena[first_corner + k * CORNER_WORDS]);
-        cosine = min(cosine, dot(axis, normalize(to_image(instance, from_center(instance, p)))));
+        let apart = normalize(to_image(instance, from_center(instance, p))) - axis;
+        chord = max(chord, dot(apart, apart));
     }
-    // A cone of less than a quarter turn around the vertices is convex and holds the polygon; a wider one is not.
-    cosine = select(-1.0, cosine - 1.0e-6, cosine > 0.01);
+    // A cap of less than a quarter turn around the vertices is convex and holds the polygon; a wider one is not.
+    chord = select(-1.0, chord * 1.00001 + 1.0e-11, chord < 1.9);
     put(at + 5u, axis);
-    records[at + 8u] = bitcast<u32>(cosine);
+    records[at + 8u] = bitcast<u32>(chord);
+    let cosine = cosine_of(chord);
 
     var wanted = 0u;
     for (var s = 0u; s < params.line_count; s++) {

@@ -31,21 +31,22 @@ fn supertile(record: u32, index: u32) {
     let first_row = (index / across) * TILES_PER_SUPERTILE;
     let tile_rows = params.tile_count / params.tile_columns;
     let axis = vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u));
-    let cosine = float_of(record + 8u);
+    let chord = float_of(record + 8u);
+    let cosine = cosine_of(chord);
     for (var row = first_row; row < min(first_row + TILES_PER_SUPERTILE, tile_rows); row++) {
         for (var column = first_column; column < min(first_column + TILES_PER_SUPERTILE, params.tile_columns); column++) {
             let at = params.tiles_at + (row * params.tile_columns + column) * 4u;
             let tile_cosine = bitcast<f32>(grid[at + 3u]);
             if tile_cosine <= 1.0 && cones_meet(axis, cosine, words_of_grid(at), tile_cosine) {
-                tile(record, axis, cosine, column * TILE, row * TILE);
+                tile(record, axis, chord, column * TILE, row * TILE);
             }
         }
     }
 }
 
-// Rays outside the polygon's own cone are left out, too: towards the vanishing point of a sliver's long sides all edge
+// Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
 // planes meet, and rounded to f32 may hold rays there, far from the polygon.
-fn tile(record: u32, axis: vec3f, cosine: f32, first_column: u32, first_row: u32) {
+fn tile(record: u32, axis: vec3f, chord: f32, first_column: u32, first_row: u32) {
     let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
     let slot = records[record + 3u];
     let edge_count = records[record + 4u];
@@ -56,7 +57,8 @@ fn tile(record: u32, axis: vec3f, cosine: f32, first_column: u32, first_row: u32
             // No ray is stored as zero: its inverse range is not above zero.
             let ray = words_of_grid(params.rays_at + pixel * 3u);
             let k = dot(m, ray);
-            var inside = k > 0.0 && dot(axis, ray) >= cosine;
+            let apart = ray - axis;
+            var inside = k > 0.0 && (chord < 0.0 || dot(apart, apart) <= chord);
             for (var e = 0u; inside && e < edge_count; e++) {
                 let at = edges + e * EDGE_WORDS;
                 inside = dot(vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u)), ray) >= 0.0;

@@ -60,10 +60,24 @@ pub struct Prediction {
 pub struct Predictor {
     #[cfg(feature = "gpu")]
     options: Options,
+    #[cfg(feature = "gpu")]
+    opening: Opening,
     engine: Engine,
     plan: Option<FramePlan>,
-    /// Why the CPU engine took over, once it did.
+    /// What befell the GPU, once something did.
     notice: Option<String>,
+}
+
+/// How a predictor opens the GPU; tests of its recovery open it otherwise.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Opening {
+    /// [`Backend::Auto`] takes any adapter, too.
+    pub any_adapter: bool,
+    /// No more than so many bytes go into one buffer.
+    pub largest_binding: Option<u64>,
+    /// Nothing is found, as after a driver's crash.
+    pub nothing: bool,
 }
 
 enum Engine {
@@ -79,10 +93,28 @@ impl Predictor {
     /// [`ErrorKind::NoDevice`] if [`Backend::Gpu`] is asked for and no adapter is found;
     /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
     pub fn new(options: Options) -> Result<Self> {
-        let (engine, notice) = open(options)?;
+        Self::opened(options, Opening::default())
+    }
+
+    /// [`Predictor::new`] with the GPU opened in a way of one's own.
+    #[doc(hidden)]
+    pub fn opened(options: Options, opening: Opening) -> Result<Self> {
+        let on_cpu = || Ok(Engine::Cpu(cpu::Engine::new(options.threads)?));
+        let (engine, notice) = match options.backend {
+            Backend::Cpu => (on_cpu()?, None),
+            Backend::Gpu => (open_gpu(options, opening)?, None),
+            Backend::Auto => match open_gpu(options, opening) {
+                Ok(engine) => (engine, None),
+                // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
+                Err(e) if e.kind() == ErrorKind::NoDevice => (on_cpu()?, None),
+                Err(e) => (on_cpu()?, Some(format!("the CPU engine is used: {e}"))),
+            },
+        };
         Ok(Self {
             #[cfg(feature = "gpu")]
             options,
+            #[cfg(feature = "gpu")]
+            opening,
             engine,
             plan: None,
             notice,
@@ -122,8 +154,8 @@ impl Predictor {
 
     /// The same into the caller's images, which are reused from call to call.
     ///
-    /// A lost GPU is opened again once; with [`Backend::Auto`] the CPU engine takes over where that fails, and
-    /// [`Stats::notices`] says so.
+    /// A GPU that is lost is opened again, once in a prediction; with [`Backend::Auto`] the CPU engine takes over where
+    /// that fails or the device has too little memory. From then on [`Stats::notices`] says so.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for `depth_z` of a sensor that is no camera; [`ErrorKind::DeviceLost`] and
@@ -163,78 +195,83 @@ impl Predictor {
         match &mut self.engine {
             Engine::Cpu(engine) => engine.render(plan, images, stats),
             #[cfg(feature = "gpu")]
-            Engine::Gpu(engine) => {
-                let selection = stats.clone();
-                match engine.render(plan, images, stats) {
-                    Ok(()) => Ok(()),
-                    Err(lost) => {
-                        *stats = selection;
-                        self.recover(lost)?;
-                        match &mut self.engine {
-                            Engine::Cpu(engine) => engine.render(plan, images, stats),
-                            Engine::Gpu(engine) => engine.render(plan, images, stats),
-                        }
-                    }
-                }
-            }
+            Engine::Gpu(_) => self.render_on_gpu(plan, images, stats),
         }
     }
 
-    /// Opens a lost device again, or, where the backend was ours to choose, goes on with the CPU engine.
     #[cfg(feature = "gpu")]
-    fn recover(&mut self, error: Error) -> Result<()> {
-        if error.kind() == ErrorKind::DeviceLost
-            && let Ok((engine, None)) = open(self.options)
+    fn render_on_gpu(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let selection = stats.clone();
+        let mut again = true;
+        while let Engine::Gpu(engine) = &mut self.engine {
+            let Err(fault) = engine.render(plan, images, stats) else { return Ok(()) };
+            self.recover(fault, again)?;
+            again = false;
+            // Nothing of the attempt that failed is told.
+            stats.clone_from(&selection);
+        }
+        self.render(plan, images, stats)
+    }
+
+    /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine.
+    #[cfg(feature = "gpu")]
+    fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
+        if again
+            && fault.kind() == ErrorKind::DeviceLost
+            && let Ok(engine) = open_gpu(self.options, self.opening)
         {
             self.engine = engine;
-            self.notice = Some(format!("the GPU was opened again after this: {error}"));
+            self.notice = Some(format!("the GPU was opened again after this: {fault}"));
             return Ok(());
         }
         if self.options.backend != Backend::Auto {
-            return Err(error);
+            return Err(fault);
         }
         self.engine = Engine::Cpu(cpu::Engine::new(self.options.threads)?);
-        self.notice = Some(format!("the CPU engine took over: {error}"));
+        self.notice = Some(format!("the CPU engine took over: {fault}"));
         Ok(())
     }
 
-    /// Takes the device away, as a driver's reset would: for tests of what comes after.
+    /// Changes how the GPU is opened when it has to be again.
     #[cfg(feature = "gpu")]
     #[doc(hidden)]
-    pub fn lose_device(&self) {
-        if let Engine::Gpu(engine) = &self.engine {
-            engine.lose_device();
-        }
+    pub fn set_opening(&mut self, opening: Opening) {
+        self.opening = opening;
+    }
+
+    /// Takes the present device away when it is called, as a driver's reset would, from any thread and in the midst of a
+    /// prediction, too: for tests of what comes after. Does nothing to the CPU engine.
+    #[cfg(feature = "gpu")]
+    #[doc(hidden)]
+    pub fn device_loss(&self) -> impl Fn() + Send + use<> {
+        let device = match &self.engine {
+            Engine::Cpu(_) => None,
+            Engine::Gpu(engine) => Some(engine.device_loss()),
+        };
+        move || device.iter().for_each(|lose| lose())
     }
 }
 
-/// The engine of a backend, and what the caller should know of the choice.
-fn open(options: Options) -> Result<(Engine, Option<String>)> {
-    let on_cpu = || Ok(Engine::Cpu(cpu::Engine::new(options.threads)?));
-    match options.backend {
-        Backend::Cpu => Ok((on_cpu()?, None)),
-        #[cfg(feature = "gpu")]
-        Backend::Gpu => {
-            let engine = gpu::Engine::new(gpu::DeviceOptions::default())?;
-            Ok((Engine::Gpu(Box::new(engine)), None))
-        }
-        #[cfg(feature = "gpu")]
-        Backend::Auto => {
-            let hardware = gpu::DeviceOptions { hardware_only: true, ..Default::default() };
-            match gpu::Engine::new(hardware) {
-                Ok(engine) => Ok((Engine::Gpu(Box::new(engine)), None)),
-                // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
-                Err(e) if e.kind() == ErrorKind::NoDevice => Ok((on_cpu()?, None)),
-                Err(e) => Ok((on_cpu()?, Some(format!("the CPU engine is used: {e}")))),
-            }
-        }
-        #[cfg(not(feature = "gpu"))]
-        Backend::Gpu => Err(Error::new(
-            ErrorKind::NoDevice,
-            "this presight was built without the GPU engine",
-            "build it with the cargo feature `gpu`, or use --backend cpu",
-        )),
-        #[cfg(not(feature = "gpu"))]
-        Backend::Auto => Ok((on_cpu()?, None)),
+/// No GPU engine was built.
+#[cfg(not(feature = "gpu"))]
+fn open_gpu(_: Options, _: Opening) -> Result<Engine> {
+    Err(Error::new(
+        ErrorKind::NoDevice,
+        "this presight was built without the GPU engine",
+        "build it with the cargo feature `gpu`, or use --backend cpu",
+    ))
+}
+
+/// The GPU engine: on hardware only, unless it was asked for by name.
+#[cfg(feature = "gpu")]
+fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
+    if opening.nothing {
+        return Err(Error::new(ErrorKind::NoDevice, "no adapter was found", "use --backend cpu"));
     }
+    let engine = gpu::Engine::new(gpu::DeviceOptions {
+        hardware_only: options.backend == Backend::Auto && !opening.any_adapter,
+        largest_binding: opening.largest_binding,
+        ..Default::default()
+    })?;
+    Ok(Engine::Gpu(Box::new(engine)))
 }

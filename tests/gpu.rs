@@ -278,6 +278,32 @@ fn what_does_not_fit_is_counted_and_run_again() {
 }
 
 #[test]
+fn in_steady_state_nothing_is_made() {
+    let (world, sensors, poses) = (scene(7, 200, DVec3::ZERO), sensors(), poses(DVec3::ZERO));
+    for (name, mut engine) in engines() {
+        // Sensors by turns, as a robot has them.
+        let round = |engine: &mut Engine, sensors: &[Sensor]| {
+            let images = poses.iter().flat_map(|pose| sensors.iter().map(move |s| (pose, s)));
+            images.map(|(pose, s)| check(name, engine, &world, s, pose).0.polygon_id).collect::<Vec<_>>()
+        };
+        let opened = engine.made();
+        let first = round(&mut engine, &sensors);
+        let made = engine.made();
+        assert!(made.buffers > opened.buffers && made.pipelines > 0 && made.bind_groups > 0, "{name}: {made:?}");
+        for _ in 0..2 {
+            assert_eq!(first, round(&mut engine, &sensors), "{name}");
+            assert_eq!(made, engine.made(), "{name}: the same poses again need nothing more");
+        }
+        // The counts do tell: another world brings meshes, a larger image brings buffers.
+        check(name, &mut engine, &scene(8, 5, DVec3::ZERO), &sensors[0], &poses[0]);
+        assert!(engine.made().staged > made.staged, "{name}");
+        let large = sensor("large", Geometry::Camera(Camera::pinhole(700, 500, 600.0, 600.0, 350.0, 250.0)), 75.0);
+        check(name, &mut engine, &world, &large, &poses[0]);
+        assert!(engine.made().buffers > made.buffers && engine.made().bind_groups > made.bind_groups, "{name}");
+    }
+}
+
+#[test]
 fn an_empty_world_and_changing_worlds_are_right() {
     let Some(mut engine) = engine(DeviceOptions::default()) else { return };
     let empty = World::new(Environment::new());
@@ -297,7 +323,7 @@ fn a_lost_device_is_a_typed_error_and_a_new_engine_works() {
     let (world, sensor) = (scene(5, 5, DVec3::ZERO), &sensors()[0]);
     let pose = poses(DVec3::ZERO)[0];
     check("before", &mut engine, &world, sensor, &pose);
-    engine.lose_device();
+    engine.device_loss()();
     let mut images = Images::default();
     for _ in 0..2 {
         let lost = engine.render(&plan(&world, sensor, &pose), &mut images, &mut Stats::default()).unwrap_err();

@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::hard::{Case, case};
+use common::hard::{Case, case, grazing};
 use common::oracle::Oracle;
 use common::{engines, plan, reference};
 use presight::compare::{Precision, Values, compare, compare_values};
@@ -61,8 +61,12 @@ fn check_oracle(case: &Case) -> Result<(), TestCaseError> {
     Ok(())
 }
 
+fn check_all(cases: impl Strategy<Value = Case>, check: impl Fn(&Case) -> Result<(), TestCaseError>) {
+    TestRunner::new(config()).run(&cases, |case| check(&case)).unwrap_or_else(|e| panic!("{e}"));
+}
+
 fn check_cases(check: impl Fn(&Case) -> Result<(), TestCaseError>) {
-    TestRunner::new(config()).run(&case(), |case| check(&case)).unwrap_or_else(|e| panic!("{e}"));
+    check_all(case(), check);
 }
 
 #[test]
@@ -76,13 +80,28 @@ fn cpu_is_right() {
     check_cases(|case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
 }
 
+#[test]
+fn cpu_is_right_at_grazing_angles() {
+    let render = RefCell::new(engines::cpu(1));
+    check_all(grazing(), |case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn gpu_is_right_at_grazing_angles() {
+    if let Some(gpu) = engines::gpu() {
+        let render = RefCell::new(gpu);
+        check_all(grazing(), |case| check_engine(case, &mut *render.borrow_mut(), Precision::F32));
+    }
+}
+
 /// One sliver before the GPU engine: where, along what, how long, its aspect; turn, scale and shear of its mesh.
 #[cfg(feature = "gpu")]
 fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, f64), mesh: ([f64; 3], [f64; 3], f64)) {
     use common::hard::{Placing, Shape};
     let placing = Placing { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
     let shapes = vec![(Shape::Sliver { at, along, long, aspect }, placing)];
-    let case = Case { shapes, unit, at: [0.0; 3], turn: [0.0; 3], limits: None };
+    let case = Case { shapes, unit, at: [0.0; 3], turn: [0.0; 3], limits: None, fine: false };
     if let Some(mut gpu) = engines::gpu() {
         check_engine(&case, &mut gpu, Precision::F32).unwrap();
     }
@@ -121,6 +140,25 @@ fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
         0.0,
     );
     check_sliver(100.0, [0.0, 42.4176835766584, 0.0], ([0.0, 1.0, 1.0], 0.20455509175793538, 10.0), mesh);
+}
+
+/// Cells of 0.2 mrad seen at 0.1 mrad: only the cap tells a cell from the next but one.
+#[cfg(feature = "gpu")]
+#[test]
+fn a_cell_of_a_carpet_ends_at_its_corners_on_a_ray_table() {
+    use common::hard::{Placing, Shape};
+    let carpet = Shape::Carpet {
+        at: [1.4056834039394541, 1.4058727194305156, 0.00022951257164875459],
+        normal: [-0.6108024886160263, 0.6108031215650412, -0.5038252341704121],
+        cell: 0.0003529135217177236,
+        cells: 7,
+    };
+    let placing = Placing { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 };
+    let case =
+        Case { shapes: vec![(carpet, placing)], unit: 1.0, at: [0.0; 3], turn: [0.0; 3], limits: None, fine: false };
+    if let Some(mut gpu) = engines::gpu() {
+        check_engine(&case, &mut gpu, Precision::F32).unwrap();
+    }
 }
 
 #[cfg(feature = "gpu")]

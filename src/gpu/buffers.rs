@@ -1,7 +1,9 @@
-//! Buffers that grow geometrically and otherwise stay.
+//! Buffers that grow geometrically and otherwise stay, and the one through which all uploads of a frame go.
 
 use super::device::Gpu;
 use crate::error::{ErrorKind, Result};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
 
 /// A device buffer that is only ever replaced by a larger one.
 pub(super) struct Growable {
@@ -63,6 +65,114 @@ impl Growable {
     }
 }
 
+/// What the host writes to is mapped from the start.
 fn create(gpu: &Gpu, label: &str, usage: wgpu::BufferUsages, size: u64) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+    gpu.made.buffers.add();
+    let mapped_at_creation = usage.contains(wgpu::BufferUsages::MAP_WRITE);
+    gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
+}
+
+/// How a mapping that was asked for went; the device's callback tells.
+#[derive(Clone, Default)]
+pub(super) struct Mapping(Arc<AtomicU8>);
+
+const WAITING: u8 = 0;
+const MAPPED: u8 = 1;
+const REFUSED: u8 = 2;
+
+impl Mapping {
+    /// Asks for it; what comes of it is known after [`Gpu::wait`].
+    pub fn ask(&self, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) {
+        self.0.store(WAITING, Ordering::Release);
+        let told = self.0.clone();
+        buffer.map_async(mode, 0..bytes, move |mapped| {
+            told.store(if mapped.is_ok() { MAPPED } else { REFUSED }, Ordering::Release);
+        });
+    }
+
+    /// # Errors
+    /// [`ErrorKind::DeviceLost`] unless the buffer is mapped now.
+    pub fn check(&self, gpu: &Gpu, what: &str) -> Result<()> {
+        match self.0.load(Ordering::Acquire) {
+            MAPPED => Ok(()),
+            REFUSED => Err(gpu.error(ErrorKind::DeviceLost, &format!("{what} cannot be mapped"))),
+            _ => Err(gpu.error(ErrorKind::DeviceLost, &format!("{what} is not mapped in time"))),
+        }
+    }
+}
+
+/// All uploads of a frame: collected, then copied to the device from one buffer that is mapped again after each frame.
+/// `Queue::write_buffer` would make a staging buffer inside wgpu every time.
+pub(super) struct Uploads {
+    staging: Growable,
+    /// Of the staging buffer, from the second frame on.
+    mapping: Option<Mapping>,
+    bytes: Vec<u8>,
+    copies: Vec<Copy>,
+}
+
+/// From the staging buffer at `from`.
+struct Copy {
+    from: u64,
+    to: wgpu::Buffer,
+    at: u64,
+    bytes: u64,
+}
+
+impl Uploads {
+    pub fn new(gpu: &Gpu) -> Self {
+        use wgpu::BufferUsages as U;
+        let staging = Growable::new(gpu, "uploads", U::MAP_WRITE | U::COPY_SRC, false);
+        Self { staging, mapping: None, bytes: Vec::new(), copies: Vec::new() }
+    }
+
+    /// Begins a frame: forgets what one that failed has left.
+    pub fn clear(&mut self) {
+        self.bytes.clear();
+        self.copies.clear();
+    }
+
+    /// Takes whole words that shall lie in a buffer from byte `at` on.
+    pub fn put(&mut self, to: &Growable, at: u64, bytes: &[u8]) {
+        debug_assert!(bytes.len().is_multiple_of(4), "whole words");
+        if !bytes.is_empty() {
+            let (from, to) = (self.bytes.len() as u64, to.buffer.clone());
+            self.bytes.extend_from_slice(bytes);
+            self.copies.push(Copy { from, to, at, bytes: bytes.len() as u64 });
+        }
+    }
+
+    /// Writes what was taken to the staging buffer and encodes the copies.
+    ///
+    /// # Errors
+    /// [`ErrorKind::DeviceMemory`], [`ErrorKind::DeviceLost`].
+    pub fn encode(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+        let bytes = self.bytes.len() as u64;
+        if self.staging.reserve(gpu, bytes)? {
+            self.mapping = None;
+        }
+        if let Some(mapping) = &self.mapping {
+            mapping.check(gpu, "the upload buffer")?;
+        }
+        let staging = self.staging.buffer();
+        let view = staging.get_mapped_range_mut(0..bytes);
+        let mut view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        view.copy_from_slice(&self.bytes);
+        drop(view);
+        staging.unmap();
+        for copy in self.copies.drain(..) {
+            encoder.copy_buffer_to_buffer(staging, copy.from, &copy.to, copy.at, copy.bytes);
+        }
+        self.bytes.clear();
+        Ok(())
+    }
+
+    /// Asks for the staging buffer again, after the copies were submitted.
+    pub fn recall(&mut self) {
+        self.mapping.get_or_insert_default().ask(
+            self.staging.buffer(),
+            wgpu::MapMode::Write,
+            self.staging.buffer().size(),
+        );
+    }
 }

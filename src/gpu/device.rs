@@ -1,6 +1,7 @@
 //! The adapter and device, and their faults as typed errors.
 
 use crate::error::{Error, ErrorKind, Result};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The adapter that an engine would take or has taken.
@@ -35,6 +36,57 @@ pub struct DeviceOptions {
     pub all_on_device: bool,
 }
 
+/// What an engine has made on its device since it was opened. In steady state nothing is made any more: a frame that
+/// needs no more room and no other kind of sensor, outputs or shaders than those before leaves every count as it is.
+///
+/// What wgpu makes by itself for each submission (a command buffer, its book of the resources in use, a closure for each
+/// mapping) is not counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Made {
+    /// Buffers, and sets of time stamps.
+    pub buffers: u64,
+    /// Bind groups.
+    pub bind_groups: u64,
+    /// Compute pipelines.
+    pub pipelines: u64,
+    /// Uploads for which wgpu makes a staging buffer of its own.
+    pub staged: u64,
+}
+
+/// Counts from behind a shared reference.
+#[derive(Default)]
+pub(super) struct Count(AtomicU64);
+
+impl Count {
+    pub fn add(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// [`Made`] while it is counted.
+#[derive(Default)]
+pub(super) struct Making {
+    pub buffers: Count,
+    pub bind_groups: Count,
+    pub pipelines: Count,
+    pub staged: Count,
+}
+
+impl Making {
+    pub fn so_far(&self) -> Made {
+        Made {
+            buffers: self.buffers.get(),
+            bind_groups: self.bind_groups.get(),
+            pipelines: self.pipelines.get(),
+            staged: self.staged.get(),
+        }
+    }
+}
+
 /// A device with its queue and what it can do.
 pub(super) struct Gpu {
     pub device: wgpu::Device,
@@ -44,6 +96,7 @@ pub(super) struct Gpu {
     pub int64: bool,
     /// Times of stages can be asked for.
     pub timestamps: bool,
+    pub made: Making,
     fault: Arc<Mutex<Option<(ErrorKind, String)>>>,
 }
 
@@ -90,8 +143,15 @@ impl Gpu {
             adapter: described,
             int64: features.contains(int64),
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+            made: Making::default(),
             fault,
         })
+    }
+
+    /// Uploads what does not change from frame to frame.
+    pub fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
+        self.made.staged.add();
+        self.queue.write_buffer(buffer, at, bytes);
     }
 
     /// The first fault that the device reported, if any.

@@ -100,7 +100,7 @@ impl Arena {
         self.scratch.clear();
         pack(mesh, &mut self.scratch);
         debug_assert_eq!(self.scratch.len() as u64, words);
-        gpu.queue.write_buffer(self.words.buffer(), self.used * 4, bytemuck::cast_slice(&self.scratch));
+        gpu.write(self.words.buffer(), self.used * 4, bytemuck::cast_slice(&self.scratch));
         let polygons_at = self.used as u32;
         let corners_at = polygons_at + mesh.polygon_count() as u32 * POLYGON_WORDS;
         let vertices_at = corners_at + mesh.all_corners().len() as u32 * CORNER_WORDS;

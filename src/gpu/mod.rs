@@ -15,7 +15,7 @@ mod stage;
 mod stages;
 mod store;
 
-pub use device::{Adapter, DeviceOptions, adapters};
+pub use device::{Adapter, DeviceOptions, Made, adapters};
 
 use crate::error::{ErrorKind, Result};
 use crate::plan::{FramePlan, Images, Output, Stats};
@@ -28,6 +28,9 @@ use layout::Counters;
 use stages::Stages;
 use std::time::Instant;
 use store::{Readback, Store};
+
+/// Most sensors whose tables are kept.
+const MOST_SENSORS: usize = 8;
 
 /// The GPU engine with its device and buffers.
 ///
@@ -43,8 +46,10 @@ pub struct Engine {
     store: Store,
     arena: Arena,
     frame: Frame,
-    /// The sensor whose tables are on the device; held, so that its address is its identity.
-    sensor: Option<(Sensor, Tables)>,
+    /// The sensors of late, the first the one whose tables are on the device; held, so that its address is its identity.
+    sensors: Vec<(Sensor, Tables)>,
+    /// The tables of the first sensor are on the device.
+    placed: bool,
     /// A bound buffer is another one now.
     rebind: bool,
     /// Stages that have a CPU twin run there: the same cores, without the detour.
@@ -61,7 +66,17 @@ impl Engine {
         let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
         gpu.check()?;
         let software = !gpu.adapter.hardware && !options.all_on_device;
-        Ok(Self { gpu, stages, store, arena, frame: Frame::default(), sensor: None, rebind: true, software })
+        Ok(Self {
+            gpu,
+            stages,
+            store,
+            arena,
+            frame: Frame::default(),
+            sensors: Vec::new(),
+            placed: false,
+            rebind: true,
+            software,
+        })
     }
 
     /// The adapter it works on.
@@ -69,10 +84,16 @@ impl Engine {
         &self.gpu.adapter
     }
 
-    /// Destroys the device, as a driver's reset would: for tests of what comes after.
+    /// What it has made on the device so far.
+    pub fn made(&self) -> Made {
+        self.gpu.made.so_far()
+    }
+
+    /// Destroys the device when it is called, as a driver's reset would: for tests of what comes after.
     #[doc(hidden)]
-    pub fn lose_device(&self) {
-        self.gpu.device.destroy();
+    pub fn device_loss(&self) -> impl Fn() + Send + use<> {
+        let device = self.gpu.device.clone();
+        move || device.destroy()
     }
 
     /// Fills the asked images; `depth_z` only for cameras.
@@ -103,51 +124,72 @@ impl Engine {
     }
 
     fn upload(&mut self, plan: &FramePlan) -> Result<()> {
-        let same = |s: &Sensor| std::ptr::eq(s.grid(), plan.sensor.grid());
-        if !self.sensor.as_ref().is_some_and(|(s, _)| same(s)) {
-            let tables = Tables::new(&plan.sensor);
-            self.rebind |= self.store.put_grid(&self.gpu, &tables)?;
-            self.sensor = Some((plan.sensor.clone(), tables));
-        }
+        self.store.uploads.clear();
+        self.take_sensor(&plan.sensor)?;
         let objects = plan.environment().objects();
         let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
-        if let Some((_, tables)) = &self.sensor {
+        if let Some((_, tables)) = self.sensors.first() {
             self.frame.fill(plan, tables, &self.arena, self.software);
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         Ok(())
     }
 
+    /// Makes a sensor the first, with its tables; those of the sensors that a robot has in turns are made once.
+    fn take_sensor(&mut self, sensor: &Sensor) -> Result<()> {
+        match self.sensors.iter().position(|(s, _)| std::ptr::eq(s.grid(), sensor.grid())) {
+            Some(0) => {}
+            Some(at) => {
+                self.sensors[..=at].rotate_right(1);
+                self.placed = false;
+            }
+            None => {
+                self.sensors.truncate(MOST_SENSORS - 1);
+                self.sensors.insert(0, (sensor.clone(), Tables::new(sensor)));
+                self.placed = false;
+            }
+        }
+        if let Some((_, tables)) = self.sensors.first()
+            && !self.placed
+        {
+            self.rebind |= self.store.reserve_grid(&self.gpu, tables)?;
+        }
+        Ok(())
+    }
+
     fn submit(&mut self) -> Result<()> {
-        let Some((_, tables)) = &self.sensor else { return Ok(()) };
+        let Some((_, tables)) = self.sensors.first() else { return Ok(()) };
         let variants = self.stages.prepare(&self.gpu, tables, &self.frame)?;
         if self.rebind {
             self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
             self.rebind = false;
         }
-        self.store.put(&self.gpu, &self.frame);
+        if !self.placed {
+            self.store.put_grid(tables);
+        }
+        self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.store.uploads.encode(&self.gpu, &mut encoder)?;
         self.stages.encode(&mut encoder, &variants, &self.frame, &self.store);
         self.store.encode_readback(&mut encoder, &self.frame);
         self.gpu.queue.submit([encoder.finish()]);
+        self.placed = true;
+        self.store.uploads.recall();
         Ok(())
     }
 
     fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
         let at = Readback::of(&self.frame);
         let buffer = self.store.readback.buffer();
-        let (sender, receiver) = std::sync::mpsc::channel();
-        buffer.map_async(wgpu::MapMode::Read, 0..at.bytes, move |mapped| {
-            // The receiver only goes away after an error that is reported already.
-            let _ = sender.send(mapped);
-        });
+        let mapping = &self.store.readback_mapping;
+        mapping.ask(buffer, wgpu::MapMode::Read, at.bytes);
         self.gpu.wait()?;
-        let lost = |what: &str| self.gpu.error(ErrorKind::DeviceLost, what);
-        receiver.recv().map_err(|e| lost(&e.to_string()))?.map_err(|e| lost(&e.to_string()))?;
+        mapping.check(&self.gpu, "the answer")?;
         stats.stage("device", start);
         let start = Instant::now();
-        let view = buffer.get_mapped_range(0..at.bytes).map_err(|e| lost(&e.to_string()))?;
+        let view = buffer.get_mapped_range(0..at.bytes);
+        let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
         let mut counters: Counters =
             bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()]);
         self.stage_times(&view[at.times as usize..], stats);
@@ -171,9 +213,9 @@ impl Engine {
             return;
         }
         let period = f64::from(self.gpu.queue.get_timestamp_period());
-        let ticks: Vec<u64> = bytes.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect();
-        for (name, pair) in stages::NAMES.iter().zip(ticks.chunks_exact(2)) {
-            let ms = pair[1].saturating_sub(pair[0]) as f64 * period * 1e-6;
+        for (name, pair) in stages::NAMES.iter().zip(bytes.chunks_exact(16)) {
+            let [begin, end]: [u64; 2] = bytemuck::pod_read_unaligned(pair);
+            let ms = end.saturating_sub(begin) as f64 * period * 1e-6;
             stats.stages_ms.push(((*name).to_owned(), ms));
         }
     }

@@ -88,7 +88,7 @@ impl NearList {
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
         let wedge = wedge(&corners, normal.normalize());
         self.records.push((corners.len() + wedge.len()) as u32);
-        // A cone, or on lines a cap, that holds everything.
+        // No cap.
         self.records.extend([1.0f32, 0.0, 0.0, -1.0].map(f32::to_bits));
         debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS);
         let sign = (distance * instance.image_from_mesh.determinant()).signum();

@@ -3,7 +3,9 @@
 use super::layout::{Params, SLOT_WORDS};
 use crate::plan::{FramePlan, IdScheme, Images};
 use crate::sensor::{LineAxis, PixelGrid};
-use rayon::prelude::*;
+
+/// What setup left of a slot.
+type Slot = [u32; SLOT_WORDS as usize];
 
 /// What a pixel shows.
 enum Seen {
@@ -61,8 +63,10 @@ struct Hit {
     below: bool,
 }
 
-/// One row of every image; those not asked for are empty.
-struct Row<'a> {
+/// Some rows of every image; those not asked for are empty.
+struct Rows<'a> {
+    first: u32,
+    count: u32,
     range: &'a mut [f32],
     depth_z: &'a mut [f32],
     polygon_id: &'a mut [u32],
@@ -70,14 +74,52 @@ struct Row<'a> {
     cos_incidence: &'a mut [f32],
 }
 
-/// The next row, or nothing of an image that is not there.
-fn next<'a, T>(rows: &mut std::slice::ChunksMut<'a, T>) -> &'a mut [T] {
-    rows.next().unwrap_or_default()
+/// Pixels that are not worth another thread.
+const FEW_PIXELS: u32 = 4096;
+
+impl Rows<'_> {
+    /// The upper and the lower half.
+    fn halves(&mut self, width: usize) -> (Rows<'_>, Rows<'_>) {
+        let upper = self.count / 2;
+        let at = upper as usize * width;
+        let range = cut(self.range, at);
+        let depth_z = cut(self.depth_z, at);
+        let polygon_id = cut(self.polygon_id, at);
+        let object_id = cut(self.object_id, at);
+        let cos_incidence = cut(self.cos_incidence, at);
+        let rows = |first, count, range, depth_z, polygon_id, object_id, cos_incidence| Rows {
+            first,
+            count,
+            range,
+            depth_z,
+            polygon_id,
+            object_id,
+            cos_incidence,
+        };
+        (
+            rows(self.first, upper, range.0, depth_z.0, polygon_id.0, object_id.0, cos_incidence.0),
+            rows(
+                self.first + upper,
+                self.count - upper,
+                range.1,
+                depth_z.1,
+                polygon_id.1,
+                object_id.1,
+                cos_incidence.1,
+            ),
+        )
+    }
+}
+
+/// Two parts, both empty of an image that is not there.
+fn cut<T>(image: &mut [T], at: usize) -> (&mut [T], &mut [T]) {
+    let at = at.min(image.len());
+    image.split_at_mut(at)
 }
 
 /// Writes where the image is there.
-fn put<T>(row: &mut [T], column: usize, value: T) {
-    if let Some(pixel) = row.get_mut(column) {
+fn put<T>(image: &mut [T], index: usize, value: T) {
+    if let Some(pixel) = image.get_mut(index) {
         *pixel = value;
     }
 }
@@ -87,27 +129,34 @@ pub(super) fn resolve(
     plan: &FramePlan,
     params: &Params,
     keys: &[[u32; 2]],
-    slots: &[[u32; SLOT_WORDS as usize]],
+    slots: &[Slot],
     images: &mut Images,
 ) -> u32 {
-    let width = params.width as usize;
-    let (mut range, mut depth_z) = (images.range.chunks_mut(width), images.depth_z.chunks_mut(width));
-    let (mut polygon, mut object) = (images.polygon_id.chunks_mut(width), images.object_id.chunks_mut(width));
-    let mut cosine = images.cos_incidence.chunks_mut(width);
-    let mut rows: Vec<Row<'_>> = (0..params.height)
-        .map(|_| Row {
-            range: next(&mut range),
-            depth_z: next(&mut depth_z),
-            polygon_id: next(&mut polygon),
-            object_id: next(&mut object),
-            cos_incidence: next(&mut cosine),
-        })
-        .collect();
-    let all = Keys { plan, params, keys };
-    let source = plan.request.ids == IdScheme::Source;
-    rows.par_iter_mut().enumerate().with_min_len(8).for_each(|(i, row)| {
+    let rows = Rows {
+        first: 0,
+        count: params.height,
+        range: &mut images.range,
+        depth_z: &mut images.depth_z,
+        polygon_id: &mut images.polygon_id,
+        object_id: &mut images.object_id,
+        cos_incidence: &mut images.cos_incidence,
+    };
+    fill(&Keys { plan, params, keys }, slots, rows);
+    keys.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count() as u32
+}
+
+/// Halves the rows until they are few: no list of them is made.
+fn fill(keys: &Keys<'_>, slots: &[Slot], mut rows: Rows<'_>) {
+    let width = keys.params.width;
+    if rows.count > 1 && rows.count * width > FEW_PIXELS {
+        let (upper, lower) = rows.halves(width as usize);
+        rayon::join(|| fill(keys, slots, upper), || fill(keys, slots, lower));
+        return;
+    }
+    let source = keys.plan.request.ids == IdScheme::Source;
+    for row in 0..rows.count {
         for column in 0..width {
-            let (length, depth, ids, cosine) = match all.seen(column as u32, i as u32) {
+            let (length, depth, ids, cosine) = match keys.seen(column, rows.first + row) {
                 Seen::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
                 Seen::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
                 Seen::Hit(h) => {
@@ -118,12 +167,12 @@ pub(super) fn resolve(
                     (limited(h.ray / h.k), limited(h.depth / h.k), [id, object], cosine)
                 }
             };
-            put(row.range, column, length);
-            put(row.depth_z, column, depth);
-            put(row.polygon_id, column, ids[0]);
-            put(row.object_id, column, ids[1]);
-            put(row.cos_incidence, column, cosine);
+            let i = (row * width + column) as usize;
+            put(rows.range, i, length);
+            put(rows.depth_z, i, depth);
+            put(rows.polygon_id, i, ids[0]);
+            put(rows.object_id, i, ids[1]);
+            put(rows.cos_incidence, i, cosine);
         }
-    });
-    keys.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count() as u32
+    }
 }

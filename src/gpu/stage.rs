@@ -47,7 +47,13 @@ impl Stage {
             .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: b.as_entire_binding() })
             .collect();
         let descriptor = wgpu::BindGroupDescriptor { label: Some(self.name), layout: &self.layout, entries: &entries };
+        gpu.made.bind_groups.add();
         self.group = Some(gpu.device.create_bind_group(&descriptor));
+    }
+
+    /// True if a variant's pipeline is there.
+    pub fn has(&self, variant: Variant) -> bool {
+        self.pipelines.contains_key(&variant)
     }
 
     /// Makes a variant's pipeline unless it is there.
@@ -55,7 +61,7 @@ impl Stage {
     /// # Errors
     /// The device's, if it refuses the shader.
     pub fn prepare(&mut self, gpu: &Gpu, variant: Variant, text: &str, constants: &[(&str, f64)]) -> Result<()> {
-        if self.pipelines.contains_key(&variant) {
+        if self.has(variant) {
             return Ok(());
         }
         let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -78,6 +84,7 @@ impl Stage {
             return Err(gpu.error(ErrorKind::NoDevice, &format!("stage {}: {e}", self.name)));
         }
         gpu.check()?;
+        gpu.made.pipelines.add();
         self.pipelines.insert(variant, pipeline);
         Ok(())
     }

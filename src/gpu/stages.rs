@@ -76,19 +76,25 @@ impl Stages {
             [grid].into_iter().chain(lines_only).chain(own.iter().copied()).collect::<Vec<_>>()
         };
         let plain = ("PLAIN", f64::from(u32::from(frame.plain)));
-        self.cull.prepare(gpu, cull, cull_text, &constants(&[few, plain]))?;
+        if !self.cull.has(cull) {
+            self.cull.prepare(gpu, cull, cull_text, &constants(&[few, plain]))?;
+        }
         let setup = (kind as u32, u32::from(frame.few()));
         self.setup.prepare(gpu, setup, if lines { shaders::SETUP_LINES } else { shaders::SETUP_RAYS }, &[grid, few])?;
         let raster = (kind as u32, u32::from(short) << 1);
         let mut second = None;
         if gpu.int64 {
             let text = if lines { shaders::RASTER_LINES_64 } else { shaders::RASTER_RAYS_64 };
-            self.raster.prepare(gpu, raster, text, &constants(&[]))?;
+            if !self.raster.has(raster) {
+                self.raster.prepare(gpu, raster, text, &constants(&[]))?;
+            }
         } else {
             let text = if lines { shaders::RASTER_LINES_32 } else { shaders::RASTER_RAYS_32 };
-            self.raster.prepare(gpu, raster, text, &constants(&[("SECOND", 0.0)]))?;
             let other = (raster.0, raster.1 | 1);
-            self.raster.prepare(gpu, other, text, &constants(&[("SECOND", 1.0)]))?;
+            if !self.raster.has(other) {
+                self.raster.prepare(gpu, raster, text, &constants(&[("SECOND", 0.0)]))?;
+                self.raster.prepare(gpu, other, text, &constants(&[("SECOND", 1.0)]))?;
+            }
             second = Some(other);
         }
         let bits = frame.outputs.iter().fold(0, |bits, o| bits | 1 << o as u32);

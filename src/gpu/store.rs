@@ -1,6 +1,6 @@
 //! The buffers of the engine, reused from frame to frame.
 
-use super::buffers::Growable;
+use super::buffers::{Growable, Mapping, Uploads};
 use super::device::Gpu;
 use super::frame::Frame;
 use super::grid::Tables;
@@ -30,6 +30,8 @@ pub(super) struct Store {
     pub outputs: Growable,
     pub dispatch: Growable,
     pub readback: Growable,
+    pub readback_mapping: Mapping,
+    pub uploads: Uploads,
     /// Begin and end of every stage, where the device can tell.
     pub times: Option<(wgpu::QuerySet, Growable)>,
 }
@@ -38,6 +40,7 @@ impl Store {
     pub fn new(gpu: &Gpu) -> Self {
         use wgpu::BufferUsages as U;
         let times = gpu.timestamps.then(|| {
+            gpu.made.buffers.add();
             let queries = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("times"),
                 ty: wgpu::QueryType::Timestamp,
@@ -65,6 +68,8 @@ impl Store {
             outputs: Growable::storage(gpu, "images"),
             dispatch: Growable::new(gpu, "dispatch", U::INDIRECT | U::COPY_DST, false),
             readback: Growable::new(gpu, "readback", U::MAP_READ | U::COPY_DST, false),
+            readback_mapping: Mapping::default(),
+            uploads: Uploads::new(gpu),
             times,
         }
     }
@@ -89,37 +94,36 @@ impl Store {
         Ok(replaced)
     }
 
-    /// Uploads a sensor's tables; true if the buffer is another one now.
+    /// Makes room for a sensor's tables; true if the buffer is another one now.
     ///
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
-    pub fn put_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
+    pub fn reserve_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
+        self.grid.reserve(gpu, tables.words.len() as u64 * 4)
+    }
+
+    /// Uploads a sensor's tables.
+    pub fn put_grid(&mut self, tables: &Tables) {
         let bytes: &[u8] = bytemuck::cast_slice(&tables.words);
         if tables.short() {
-            gpu.queue.write_buffer(self.short_grid.buffer(), 0, bytes);
+            self.uploads.put(&self.short_grid, 0, bytes);
         }
-        let replaced = self.grid.reserve(gpu, bytes.len() as u64)?;
-        gpu.queue.write_buffer(self.grid.buffer(), 0, bytes);
-        Ok(replaced)
+        self.uploads.put(&self.grid, 0, bytes);
     }
 
     /// Uploads a frame, with room and counters as they are at its start.
-    pub fn put(&self, gpu: &Gpu, frame: &Frame) {
-        let put = |to: &Growable, bytes: &[u8]| {
-            if !bytes.is_empty() {
-                gpu.queue.write_buffer(to.buffer(), 0, bytes);
-            }
-        };
+    pub fn put(&mut self, frame: &Frame) {
         let params = Params { record_words: self.record_room(), item_room: self.item_room(), ..frame.params };
-        put(&self.params, bytemuck::bytes_of(&params));
+        let uploads = &mut self.uploads;
+        uploads.put(&self.params, 0, bytemuck::bytes_of(&params));
         let instances = if frame.few() { &self.few_instances } else { &self.instances };
-        put(instances, bytemuck::cast_slice(&frame.instances));
-        put(&self.work, bytemuck::cast_slice(&frame.work));
-        put(&self.records, bytemuck::cast_slice(&frame.near.records));
-        put(&self.items, bytemuck::cast_slice(&frame.near.items));
+        uploads.put(instances, 0, bytemuck::cast_slice(&frame.instances));
+        uploads.put(&self.work, 0, bytemuck::cast_slice(&frame.work));
+        uploads.put(&self.records, 0, bytemuck::cast_slice(&frame.near.records));
+        uploads.put(&self.items, 0, bytemuck::cast_slice(&frame.near.items));
         for (slot, words) in &frame.near.slots {
             let at = u64::from(*slot) * 4 * u64::from(SLOT_WORDS);
-            gpu.queue.write_buffer(self.seen_slots.buffer(), at, bytemuck::bytes_of(words));
+            uploads.put(&self.seen_slots, at, bytemuck::bytes_of(words));
         }
         let items = frame.near.items.len() as u32 / ITEM_WORDS;
         let counters = Counters {
@@ -132,7 +136,7 @@ impl Store {
             raster_z: 1,
             ..Counters::default()
         };
-        put(&self.counters, bytemuck::bytes_of(&counters));
+        uploads.put(&self.counters, 0, bytemuck::bytes_of(&counters));
     }
 
     fn record_room(&self) -> u32 {

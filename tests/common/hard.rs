@@ -58,6 +58,8 @@ pub struct Case {
     pub turn: [f64; 3],
     /// Range limits in units, if any.
     pub limits: Option<(f64, f64)>,
+    /// Seen by sensors of small pixels ahead instead of by those that see all round.
+    pub fine: bool,
 }
 
 impl Case {
@@ -96,6 +98,9 @@ impl Case {
     }
 
     fn sensors(&self) -> Vec<Sensor> {
+        if self.fine {
+            return scenes::fine().into();
+        }
         [
             scenes::camera(33, 25),
             scenes::scanner(48, 13),
@@ -250,5 +255,38 @@ pub fn case() -> impl Strategy<Value = Case> {
     let unit = prop::sample::select(vec![1.0, 1e-3, 1e2, 1.0, 1e3]);
     let limits = prop::option::weighted(0.4, (0.05..2.0f64, 3.0..60.0f64));
     (prop::collection::vec((shape(), placing()), 1..8), unit, at, turn, limits)
-        .prop_map(|(shapes, unit, at, turn, limits)| Case { shapes, unit, at, turn, limits })
+        .prop_map(|(shapes, unit, at, turn, limits)| Case { shapes, unit, at, turn, limits, fine: false })
+}
+
+/// Directions of all kinds of rows and columns: towards the poles and a camera's middle, exactly or nearly, or anywhere.
+fn towards() -> impl Strategy<Value = [f64; 3]> {
+    let axis = prop::sample::select(vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]);
+    let beside = (axis, [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64], prop_oneof![Just(0.0), length(1e-7, 0.3)]);
+    let beside = beside.prop_map(|(axis, off, by)| (unit(axis) + DVec3::from(off) * by).into());
+    prop_oneof![3 => beside, 1 => direction()]
+}
+
+/// One carpet of up to 11 x 11 cells seen at 1e-1 to 1e-8 rad, over or beside the ray that it is placed on.
+fn grazing_carpet() -> impl Strategy<Value = Shape> {
+    let size = (length(1e-2, 1e2), length(1e-4, 1.0), prop_oneof![1 => Just(11usize), 2 => 1..12usize]);
+    let tilt = (length(1e-8, 0.1), any::<bool>()).prop_map(|(t, back)| if back { -t } else { t });
+    (towards(), 0.0..std::f64::consts::TAU, tilt, size, [-0.2..1.2f64, -0.2..1.2f64]).prop_map(
+        |(towards, angle, tilt, (far, cell, cells), over)| {
+            let d = unit(towards);
+            let (p, q) = d.any_orthonormal_pair();
+            let normal = (p * angle.cos() + q * angle.sin()) * tilt.cos() + d * tilt.sin();
+            let (x, y) = unit(normal.into()).any_orthonormal_pair();
+            let corner = d * far - (x * over[0] + y * over[1]) * (cell * cells as f64);
+            Shape::Carpet { at: corner.into(), normal: normal.into(), cell, cells }
+        },
+    )
+}
+
+/// Carpets of small cells, nearly edge-on: all edge planes of a cell nearly are its plane.
+pub fn grazing() -> impl Strategy<Value = Case> {
+    let at = prop::sample::select(vec![[0.0, 0.0, 0.0], [12.3, -4.5, 1.7], [5e6 + 0.1, 3e6 + 0.7, 0.0]]);
+    let turn = prop_oneof![Just([0.0; 3]), [-3.0..3.0f64, -1.5..1.5f64, -3.0..3.0f64]];
+    let unit = prop::sample::select(vec![1.0, 1e-3, 1e2]);
+    (prop::collection::vec((grazing_carpet(), placing()), 1..3), unit, at, turn, any::<bool>())
+        .prop_map(|(shapes, unit, at, turn, fine)| Case { shapes, unit, at, turn, limits: None, fine })
 }

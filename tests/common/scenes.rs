@@ -109,3 +109,18 @@ pub fn fan() -> Sensor {
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     Sensor::new(SensorSpec::new("fan", "laser", Geometry::Scanner(scanner))).expect("a sound scanner")
 }
+
+/// A camera, a scanner and a ray table that look ahead with pixels of 1 to 2 mrad.
+pub fn fine() -> [Sensor; 3] {
+    let camera = Camera::pinhole(65, 49, 600.0, 650.0, 32.0, 24.0);
+    let beams = |count: u32| Angles::Uniform { start_deg: -0.05 * f64::from(count - 1), step_deg: 0.1, count };
+    let scanner = Scanner { azimuth: beams(61), elevation: beams(41), beam_height_deg: None };
+    let ray = |i: i32| DVec3::new(1.0, 1.3e-3 * f64::from(30 - i % 61), 1.1e-3 * f64::from(20 - i / 61));
+    let table = RayTable::new(61, 41, (0..61 * 41).map(ray).collect()).expect("sound rays");
+    [
+        ("fine camera", Geometry::Camera(camera)),
+        ("fine scanner", Geometry::Scanner(scanner)),
+        ("fine table", Geometry::Rays(table)),
+    ]
+    .map(|(name, geometry)| Sensor::new(SensorSpec::new(name, "laser", geometry)).expect("a sound sensor"))
+}

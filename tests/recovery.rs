@@ -1,0 +1,184 @@
+//! What a predictor does when its GPU goes away: opens it again, or goes on with the CPU, and says so. On whatever adapter
+//! there is (lavapipe in CI).
+#![cfg(feature = "gpu")]
+#![expect(clippy::print_stderr, reason = "a skipped test says so, and what became of the losses is worth reading")]
+
+mod common;
+
+use common::scenes;
+use glam::DVec3;
+use presight::compare::{Precision, compare};
+use presight::gpu::{DeviceOptions, Engine};
+use presight::{
+    Backend, ErrorKind, FramePlan, Images, Opening, Options, Output, Outputs, Pose, Prediction, Predictor, Request,
+    Sensor, World,
+};
+use std::time::Duration;
+
+/// What a test predicts over and over.
+struct Task {
+    world: World,
+    sensor: Sensor,
+    pose: Pose,
+    request: Request,
+}
+
+impl Task {
+    /// `None` with a loud line where there is no adapter and the machine may lack one.
+    fn new() -> Option<Self> {
+        if let Err(e) = Engine::new(DeviceOptions::default()) {
+            assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
+            eprintln!("SKIPPED: no adapter: {e}");
+            return None;
+        }
+        let sensor = scenes::camera(160, 120);
+        let request = Request { outputs: Outputs::ALL, ..Request::default() };
+        let pose = Pose::from_xyz_rpy(DVec3::new(0.2, -0.3, 1.4), 0.1, 0.2, 0.3);
+        Some(Self { world: scenes::room_world(1, 40), sensor, pose, request })
+    }
+
+    fn predict(&self, predictor: &mut Predictor) -> presight::Result<Prediction> {
+        predictor.predict(&self.world, &self.sensor, &self.pose, &self.request)
+    }
+
+    /// Holds images to the reference.
+    fn check(&self, prediction: &Prediction) {
+        let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request);
+        let report = compare(&common::reference(&plan), &prediction.images, &plan, Precision::F32).unwrap();
+        assert_eq!(report.fault, 0, "{:?}", report.faults.first());
+    }
+}
+
+/// Every image, bit by bit.
+fn bits(images: &Images) -> Vec<u32> {
+    let floats = Output::ALL.into_iter().filter_map(|o| images.floats(o)).flatten().map(|x| x.to_bits());
+    let ids = Output::ALL.into_iter().filter_map(|o| images.ids(o)).flatten().copied();
+    floats.chain(ids).collect()
+}
+
+fn on(backend: Backend, opening: Opening) -> Predictor {
+    Predictor::opened(Options { backend, threads: 1 }, opening).unwrap()
+}
+
+const ANY: Opening = Opening { any_adapter: true, largest_binding: None, nothing: false };
+const NOTHING: Opening = Opening { any_adapter: true, largest_binding: None, nothing: true };
+
+#[test]
+fn a_lost_gpu_is_opened_again_and_shows_the_same() {
+    let Some(task) = Task::new() else { return };
+    for backend in [Backend::Gpu, Backend::Auto] {
+        let mut predictor = on(backend, ANY);
+        let before = task.predict(&mut predictor).unwrap();
+        assert_eq!(before.stats.notices, Vec::<String>::new());
+        task.check(&before);
+        for _ in 0..2 {
+            predictor.device_loss()();
+            let after = task.predict(&mut predictor).unwrap();
+            assert_eq!(after.stats.engine, "gpu");
+            assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
+            let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
+            assert!(notice.starts_with("the GPU was opened again after this: "), "{notice}");
+            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+            assert_eq!(stages(&after), stages(&before), "nothing of the failed attempt is counted");
+        }
+    }
+}
+
+#[test]
+fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
+    let Some(task) = Task::new() else { return };
+    let mut predictor = on(Backend::Auto, ANY);
+    assert!(predictor.engine_name().starts_with("gpu"), "{}", predictor.engine_name());
+    let before = task.predict(&mut predictor).unwrap();
+    predictor.set_opening(NOTHING);
+    predictor.device_loss()();
+    let expected = task.predict(&mut on(Backend::Cpu, ANY)).unwrap();
+    // It stays there: the device would not come back between two predictions.
+    for opening in [NOTHING, ANY] {
+        predictor.set_opening(opening);
+        let after = task.predict(&mut predictor).unwrap();
+        assert_eq!((after.stats.engine.as_str(), predictor.engine_name().as_str()), ("cpu", "cpu"));
+        assert!(after.stats.adapter.is_none());
+        assert_eq!(bits(&after.images), bits(&expected.images));
+        let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
+        assert!(notice.starts_with("the CPU engine took over: ") && notice.contains("lost"), "{notice}");
+        task.check(&after);
+        // The planted fault: had it gone on with what the GPU left, this would tell.
+        assert_ne!(bits(&after.images), bits(&before.images), "the engines' last bits differ");
+    }
+}
+
+#[test]
+fn asked_for_by_name_a_lost_gpu_is_an_error_until_it_can_be_opened() {
+    let Some(task) = Task::new() else { return };
+    let mut predictor = on(Backend::Gpu, ANY);
+    let before = task.predict(&mut predictor).unwrap();
+    predictor.set_opening(NOTHING);
+    predictor.device_loss()();
+    for _ in 0..2 {
+        let lost = task.predict(&mut predictor).unwrap_err();
+        assert_eq!((lost.kind(), lost.kind().exit_status()), (ErrorKind::DeviceLost, 3), "{lost}");
+        assert!(predictor.engine_name().starts_with("gpu"));
+    }
+    predictor.set_opening(ANY);
+    let after = task.predict(&mut predictor).unwrap();
+    assert_eq!(bits(&after.images), bits(&before.images));
+    assert_eq!(after.stats.notices.len(), 1);
+}
+
+#[test]
+fn too_little_memory_is_an_error_by_name_and_the_cpu_with_auto() {
+    let Some(mut task) = Task::new() else { return };
+    let small = Opening { largest_binding: Some(1 << 19), ..ANY };
+    let (mut named, mut auto) = (on(Backend::Gpu, small), on(Backend::Auto, small));
+    let fits = task.predict(&mut named).unwrap();
+    let smaller = std::mem::replace(&mut task.sensor, scenes::camera(400, 300));
+    let full = task.predict(&mut named).unwrap_err();
+    assert_eq!((full.kind(), full.kind().exit_status()), (ErrorKind::DeviceMemory, 3), "{full}");
+    let instead = task.predict(&mut auto).unwrap();
+    assert_eq!(instead.stats.engine, "cpu");
+    assert!(instead.stats.notices[0].starts_with("the CPU engine took over: "), "{:?}", instead.stats.notices);
+    task.check(&instead);
+    // The device is not lost: what fits goes on.
+    task.sensor = smaller;
+    let again = task.predict(&mut named).unwrap();
+    assert_eq!(bits(&again.images), bits(&fits.images));
+    assert!(again.stats.notices.is_empty(), "{:?}", again.stats.notices);
+}
+
+#[test]
+fn no_adapter_at_the_start_is_the_cpu_or_an_error() {
+    let predictor = on(Backend::Auto, NOTHING);
+    assert_eq!(predictor.engine_name(), "cpu");
+    let refused = Predictor::opened(Options { backend: Backend::Gpu, threads: 1 }, NOTHING);
+    assert_eq!(refused.err().map(|e| e.kind()), Some(ErrorKind::NoDevice));
+}
+
+/// As `predict --repeat N` does it, while another thread takes the device away at any point of a prediction.
+#[test]
+fn lost_in_the_midst_of_predictions_every_answer_is_right_or_an_error() {
+    let Some(task) = Task::new() else { return };
+    let mut predictor = on(Backend::Gpu, ANY);
+    let before = task.predict(&mut predictor).unwrap();
+    let (mut random, mut recovered) = (common::Random(1), 0);
+    for n in 0..40 {
+        let lose = predictor.device_loss();
+        let wait = Duration::from_micros(random.below(4000) as u64);
+        let thief = std::thread::spawn(move || {
+            std::thread::sleep(wait);
+            lose();
+        });
+        let answer = task.predict(&mut predictor);
+        thief.join().unwrap();
+        match answer {
+            Ok(after) => {
+                assert_eq!(bits(&after.images), bits(&before.images), "prediction {n}, lost after {wait:?}");
+                recovered += usize::from(!after.stats.notices.is_empty());
+            }
+            Err(e) => assert_eq!(e.kind(), ErrorKind::DeviceLost, "prediction {n}, lost after {wait:?}: {e}"),
+        }
+    }
+    eprintln!("{recovered} of 40 answers came after a recovery");
+    assert!(recovered > 0);
+    assert_eq!(bits(&task.predict(&mut predictor).unwrap().images), bits(&before.images));
+}
