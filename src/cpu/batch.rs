@@ -6,20 +6,24 @@ use crate::plan::Run;
 use glam::DVec3;
 use std::ops::Range;
 
-/// A polygon that may cover a ray.
+/// A polygon that may cover a ray: a cache line.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 pub(super) struct SetUp {
     /// Inverse depth of a ray s is m . s, in the line frame (image frame for ray tables).
     pub m: DVec3,
     /// Lines it may cover.
     pub first_line: u32,
     pub end_line: u32,
-    /// Its bounds `t >= p c0 + q c1`, then `t <= p c0 + q c1`, then sign tests, in [`Batch::edges`].
+    /// Its bounds `t >= p c0 + q c1`, then `t <= p c0 + q c1`, then sign tests, in [`Batch::bounds`].
     pub first_edge: u32,
     pub lower: u8,
     pub upper: u8,
     pub steep: u8,
+    pub shade: Shade,
 }
+
+const _: () = assert!(size_of::<SetUp>() == 64);
 
 /// What the resolve stage needs of a winner.
 #[derive(Clone, Copy, Debug)]
@@ -35,8 +39,9 @@ pub(super) struct Shade {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub polygons: Vec<SetUp>,
-    pub shades: Vec<Shade>,
-    /// Line grids: (p, q, unused) or, steep, an edge plane. Ray tables: edge planes.
+    /// Line grids: (p, q) or, steep, the first two of an edge plane.
+    pub bounds: Vec<[f64; 2]>,
+    /// Ray tables: edge planes.
     pub edges: Vec<DVec3>,
     pub edge_on: usize,
     /// Polygons by band: `by_band[band_start[b]..band_start[b + 1]]`.
@@ -47,12 +52,23 @@ pub(super) struct Batch {
 /// Bits of a winner's number that name the polygon inside its batch.
 const INDEX_BITS: u32 = 12;
 /// No winner.
-pub(super) const NOTHING: u32 = u32::MAX;
+pub(super) const NOTHING: u32 = 0;
+/// What is seen there.
+static NOTHING_SEEN: [SetUp; 1] = [SetUp {
+    m: DVec3::ZERO,
+    first_line: 0,
+    end_line: 0,
+    first_edge: 0,
+    lower: 0,
+    upper: 0,
+    steep: 0,
+    shade: Shade { distance: f64::NAN, slot: 0, polygon_id: 0, object_id: 0 },
+}];
 
 impl Batch {
     pub fn clear(&mut self) {
         self.polygons.clear();
-        self.shades.clear();
+        self.bounds.clear();
         self.edges.clear();
         self.edge_on = 0;
     }
@@ -90,18 +106,30 @@ impl Batch {
 }
 
 /// The number under which a polygon of a batch wins a ray.
+#[inline(always)]
 pub(super) fn winner(batch: usize, polygon: u32) -> u32 {
-    (batch as u32) << INDEX_BITS | polygon
+    (batch as u32 + 1) << INDEX_BITS | polygon
 }
 
-/// The polygon behind a winner's number.
+/// The polygon behind a winner's number, which is not [`NOTHING`].
 #[inline(always)]
 pub(super) fn shade(batches: &[Batch], winner: u32) -> &Shade {
-    &batches[(winner >> INDEX_BITS) as usize].shades[(winner & ((1 << INDEX_BITS) - 1)) as usize]
+    &batches[(winner >> INDEX_BITS) as usize - 1].polygons[(winner & ((1 << INDEX_BITS) - 1)) as usize].shade
+}
+
+/// The polygons of all batches, for [`look_up`].
+pub(super) fn tables(batches: &[Batch]) -> Vec<&[SetUp]> {
+    std::iter::once(&NOTHING_SEEN[..]).chain(batches.iter().map(|b| b.polygons.as_slice())).collect()
+}
+
+/// What is seen of a winner, [`NOTHING`] too.
+#[inline(always)]
+pub(super) fn look_up<'a>(tables: &[&'a [SetUp]], winner: u32) -> &'a Shade {
+    &tables[(winner >> INDEX_BITS) as usize][(winner & ((1 << INDEX_BITS) - 1)) as usize].shade
 }
 
 /// Most batches that winners can number.
-pub(super) const MAX_BATCHES: usize = 1 << (32 - INDEX_BITS);
+pub(super) const MAX_BATCHES: usize = (1 << (32 - INDEX_BITS)) - 1;
 
 /// Cuts runs into groups of about five hundred polygons, one batch each.
 pub(super) fn group_runs(runs: &[Run]) -> Vec<Range<usize>> {

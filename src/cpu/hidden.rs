@@ -4,14 +4,14 @@
 use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
 use super::setup::Placed;
-use super::spans::Buffer;
+use super::spans::{Buffer, Depths, EIGHT};
 use crate::geometry::Aabb;
 use crate::plan::{FramePlan, Run};
 use crate::sensor::LineAxis;
 use glam::DVec3;
 
 /// Side of the squares of pixels whose farthest depth is kept.
-pub(super) const TILE: usize = 8;
+pub(super) const TILE: usize = EIGHT;
 
 /// A box this much nearer than the farthest depth behind it is not hidden: far above f64 rounding.
 const SLACK: f64 = 1e-9;
@@ -92,14 +92,17 @@ fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Ban
 #[inline(always)]
 pub(super) fn measure(buffer: &mut Buffer, samples: usize) {
     let across = samples.div_ceil(TILE);
-    let lines = buffer.inverse.len() / samples;
-    buffer.farthest.clear();
-    buffer.farthest.resize(lines.div_ceil(TILE) * across, f64::INFINITY);
-    for (line, inverse) in buffer.inverse.chunks_exact(samples).enumerate() {
-        let row = &mut buffer.farthest[line / TILE * across..][..across];
-        for (farthest, tile) in row.iter_mut().zip(inverse.chunks(TILE)) {
-            let least = tile.iter().copied().fold(f64::INFINITY, |a, b| if b < a { b } else { a });
-            *farthest = if least < *farthest { least } else { *farthest };
-        }
+    let Buffer { inverse, farthest, .. } = buffer;
+    farthest.clear();
+    for tiles in inverse.chunks(TILE * across) {
+        farthest.extend((0..across).map(|column| {
+            let mut least = [f64::INFINITY; EIGHT];
+            for Depths(line) in tiles[column..].iter().step_by(across) {
+                for i in 0..EIGHT {
+                    least[i] = if line[i] < least[i] { line[i] } else { least[i] };
+                }
+            }
+            least.into_iter().fold(f64::INFINITY, |a, b| if b < a { b } else { a })
+        }));
     }
 }

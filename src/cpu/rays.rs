@@ -2,7 +2,7 @@
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, SetUp, shade, winner};
-use super::spans::Buffer;
+use super::spans::{Buffer, EIGHT};
 use crate::sensor::{RayGrid, Tile};
 use glam::DVec3;
 
@@ -51,9 +51,10 @@ fn draw(
     first_line: usize,
 ) {
     let width = grid.width() as usize;
+    let stride = width.next_multiple_of(EIGHT);
     for row in tile.row as usize..(tile.row + tile.height) as usize {
         let columns = tile.column as usize..(tile.column + tile.width) as usize;
-        let at = (row - first_line) * width;
+        let at = (row - first_line) * stride;
         for column in columns {
             // A missing ray is NaN and fails every test.
             let ray = grid.directions()[row * width + column];
@@ -61,11 +62,13 @@ fn draw(
                 continue;
             }
             let k = polygon.m.dot(ray);
-            let (inverse, before) = (&mut buffer.inverse[at + column], &mut buffer.winner[at + column]);
-            let lower = || *before != NOTHING && shade(batches, number).slot < shade(batches, *before).slot;
+            let (octet, i) = ((at + column) / EIGHT, (at + column) % EIGHT);
+            let (inverse, before) = (&mut buffer.inverse[octet].0[i], &mut buffer.winner[octet].0[i]);
+            let held = *before as u32;
+            let lower = || held != NOTHING && shade(batches, number).slot < shade(batches, held).slot;
             if k > *inverse || (k == *inverse && lower()) {
                 *inverse = k;
-                *before = number;
+                *before = number.into();
             }
         }
     }

@@ -8,6 +8,7 @@ use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::sensor::PixelGrid;
 use glam::{DMat3, DVec3};
+use std::ops::Range;
 
 /// One instance in the frame of the rays.
 pub(super) struct Placed<'a> {
@@ -146,10 +147,9 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
         *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
     }
     let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
-    let first_edge = batch.edges.len() as u32;
-    let (lower, upper, steep) = match plan.sensor.grid() {
-        PixelGrid::Lines(_) => line_edges(batch, indices, outline, outward),
-        PixelGrid::Rays(_) => plane_edges(batch, indices, &outline.corners[..indices.len()], outward),
+    let (first_edge, [lower, upper, steep]) = match plan.sensor.grid() {
+        PixelGrid::Lines(_) => (batch.bounds.len() as u32, line_edges(batch, indices, outline, outward)),
+        PixelGrid::Rays(_) => (batch.edges.len() as u32, plane_edges(batch, indices, outline, outward)),
     };
     let shade = Shade {
         distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
@@ -159,8 +159,8 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
     };
     let m = at.m_from_normal * plane.normal / d;
     for lines in cover.into_iter().filter(|lines| !lines.is_empty()) {
-        batch.polygons.push(SetUp { m, first_line: lines.start, end_line: lines.end, first_edge, lower, upper, steep });
-        batch.shades.push(shade);
+        let Range { start: first_line, end: end_line } = lines;
+        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep, shade });
     }
 }
 
@@ -181,27 +181,27 @@ fn edge_plane(indices: &[u32], corners: &[DVec3], k: usize, outward: f64) -> DVe
 
 /// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
 #[inline(always)]
-fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> (u8, u8, u8) {
+fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> [u8; 3] {
     let n = indices.len();
     let Outline { corners, planes } = outline;
     for (k, plane) in planes[..n].iter_mut().enumerate() {
         *plane = edge_plane(indices, &corners[..n], k, outward);
     }
     let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
-    let bound = |e: DVec3| DVec3::new(-e.x / e.z, -e.y / e.z, 0.0);
-    let before = batch.edges.len();
-    batch.edges.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z > 0.0).map(|e| bound(*e)));
-    let lower = batch.edges.len() - before;
-    batch.edges.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z < 0.0).map(|e| bound(*e)));
-    let upper = batch.edges.len() - before - lower;
-    batch.edges.extend(planes[..n].iter().filter(|e| is_steep(**e)));
-    (lower as u8, upper as u8, (n - lower - upper) as u8)
+    let bound = |e: DVec3| [-e.x / e.z, -e.y / e.z];
+    let before = batch.bounds.len();
+    batch.bounds.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z > 0.0).map(|e| bound(*e)));
+    let lower = batch.bounds.len() - before;
+    batch.bounds.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z < 0.0).map(|e| bound(*e)));
+    let upper = batch.bounds.len() - before - lower;
+    batch.bounds.extend(planes[..n].iter().filter(|e| is_steep(**e)).map(|e| [e.x, e.y]));
+    [lower as u8, upper as u8, (n - lower - upper) as u8]
 }
 
 /// Appends the edge planes as they are.
 #[inline(always)]
-fn plane_edges(batch: &mut Batch, indices: &[u32], corners: &[DVec3], outward: f64) -> (u8, u8, u8) {
-    let n = corners.len();
-    batch.edges.extend((0..n).map(|k| edge_plane(indices, corners, k, outward)));
-    (0, 0, n as u8)
+fn plane_edges(batch: &mut Batch, indices: &[u32], outline: &Outline, outward: f64) -> [u8; 3] {
+    let n = indices.len();
+    batch.edges.extend((0..n).map(|k| edge_plane(indices, &outline.corners[..n], k, outward)));
+    [0, 0, n as u8]
 }
