@@ -6,9 +6,8 @@ use crate::plan::Run;
 use glam::DVec3;
 use std::ops::Range;
 
-/// A polygon that may cover a ray: a cache line.
+/// A polygon that may cover a ray.
 #[derive(Clone, Copy, Debug)]
-#[repr(align(64))]
 pub(super) struct SetUp {
     /// Inverse depth of a ray s is m . s, in the line frame (image frame for ray tables).
     pub m: DVec3,
@@ -20,17 +19,15 @@ pub(super) struct SetUp {
     pub lower: u8,
     pub upper: u8,
     pub steep: u8,
-    pub shade: Shade,
+    /// Decides ties.
+    pub slot: u32,
 }
-
-const _: () = assert!(size_of::<SetUp>() == 64);
 
 /// What the resolve stage needs of a winner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shade {
     /// Distance of the plane from the sensor: cos_incidence = inverse range x this.
     pub distance: f64,
-    pub slot: u32,
     pub polygon_id: u32,
     pub object_id: u32,
 }
@@ -39,6 +36,8 @@ pub(super) struct Shade {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub polygons: Vec<SetUp>,
+    /// By polygon, apart: together they stay in the cache while an image is resolved.
+    pub shades: Vec<Shade>,
     /// Line grids: (p, q) or, steep, the first two of an edge plane.
     pub bounds: Vec<[f64; 2]>,
     /// Ray tables: edge planes.
@@ -54,20 +53,12 @@ const INDEX_BITS: u32 = 12;
 /// No winner.
 pub(super) const NOTHING: u32 = 0;
 /// What is seen there.
-static NOTHING_SEEN: [SetUp; 1] = [SetUp {
-    m: DVec3::ZERO,
-    first_line: 0,
-    end_line: 0,
-    first_edge: 0,
-    lower: 0,
-    upper: 0,
-    steep: 0,
-    shade: Shade { distance: f64::NAN, slot: 0, polygon_id: 0, object_id: 0 },
-}];
+static NOTHING_SEEN: [Shade; 1] = [Shade { distance: f64::NAN, polygon_id: 0, object_id: 0 }];
 
 impl Batch {
     pub fn clear(&mut self) {
         self.polygons.clear();
+        self.shades.clear();
         self.bounds.clear();
         self.edges.clear();
         self.edge_on = 0;
@@ -111,21 +102,20 @@ pub(super) fn winner(batch: usize, polygon: u32) -> u32 {
     (batch as u32 + 1) << INDEX_BITS | polygon
 }
 
-/// The polygon behind a winner's number, which is not [`NOTHING`].
-#[inline(always)]
-pub(super) fn shade(batches: &[Batch], winner: u32) -> &Shade {
-    &batches[(winner >> INDEX_BITS) as usize - 1].polygons[(winner & ((1 << INDEX_BITS) - 1)) as usize].shade
+/// The slot of the polygon behind a winner's number, which is not [`NOTHING`].
+pub(super) fn slot(batches: &[Batch], winner: u32) -> u32 {
+    batches[(winner >> INDEX_BITS) as usize - 1].polygons[(winner & ((1 << INDEX_BITS) - 1)) as usize].slot
 }
 
-/// The polygons of all batches, for [`look_up`].
-pub(super) fn tables(batches: &[Batch]) -> Vec<&[SetUp]> {
-    std::iter::once(&NOTHING_SEEN[..]).chain(batches.iter().map(|b| b.polygons.as_slice())).collect()
+/// The shades of all batches, for [`look_up`].
+pub(super) fn tables(batches: &[Batch]) -> Vec<&[Shade]> {
+    std::iter::once(&NOTHING_SEEN[..]).chain(batches.iter().map(|b| b.shades.as_slice())).collect()
 }
 
 /// What is seen of a winner, [`NOTHING`] too.
 #[inline(always)]
-pub(super) fn look_up<'a>(tables: &[&'a [SetUp]], winner: u32) -> &'a Shade {
-    &tables[(winner >> INDEX_BITS) as usize][(winner & ((1 << INDEX_BITS) - 1)) as usize].shade
+pub(super) fn look_up<'a>(tables: &[&'a [Shade]], winner: u32) -> &'a Shade {
+    &tables[(winner >> INDEX_BITS) as usize][(winner & ((1 << INDEX_BITS) - 1)) as usize]
 }
 
 /// Most batches that winners can number.

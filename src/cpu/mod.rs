@@ -40,6 +40,9 @@ const BAND_PIXELS: usize = 8192;
 /// Polygons of the first wave; every further one takes as many as all before it together.
 const FIRST_WAVE: usize = 4096;
 
+/// Runs that a task looks at to drop what is hidden.
+const SIFTED: usize = 64;
+
 impl Engine {
     /// With so many threads; 0 takes all cores.
     ///
@@ -101,7 +104,8 @@ fn draw_waves(
         let runs = if used == 0 || matches!(plan.sensor.grid(), PixelGrid::Rays(_)) {
             plan.runs[wave.clone()].to_vec()
         } else {
-            arch.dispatch(Sift { plan, runs: &plan.runs[wave.clone()], canvas, bands })
+            let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
+            plan.runs[wave.clone()].par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat()
         };
         hidden += wave.len() - runs.len();
         done = wave.end;
@@ -169,9 +173,9 @@ impl pulp::WithSimd for Sift<'_> {
     type Output = Vec<Run>;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Run> {
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> Vec<Run> {
         let bounds = Bounds::new(&self.plan.sensor);
-        hidden::visible(self.plan, &bounds, self.runs, self.canvas, self.bands)
+        hidden::visible(simd, self.plan, &bounds, self.runs, self.canvas, self.bands)
     }
 }
 
@@ -187,8 +191,8 @@ impl pulp::WithSimd for SetUp<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        setup::fill(self.batch, self.plan, self.runs, self.bands);
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands);
     }
 }
 
@@ -199,7 +203,7 @@ struct Draw<'a, 't> {
     target: Option<&'a mut resolve::Target<'t>>,
     plan: &'a FramePlan,
     batches: &'a [Batch],
-    tables: &'a [&'a [batch::SetUp]],
+    tables: &'a [&'a [batch::Shade]],
     first: usize,
     bands: &'a Bands,
     band: usize,
@@ -214,7 +218,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
     fn with_simd<S: pulp::Simd>(self, simd: S) {
         let Self { buffer, target, plan, batches, tables, first, bands, band, clear } = self;
         if clear {
-            buffer.clear(bands.lines(band).len(), bands.samples);
+            buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
         }
         match plan.sensor.grid() {
             PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, batches, first, bands, band),
@@ -223,7 +227,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
         if let Some(target) = target {
             resolve::resolve(target, buffer, plan, tables, bands, band);
         } else if matches!(plan.sensor.grid(), PixelGrid::Lines(_)) {
-            hidden::measure(buffer, bands.samples);
+            hidden::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Ray tables (lens distortion, listed rays): each polygon against the rays of the tiles that its cone may touch.
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp, shade, winner};
+use super::batch::{Batch, NOTHING, SetUp, slot, winner};
 use super::spans::{Buffer, EIGHT};
 use crate::sensor::{RayGrid, Tile};
 use glam::DVec3;
@@ -51,10 +51,8 @@ fn draw(
     first_line: usize,
 ) {
     let width = grid.width() as usize;
-    let stride = width.next_multiple_of(EIGHT);
     for row in tile.row as usize..(tile.row + tile.height) as usize {
         let columns = tile.column as usize..(tile.column + tile.width) as usize;
-        let at = (row - first_line) * stride;
         for column in columns {
             // A missing ray is NaN and fails every test.
             let ray = grid.directions()[row * width + column];
@@ -62,10 +60,10 @@ fn draw(
                 continue;
             }
             let k = polygon.m.dot(ray);
-            let (octet, i) = ((at + column) / EIGHT, (at + column) % EIGHT);
-            let (inverse, before) = (&mut buffer.inverse[octet].0[i], &mut buffer.winner[octet].0[i]);
+            let (at, i) = (buffer.at(row - first_line, column / EIGHT), column % EIGHT);
+            let (inverse, before) = (&mut buffer.inverse[at].0[i], &mut buffer.winner[at].0[i]);
             let held = *before as u32;
-            let lower = || held != NOTHING && shade(batches, number).slot < shade(batches, held).slot;
+            let lower = || held != NOTHING && slot(batches, number) < slot(batches, held);
             if k > *inverse || (k == *inverse && lower()) {
                 *inverse = k;
                 *before = number.into();

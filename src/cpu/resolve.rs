@@ -1,7 +1,7 @@
 //! Resolve: the asked images from inverse depth and winner, band by band while the z-buffer is still in the cache.
 
 use super::Bands;
-use super::batch::{SetUp, look_up};
+use super::batch::{Shade, look_up};
 use super::spans::{Buffer, EIGHT};
 use crate::plan::{FramePlan, Images};
 use crate::sensor::{LineAxis, LineGrid, PixelGrid};
@@ -60,7 +60,7 @@ pub(super) fn resolve(
     target: &mut Target<'_>,
     buffer: &Buffer,
     plan: &FramePlan,
-    tables: &[&[SetUp]],
+    tables: &[&[Shade]],
     bands: &Bands,
     band: usize,
 ) {
@@ -85,20 +85,19 @@ pub(super) fn resolve(
     }
 }
 
-/// A scanner's lines are the columns of its image: turned octet by octet.
+/// A scanner's lines are the columns of its image: turned octet by octet, in which the buffer is ordered.
 #[inline(always)]
 fn columns(painter: &mut Painter<'_, '_>, buffer: &Buffer, lines: usize, samples: usize) {
-    let octets = samples.div_ceil(EIGHT);
     let mut pixels = [const { Pixels::unit() }; EIGHT];
     for first in (0..lines).step_by(TOGETHER) {
         let count = TOGETHER.min(lines - first);
-        for octet in 0..octets {
-            for j in 0..count {
-                let at = (first + j) * octets + octet;
-                let (inverse, winner) = (&buffer.inverse[at].0, &buffer.winner[at].0);
+        for octet in 0..samples.div_ceil(EIGHT) {
+            let at = buffer.at(first, octet);
+            let column = buffer.inverse[at..at + count].iter().zip(&buffer.winner[at..at + count]);
+            for (j, (inverse, winner)) in column.enumerate() {
                 for i in 0..EIGHT {
-                    pixels[i].inverse[j] = inverse[i];
-                    pixels[i].winner[j] = winner[i] as u32;
+                    pixels[i].inverse[j] = inverse.0[i];
+                    pixels[i].winner[j] = winner.0[i] as u32;
                 }
             }
             let rows = EIGHT.min(samples - octet * EIGHT);
@@ -170,7 +169,7 @@ impl Pixels {
 
 /// Makes images of pixels.
 struct Painter<'t, 'a> {
-    tables: &'t [&'t [SetUp]],
+    tables: &'t [&'t [Shade]],
     range_min: f64,
     range_max: f64,
     target: &'t mut Target<'a>,

@@ -8,6 +8,7 @@ use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::sensor::PixelGrid;
 use glam::{DMat3, DVec3};
+use pulp::Simd;
 use std::ops::Range;
 
 /// One instance in the frame of the rays.
@@ -50,12 +51,11 @@ impl<'a> Placed<'a> {
 
 /// Sets up the polygons of some runs.
 #[inline(always)]
-pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
+pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
     let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
-    let mut outline =
-        Outline { corners: [DVec3::ZERO; limits::MAX_CORNERS], planes: [DVec3::ZERO; limits::MAX_CORNERS] };
+    let mut outline = Outline::new();
     let mut placed: Option<(u32, Placed<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
@@ -64,10 +64,11 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
         let end = run.first + run.count;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
-            let footprints = cover_lanes(&bounds, at, records, &mut corners);
+            let footprints = cover_lanes(simd, &bounds, at, records, &mut corners);
             for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
                 if !footprint.lines[0].is_empty() {
-                    set_up(batch, plan, at, first + i as u32, footprint.lines, &mut outline);
+                    let corners = |k: usize| DVec3::from(corners[k].map(|lanes| lanes[i]));
+                    set_up(batch, plan, at, first + i as u32, footprint.lines, corners, &mut outline);
                 }
             }
         }
@@ -75,10 +76,20 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
     batch.bin(bands);
 }
 
-/// Room for one polygon's corners and edge planes, kept from polygon to polygon: clearing it costs more than filling it.
+/// Room for one polygon's corners, edge planes and bounds, kept from polygon to polygon: clearing it costs more than
+/// filling it.
 struct Outline {
     corners: [DVec3; limits::MAX_CORNERS],
     planes: [DVec3; limits::MAX_CORNERS],
+    lower: [[f64; 2]; limits::MAX_CORNERS],
+    upper: [[f64; 2]; limits::MAX_CORNERS],
+}
+
+impl Outline {
+    fn new() -> Self {
+        let (points, bounds) = ([DVec3::ZERO; limits::MAX_CORNERS], [[0.0; 2]; limits::MAX_CORNERS]);
+        Self { corners: points, planes: points, lower: bounds, upper: bounds }
+    }
 }
 
 /// Corners of [`LANES`] polygons, x, y and z apart.
@@ -86,7 +97,8 @@ type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
 
 /// The footprints of up to [`LANES`] polygons; lanes without one repeat the last.
 #[inline(always)]
-fn cover_lanes(
+fn cover_lanes<S: Simd>(
+    simd: S,
     bounds: &Bounds<'_>,
     at: &Placed<'_>,
     records: &[PolygonRecord],
@@ -111,11 +123,19 @@ fn cover_lanes(
             corner[2][l] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
         }
     }
-    bounds.cover(&corners[..count])
+    bounds.cover(simd, &corners[..count])
 }
 
 #[inline(always)]
-fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, cover: Cover, outline: &mut Outline) {
+fn set_up(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    at: &Placed<'_>,
+    polygon: u32,
+    cover: Cover,
+    corner_in_ray_frame: impl Fn(usize) -> DVec3,
+    outline: &mut Outline,
+) {
     let record = &at.mesh.polygons()[polygon as usize];
     let facing = if at.plain { None } else { Some(plan.facings[usize::from(record.material)]) };
     if facing.is_some_and(|f| !f.opaque) {
@@ -143,8 +163,8 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
     if facing.is_some_and(|f| f.one_sided) && (d > 0.0) != at.mesh_mirrored {
         return;
     }
-    for (corner, &i) in outline.corners.iter_mut().zip(indices) {
-        *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
+    for (k, corner) in outline.corners[..indices.len()].iter_mut().enumerate() {
+        *corner = corner_in_ray_frame(k);
     }
     let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
     let (first_edge, [lower, upper, steep]) = match plan.sensor.grid() {
@@ -153,14 +173,15 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
     };
     let shade = Shade {
         distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
-        slot: at.first_slot + polygon,
         polygon_id: plan.polygon_id(at.object, polygon),
         object_id: at.object + 1,
     };
     let m = at.m_from_normal * plane.normal / d;
+    let slot = at.first_slot + polygon;
     for lines in cover.into_iter().filter(|lines| !lines.is_empty()) {
         let Range { start: first_line, end: end_line } = lines;
-        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep, shade });
+        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep, slot });
+        batch.shades.push(shade);
     }
 }
 
@@ -183,19 +204,27 @@ fn edge_plane(indices: &[u32], corners: &[DVec3], k: usize, outward: f64) -> DVe
 #[inline(always)]
 fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> [u8; 3] {
     let n = indices.len();
-    let Outline { corners, planes } = outline;
+    let (corners, planes) = (&outline.corners, &mut outline.planes);
     for (k, plane) in planes[..n].iter_mut().enumerate() {
         *plane = edge_plane(indices, &corners[..n], k, outward);
     }
+    // Without a branch on the sign, which no processor can foresee: each bound is written to both lists, and counted in one.
+    let (mut lower, mut upper, mut steep) = (0, 0, 0);
     let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
-    let bound = |e: DVec3| [-e.x / e.z, -e.y / e.z];
-    let before = batch.bounds.len();
-    batch.bounds.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z > 0.0).map(|e| bound(*e)));
-    let lower = batch.bounds.len() - before;
-    batch.bounds.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z < 0.0).map(|e| bound(*e)));
-    let upper = batch.bounds.len() - before - lower;
-    batch.bounds.extend(planes[..n].iter().filter(|e| is_steep(**e)).map(|e| [e.x, e.y]));
-    [lower as u8, upper as u8, (n - lower - upper) as u8]
+    for e in &planes[..n] {
+        let bound = [-e.x / e.z, -e.y / e.z];
+        (outline.lower[lower], outline.upper[upper]) = (bound, bound);
+        let flat = is_steep(*e);
+        lower += usize::from(!flat & (e.z > 0.0));
+        upper += usize::from(!flat & (e.z < 0.0));
+        steep += usize::from(flat);
+    }
+    batch.bounds.extend_from_slice(&outline.lower[..lower]);
+    batch.bounds.extend_from_slice(&outline.upper[..upper]);
+    if steep > 0 {
+        batch.bounds.extend(planes[..n].iter().filter(|e| is_steep(**e)).map(|e| [e.x, e.y]));
+    }
+    [lower as u8, upper as u8, steep as u8]
 }
 
 /// Appends the edge planes as they are.

@@ -1,8 +1,8 @@
 //! Spans: one interval of samples per polygon and line, then inverse depth along it (paper section 3.2, Fig. 6).
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp, shade, winner};
-use crate::sensor::{LineGrid, Octet};
+use super::batch::{Batch, NOTHING, SetUp, slot, winner};
+use crate::sensor::{LineAxis, LineGrid, Octet};
 use pulp::Simd;
 
 /// Samples taken together, and the unit in which the lines of a z-buffer are kept.
@@ -18,30 +18,47 @@ pub(super) struct Depths(pub [f64; EIGHT]);
 #[repr(align(64))]
 pub(super) struct Winners(pub [u64; EIGHT]);
 
-/// The z-buffer of a band, line by line; every line is filled up to whole octets.
+/// The z-buffer of a band in octets of a line. Octets that go to the same place in an image are neighbours: those of a
+/// line where lines are rows, else those with the same samples on neighbouring lines.
 #[derive(Default)]
 pub(super) struct Buffer {
     /// 1 / depth in the frame of the rays; 0 is nothing, and infinite past the end of a line, where nothing is drawn.
     pub inverse: Vec<Depths>,
     /// See [`winner`].
     pub winner: Vec<Winners>,
+    /// From a line to the next one, and from an octet to the next one on its line.
+    pub per_line: usize,
+    pub per_octet: usize,
     /// Least inverse depth of every tile, see [`super::hidden`].
     pub farthest: Vec<f64>,
 }
 
 impl Buffer {
     /// Nothing drawn yet.
-    pub fn clear(&mut self, lines: usize, samples: usize) {
+    pub fn clear(&mut self, axis: LineAxis, lines: usize, samples: usize) {
         let octets = samples.div_ceil(EIGHT);
+        (self.per_line, self.per_octet) = match axis {
+            LineAxis::Rows => (octets, 1),
+            // Odd, so that a line is spread over all sets of the cache.
+            LineAxis::Columns => (1, lines | 1),
+        };
+        let size = octets * lines.max(self.per_octet);
         self.inverse.clear();
-        self.inverse.resize(lines * octets, Depths([0.0; EIGHT]));
+        self.inverse.resize(size, Depths([0.0; EIGHT]));
         self.winner.clear();
-        self.winner.resize(lines * octets, Winners([u64::from(NOTHING); EIGHT]));
+        self.winner.resize(size, Winners([NOTHING.into(); EIGHT]));
         if !samples.is_multiple_of(EIGHT) {
-            for line in self.inverse.chunks_exact_mut(octets) {
-                line[octets - 1].0[samples % EIGHT..].fill(f64::INFINITY);
+            for line in 0..lines {
+                let last = self.at(line, octets - 1);
+                self.inverse[last].0[samples % EIGHT..].fill(f64::INFINITY);
             }
         }
+    }
+
+    /// Where an octet of a line is.
+    #[inline(always)]
+    pub fn at(&self, line: usize, octet: usize) -> usize {
+        line * self.per_line + octet * self.per_octet
     }
 }
 
@@ -149,13 +166,13 @@ impl Spans {
                 continue;
             }
             let (from, to) = (from / EIGHT, to.div_ceil(EIGHT));
-            let row = (self.first + l) * octets.len();
-            let inverse = &mut buffer.inverse[row + from..row + to];
-            let winners = &mut buffer.winner[row + from..row + to];
+            let line = (self.first + l) * buffer.per_line;
             let (low, high) = (simd.splat_f64s(least[l]), simd.splat_f64s(greatest[l]));
             let scale = simd.splat_f64s(self.scale[l]);
-            for ((inverse, winners), octet) in inverse.iter_mut().zip(winners).zip(&octets[from..to]) {
-                let (inverse, winners) = (S::as_mut_simd_f64s(&mut inverse.0).0, S::as_mut_simd_u64s(&mut winners.0).0);
+            for (o, octet) in (from..to).zip(&octets[from..to]) {
+                let at = line + o * buffer.per_octet;
+                let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
+                let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
                 let (w0, w1) = (S::as_simd_f64s(&octet.w0).0, S::as_simd_f64s(&octet.w1).0);
                 let t = S::as_simd_f64s(&octet.t).0;
                 for i in 0..EIGHT / S::F64_LANES {
@@ -181,17 +198,17 @@ impl Spans {
     #[inline(never)]
     fn settle_ties(&self, buffer: &mut Buffer, grid: &LineGrid, batches: &[Batch]) {
         let octets = grid.octets();
-        let slot = shade(batches, self.number).slot;
+        let own = slot(batches, self.number);
         for l in 0..self.count {
-            let row = (self.first + l) * octets.len();
             let span = self.bounds[0][l]..=self.bounds[1][l];
             let from = grid.samples_below(*span.start());
             for sample in from..grid.samples_up_to(*span.end()) {
                 let (octet, i) = (sample / EIGHT, sample % EIGHT);
                 let k = self.scale[l] * octets[octet].w0[i] + self.slope * octets[octet].w1[i];
-                let winner = &mut buffer.winner[row + octet].0[i];
+                let at = buffer.at(self.first + l, octet);
+                let winner = &mut buffer.winner[at].0[i];
                 let drawn = *winner != u64::from(NOTHING);
-                if drawn && k == buffer.inverse[row + octet].0[i] && slot < shade(batches, *winner as u32).slot {
+                if drawn && k == buffer.inverse[at].0[i] && own < slot(batches, *winner as u32) {
                     *winner = self.number.into();
                 }
             }
