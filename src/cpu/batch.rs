@@ -1,7 +1,6 @@
 //! Batches: polygons after setup, binned by band.
 
 use super::Bands;
-use crate::limits;
 use crate::plan::Run;
 use glam::DVec3;
 use std::ops::Range;
@@ -19,8 +18,6 @@ pub(super) struct SetUp {
     pub lower: u8,
     pub upper: u8,
     pub steep: u8,
-    /// Decides ties.
-    pub slot: u32,
 }
 
 /// What the resolve stage needs of a winner.
@@ -36,8 +33,11 @@ pub(super) struct Shade {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub polygons: Vec<SetUp>,
-    /// By polygon, apart: together they stay in the cache while an image is resolved.
+    /// By polygon, on their way to [`Winners`].
     pub shades: Vec<Shade>,
+    pub slots: Vec<u32>,
+    /// Polygon i wins rays as number `first_number + i`.
+    pub first_number: u32,
     /// Line grids: (p, q) or, steep, the first two of an edge plane.
     pub bounds: Vec<[f64; 2]>,
     /// Ray tables: edge planes.
@@ -48,17 +48,39 @@ pub(super) struct Batch {
     band_start: Vec<u32>,
 }
 
-/// Bits of a winner's number that name the polygon inside its batch.
-const INDEX_BITS: u32 = 12;
-/// No winner.
+/// The number under which no polygon wins a ray.
 pub(super) const NOTHING: u32 = 0;
-/// What is seen there.
-static NOTHING_SEEN: [Shade; 1] = [Shade { distance: f64::NAN, polygon_id: 0, object_id: 0 }];
+/// Everything that was set up for a frame, by the numbers under which polygons win rays.
+#[derive(Debug, Default)]
+pub(super) struct Winners {
+    /// What is seen. One table for all: it stays in the cache while an image is resolved.
+    pub shades: Vec<Shade>,
+    /// Decide ties.
+    pub slots: Vec<u32>,
+}
+
+impl Winners {
+    /// Only [`NOTHING`], of which nothing is seen.
+    pub fn clear(&mut self) {
+        self.shades.clear();
+        self.shades.push(Shade { distance: f64::NAN, polygon_id: 0, object_id: 0 });
+        self.slots.clear();
+        self.slots.push(0);
+    }
+
+    /// Numbers a batch's polygons.
+    pub fn number(&mut self, batch: &mut Batch) {
+        batch.first_number = self.shades.len() as u32;
+        self.shades.extend_from_slice(&batch.shades);
+        self.slots.extend_from_slice(&batch.slots);
+    }
+}
 
 impl Batch {
     pub fn clear(&mut self) {
         self.polygons.clear();
         self.shades.clear();
+        self.slots.clear();
         self.bounds.clear();
         self.edges.clear();
         self.edge_on = 0;
@@ -96,36 +118,9 @@ impl Batch {
     }
 }
 
-/// The number under which a polygon of a batch wins a ray.
-#[inline(always)]
-pub(super) fn winner(batch: usize, polygon: u32) -> u32 {
-    (batch as u32 + 1) << INDEX_BITS | polygon
-}
-
-/// The slot of the polygon behind a winner's number, which is not [`NOTHING`].
-pub(super) fn slot(batches: &[Batch], winner: u32) -> u32 {
-    batches[(winner >> INDEX_BITS) as usize - 1].polygons[(winner & ((1 << INDEX_BITS) - 1)) as usize].slot
-}
-
-/// The shades of all batches, for [`look_up`].
-pub(super) fn tables(batches: &[Batch]) -> Vec<&[Shade]> {
-    std::iter::once(&NOTHING_SEEN[..]).chain(batches.iter().map(|b| b.shades.as_slice())).collect()
-}
-
-/// What is seen of a winner, [`NOTHING`] too.
-#[inline(always)]
-pub(super) fn look_up<'a>(tables: &[&'a [Shade]], winner: u32) -> &'a Shade {
-    &tables[(winner >> INDEX_BITS) as usize][(winner & ((1 << INDEX_BITS) - 1)) as usize]
-}
-
-/// Most batches that winners can number.
-pub(super) const MAX_BATCHES: usize = (1 << (32 - INDEX_BITS)) - 1;
-
 /// Cuts runs into groups of about five hundred polygons, one batch each.
 pub(super) fn group_runs(runs: &[Run]) -> Vec<Range<usize>> {
     const TARGET: usize = 512;
-    // A polygon over the azimuth seam is set up twice; every number must fit.
-    const _: () = assert!(2 * (TARGET + limits::CLUSTER_POLYGONS) <= 1 << INDEX_BITS);
     let mut groups = Vec::new();
     let (mut start, mut polygons) = (0, 0);
     for (i, run) in runs.iter().enumerate() {

@@ -20,7 +20,7 @@ mod spans;
 use crate::error::{Error, ErrorKind, Result};
 use crate::plan::{FramePlan, Images, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
-use batch::Batch;
+use batch::{Batch, Winners};
 use bounds::Bounds;
 use rayon::prelude::*;
 use spans::Buffer;
@@ -31,6 +31,7 @@ use std::time::{Duration, Instant};
 pub struct Engine {
     pool: rayon::ThreadPool,
     batches: Vec<Batch>,
+    winners: Winners,
     canvas: Vec<Buffer>,
 }
 
@@ -57,7 +58,7 @@ impl Engine {
                 Error::new(ErrorKind::System, "cannot start the threads of the CPU engine", "lower --threads")
                     .caused_by(e)
             })?;
-        Ok(Self { pool, batches: Vec::new(), canvas: Vec::new() })
+        Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
     }
 
     /// Fills the asked images.
@@ -68,19 +69,26 @@ impl Engine {
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
         images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
+        // Winners are numbered in 32 bits, and a polygon over the azimuth seam is set up twice.
+        if plan.polygon_count >= (u32::MAX / 2) as usize {
+            return Err(Error::invalid(
+                format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
+                "lower range_max or split the environment",
+            ));
+        }
         let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
-        let Self { pool, batches, canvas } = self;
+        let Self { pool, batches, winners, canvas } = self;
         let canvas = &mut canvas[..bands.count()];
         // The whole frame on the pool: between two stages its threads stay awake.
         pool.install(|| {
-            let used = draw_waves(plan, &bands, batches, canvas, images, stats)?;
+            let used = draw_waves(plan, &bands, (batches, winners), canvas, images, stats);
             stats.count("polygons_set_up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count("polygons_edge_on", batches[..used].iter().map(|b| b.edge_on).sum());
-            Ok(())
-        })
+        });
+        Ok(())
     }
 }
 
@@ -88,13 +96,14 @@ impl Engine {
 fn draw_waves(
     plan: &FramePlan,
     bands: &Bands,
-    batches: &mut Vec<Batch>,
+    (batches, winners): (&mut Vec<Batch>, &mut Winners),
     canvas: &mut [Buffer],
     images: &mut Images,
     stats: &mut Stats,
-) -> Result<usize> {
+) -> usize {
     let arch = pulp::Arch::new();
     let mut targets = resolve::split(images, bands);
+    winners.clear();
     let mut times = [Duration::ZERO; 3];
     let (mut done, mut used, mut hidden) = (0, 0, 0);
     let mut clear = true;
@@ -112,12 +121,6 @@ fn draw_waves(
         let groups = batch::group_runs(&runs);
         let first = used;
         used += groups.len();
-        if used > batch::MAX_BATCHES {
-            return Err(Error::invalid(
-                format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
-                "lower range_max or split the environment",
-            ));
-        }
         if batches.len() < used {
             batches.resize_with(used, Batch::default);
         }
@@ -127,15 +130,15 @@ fn draw_waves(
         batches[first..used].par_iter_mut().zip(&groups).for_each(|(batch, group)| {
             arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
         });
+        batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
         let start = Instant::now();
-        let batches = &batches[..used];
+        let batches = &batches[first..used];
         let last = done == plan.runs.len();
-        let tables = batch::tables(batches);
         canvas.par_iter_mut().zip(&mut targets).enumerate().for_each(|(band, (buffer, target))| {
             let target = last.then_some(target);
-            arch.dispatch(Draw { buffer, target, plan, batches, tables: &tables, first, bands, band, clear });
+            arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear });
         });
         clear = false;
         times[2] += start.elapsed();
@@ -146,7 +149,7 @@ fn draw_waves(
     stats.count("polygons_selected", plan.polygon_count);
     stats.count("runs_selected", plan.runs.len());
     stats.count("runs_hidden", hidden);
-    Ok(used)
+    used
 }
 
 /// The runs to draw next: as many polygons as all before them, and at least [`FIRST_WAVE`].
@@ -203,8 +206,7 @@ struct Draw<'a, 't> {
     target: Option<&'a mut resolve::Target<'t>>,
     plan: &'a FramePlan,
     batches: &'a [Batch],
-    tables: &'a [&'a [batch::Shade]],
-    first: usize,
+    winners: &'a Winners,
     bands: &'a Bands,
     band: usize,
     /// This is the first wave.
@@ -216,16 +218,17 @@ impl pulp::WithSimd for Draw<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self { buffer, target, plan, batches, tables, first, bands, band, clear } = self;
+        let Self { buffer, target, plan, batches, winners, bands, band, clear } = self;
+        let slots = &winners.slots;
         if clear {
             buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
         }
         match plan.sensor.grid() {
-            PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, batches, first, bands, band),
-            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, first, bands, band),
+            PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, batches, slots, bands, band),
+            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, slots, bands, band),
         }
         if let Some(target) = target {
-            resolve::resolve(target, buffer, plan, tables, bands, band);
+            resolve::resolve(target, buffer, plan, &winners.shades, bands, band);
         } else if matches!(plan.sensor.grid(), PixelGrid::Lines(_)) {
             hidden::measure(buffer, bands.lines(band).len(), bands.samples);
         }

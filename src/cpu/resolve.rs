@@ -1,7 +1,7 @@
 //! Resolve: the asked images from inverse depth and winner, band by band while the z-buffer is still in the cache.
 
 use super::Bands;
-use super::batch::{Shade, look_up};
+use super::batch::Shade;
 use super::spans::{Buffer, EIGHT};
 use crate::plan::{FramePlan, Images};
 use crate::sensor::{LineAxis, LineGrid, PixelGrid};
@@ -60,12 +60,12 @@ pub(super) fn resolve(
     target: &mut Target<'_>,
     buffer: &Buffer,
     plan: &FramePlan,
-    tables: &[&[Shade]],
+    shades: &[Shade],
     bands: &Bands,
     band: usize,
 ) {
     let spec = plan.sensor.spec();
-    let mut painter = Painter { tables, range_min: spec.range_min, range_max: spec.range_max, target };
+    let mut painter = Painter { shades, range_min: spec.range_min, range_max: spec.range_max, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -169,7 +169,8 @@ impl Pixels {
 
 /// Makes images of pixels.
 struct Painter<'t, 'a> {
-    tables: &'t [&'t [Shade]],
+    /// By winner.
+    shades: &'t [Shade],
     range_min: f64,
     range_max: f64,
     target: &'t mut Target<'a>,
@@ -183,24 +184,26 @@ impl Painter<'_, '_> {
         let mut distance = [0.0; TOGETHER];
         let (mut polygon_id, mut object_id) = ([0; TOGETHER], [0; TOGETHER]);
         for (i, &winner) in pixels.winner[..n].iter().enumerate() {
-            let seen = look_up(self.tables, winner);
+            let seen = &self.shades[winner as usize];
             (distance[i], polygon_id[i], object_id[i]) = (seen.distance, seen.polygon_id, seen.object_id);
         }
         let mut inverse = [0.0; TOGETHER];
         for ((inverse, k), per_length) in inverse[..n].iter_mut().zip(&pixels.inverse).zip(&pixels.per_length) {
             *inverse = k * per_length;
         }
-        let mut range = [0.0; TOGETHER];
         let (range_min, range_max) = (self.range_min, self.range_max);
-        for (out, inverse) in range[..n].iter_mut().zip(&inverse) {
+        let Target { range: ranges, depth_z, cos_incidence, polygon_id: polygon_ids, object_id: object_ids } =
+            self.target;
+        let mut unasked = [0.0; TOGETHER];
+        let range = match ranges.get_mut(row) {
+            Some(row) => &mut row[part.clone()],
+            None => &mut unasked[..n],
+        };
+        for (out, inverse) in range.iter_mut().zip(&inverse) {
             let exact = 1.0 / inverse;
             *out = metres(exact, exact, range_min, range_max);
         }
-        let Target { range: ranges, depth_z, cos_incidence, polygon_id: polygon_ids, object_id: object_ids } =
-            self.target;
-        if let Some(out) = ranges.get_mut(row) {
-            out[part.clone()].copy_from_slice(&range[..n]);
-        }
+        let range = &*range;
         if let Some(out) = depth_z.get_mut(row) {
             for (i, out) in out[part.clone()].iter_mut().enumerate() {
                 *out = metres(pixels.z[i] / pixels.inverse[i], 1.0 / inverse[i], range_min, range_max);
@@ -209,7 +212,7 @@ impl Painter<'_, '_> {
         // Ids and angle are kept below range_min; nothing is seen at infinity or without a ray.
         if let Some(out) = cos_incidence.get_mut(row) {
             for (((out, distance), inverse), range) in
-                out[part.clone()].iter_mut().zip(&distance).zip(&inverse).zip(&range)
+                out[part.clone()].iter_mut().zip(&distance).zip(&inverse).zip(range)
             {
                 let cos = (distance * inverse) as f32;
                 let cos = if cos > 1.0 { 1.0 } else { cos };
@@ -217,12 +220,12 @@ impl Painter<'_, '_> {
             }
         }
         if let Some(out) = polygon_ids.get_mut(row) {
-            for ((out, id), range) in out[part.clone()].iter_mut().zip(&polygon_id).zip(&range) {
+            for ((out, id), range) in out[part.clone()].iter_mut().zip(&polygon_id).zip(range) {
                 *out = if *range < f32::INFINITY { *id } else { 0 };
             }
         }
         if let Some(out) = object_ids.get_mut(row) {
-            for ((out, id), range) in out[part].iter_mut().zip(&object_id).zip(&range) {
+            for ((out, id), range) in out[part].iter_mut().zip(&object_id).zip(range) {
                 *out = if *range < f32::INFINITY { *id } else { 0 };
             }
         }

@@ -18,6 +18,8 @@ pub(super) struct Placed<'a> {
     /// Turns a mesh normal over its plane distance into m.
     m_from_normal: DMat3,
     normal_from_mesh: DMat3,
+    /// What [`Placed::length_per_distance`] is for every normal, if it is.
+    uniform: Option<f64>,
     pub center: DVec3,
     mirrored: bool,
     mesh_mirrored: bool,
@@ -39,6 +41,7 @@ impl<'a> Placed<'a> {
             ray_from_mesh,
             m_from_normal: image_from_ray.transpose() * instance.normal_from_mesh,
             normal_from_mesh: instance.normal_from_mesh,
+            uniform: uniform_scale(&instance.normal_from_mesh).map(f64::recip),
             center: instance.center_in_mesh,
             mirrored: ray_from_mesh.determinant() < 0.0,
             mesh_mirrored: instance.image_from_mesh.determinant() < 0.0,
@@ -47,6 +50,24 @@ impl<'a> Placed<'a> {
             first_slot: object.first_slot,
         }
     }
+
+    /// True metres per metre of a plane's distance in the mesh frame.
+    #[inline(always)]
+    fn length_per_distance(&self, normal: DVec3) -> f64 {
+        match self.uniform {
+            Some(factor) => factor,
+            None => (self.normal_from_mesh * normal).length().recip(),
+        }
+    }
+}
+
+/// The length of every turned unit vector, if it is the same for all to rounding: most instances are at most scaled.
+fn uniform_scale(m: &DMat3) -> Option<f64> {
+    let squares = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length_squared());
+    let skew = [m.x_axis.dot(m.y_axis), m.y_axis.dot(m.z_axis), m.z_axis.dot(m.x_axis)];
+    let rounding = 1e-13 * squares[0];
+    let alike = (squares[0] - squares[1]).abs() <= rounding && (squares[0] - squares[2]).abs() <= rounding;
+    (alike && skew.iter().all(|s| s.abs() <= rounding)).then(|| squares[0].sqrt())
 }
 
 /// Sets up the polygons of some runs.
@@ -155,7 +176,8 @@ fn set_up(
         nearest = if p.length_squared() < nearest.length_squared() { p } else { nearest };
     }
     let d = plane.normal.dot(nearest);
-    let rounding = 16.0 * f64::EPSILON * nearest.length() + if indices.len() > 3 { most - least } else { 0.0 };
+    let reach = nearest.abs().element_sum();
+    let rounding = 16.0 * f64::EPSILON * reach + if indices.len() > 3 { most - least } else { 0.0 };
     if d.abs() <= rounding {
         batch.edge_on += 1;
         return;
@@ -172,7 +194,7 @@ fn set_up(
         PixelGrid::Rays(_) => (batch.edges.len() as u32, plane_edges(batch, indices, outline, outward)),
     };
     let shade = Shade {
-        distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
+        distance: d.abs() * at.length_per_distance(plane.normal),
         polygon_id: plan.polygon_id(at.object, polygon),
         object_id: at.object + 1,
     };
@@ -180,8 +202,9 @@ fn set_up(
     let slot = at.first_slot + polygon;
     for lines in cover.into_iter().filter(|lines| !lines.is_empty()) {
         let Range { start: first_line, end: end_line } = lines;
-        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep, slot });
+        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep });
         batch.shades.push(shade);
+        batch.slots.push(slot);
     }
 }
 

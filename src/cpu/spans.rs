@@ -1,7 +1,7 @@
 //! Spans: one interval of samples per polygon and line, then inverse depth along it (paper section 3.2, Fig. 6).
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp, slot, winner};
+use super::batch::{Batch, NOTHING, SetUp};
 use crate::sensor::{LineAxis, LineGrid, Octet};
 use pulp::Simd;
 
@@ -16,7 +16,7 @@ pub(super) struct Depths(pub [f64; EIGHT]);
 /// Winners of eight samples of a line, as wide as the depths so that one mask serves both.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-pub(super) struct Winners(pub [u64; EIGHT]);
+pub(super) struct Numbers(pub [u64; EIGHT]);
 
 /// The z-buffer of a band in octets of a line. Octets that go to the same place in an image are neighbours: those of a
 /// line where lines are rows, else those with the same samples on neighbouring lines.
@@ -24,8 +24,8 @@ pub(super) struct Winners(pub [u64; EIGHT]);
 pub(super) struct Buffer {
     /// 1 / depth in the frame of the rays; 0 is nothing, and infinite past the end of a line, where nothing is drawn.
     pub inverse: Vec<Depths>,
-    /// See [`winner`].
-    pub winner: Vec<Winners>,
+    /// The polygon that is there, by its number in [`super::batch::Winners`].
+    pub winner: Vec<Numbers>,
     /// From a line to the next one, and from an octet to the next one on its line.
     pub per_line: usize,
     pub per_octet: usize,
@@ -46,7 +46,7 @@ impl Buffer {
         self.inverse.clear();
         self.inverse.resize(size, Depths([0.0; EIGHT]));
         self.winner.clear();
-        self.winner.resize(size, Winners([NOTHING.into(); EIGHT]));
+        self.winner.resize(size, Numbers([NOTHING.into(); EIGHT]));
         if !samples.is_multiple_of(EIGHT) {
             for line in 0..lines {
                 let last = self.at(line, octets - 1);
@@ -65,38 +65,36 @@ impl Buffer {
 /// Lines whose intervals are found together.
 const TOGETHER: usize = 8;
 
-/// Draws the polygons of a band that the batches from `first_batch` on hold.
+/// Draws the polygons of some batches into a band.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
     buffer: &mut Buffer,
     grid: &LineGrid,
     batches: &[Batch],
-    first_batch: usize,
+    slots: &[u32],
     bands: &Bands,
     band: usize,
 ) {
     let lines = bands.lines(band);
-    for (b, batch) in batches.iter().enumerate().skip(first_batch) {
+    for batch in batches {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
             let edges = &batch.bounds[polygon.first_edge as usize..];
-            let number = winner(b, i);
+            let number = batch.first_number + i;
             let start = lines.start.max(polygon.first_line as usize);
             let end = lines.end.min(polygon.end_line as usize);
             for first in (start..end).step_by(TOGETHER) {
                 let count = TOGETHER.min(end - first);
-                let (mut c0, mut c1) = ([0.0; TOGETHER], [0.0; TOGETHER]);
-                c0[..count].copy_from_slice(&grid.c0()[first..first + count]);
-                c1[..count].copy_from_slice(&grid.c1()[first..first + count]);
-                let bounds = bounds_of_lines(polygon, edges, &c0, &c1);
+                let [c0, c1] = grid.eight_lines(first);
+                let bounds = bounds_of_lines(polygon, edges, c0, c1);
                 let mut scale = [0.0; TOGETHER];
                 for l in 0..TOGETHER {
                     scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
                 }
                 let spans = Spans { number, count, bounds, scale, slope: polygon.m.z, first: first - lines.start };
                 if spans.draw(simd, buffer, grid) {
-                    spans.settle_ties(buffer, grid, batches);
+                    spans.settle_ties(buffer, grid, slots);
                 }
             }
         }
@@ -158,7 +156,7 @@ impl Spans {
         let [least, greatest] = &self.bounds;
         let samples = grid.samples_around(simd, least, greatest);
         let (number, slope) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(self.slope));
-        let (none, one) = (simd.splat_u64s(0), simd.splat_u64s(1));
+        let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
         let mut ties = none;
         for l in 0..self.count {
             let (from, to) = (samples[0][l] as usize, samples[1][l] as usize);
@@ -175,16 +173,17 @@ impl Spans {
                 let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
                 let (w0, w1) = (S::as_simd_f64s(&octet.w0).0, S::as_simd_f64s(&octet.w1).0);
                 let t = S::as_simd_f64s(&octet.t).0;
+                // No selects before the stores: the compiler would make masked stores of them, and later loads wait for those.
                 for i in 0..EIGHT / S::F64_LANES {
                     let k = simd.add_f64s(simd.mul_f64s(scale, w0[i]), simd.mul_f64s(slope, w1[i]));
                     let inside = simd
                         .and_m64s(simd.greater_than_or_equal_f64s(t[i], low), simd.less_than_or_equal_f64s(t[i], high));
+                    let k = simd.select_f64s(inside, k, nowhere);
                     let before = inverse[i];
-                    let nearer = simd.and_m64s(inside, simd.greater_than_f64s(k, before));
-                    let tie = simd.and_m64s(inside, simd.equal_f64s(k, before));
-                    ties = simd.select_u64s(tie, one, ties);
-                    inverse[i] = simd.select_f64s(nearer, k, before);
-                    winners[i] = simd.select_u64s(nearer, number, winners[i]);
+                    let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
+                    ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                    inverse[i] = simd.max_f64s(k, before);
+                    winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
                 }
             }
         }
@@ -196,9 +195,9 @@ impl Spans {
     /// On bit-equal inverse depth the lower slot wins.
     #[cold]
     #[inline(never)]
-    fn settle_ties(&self, buffer: &mut Buffer, grid: &LineGrid, batches: &[Batch]) {
+    fn settle_ties(&self, buffer: &mut Buffer, grid: &LineGrid, slots: &[u32]) {
         let octets = grid.octets();
-        let own = slot(batches, self.number);
+        let own = slots[self.number as usize];
         for l in 0..self.count {
             let span = self.bounds[0][l]..=self.bounds[1][l];
             let from = grid.samples_below(*span.start());
@@ -208,7 +207,7 @@ impl Spans {
                 let at = buffer.at(self.first + l, octet);
                 let winner = &mut buffer.winner[at].0[i];
                 let drawn = *winner != u64::from(NOTHING);
-                if drawn && k == buffer.inverse[at].0[i] && own < slot(batches, *winner as u32) {
+                if drawn && k == buffer.inverse[at].0[i] && own < slots[*winner as usize] {
                     *winner = self.number.into();
                 }
             }

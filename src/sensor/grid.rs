@@ -49,7 +49,7 @@ pub struct LineGrid {
     weights: Vec<[f64; 2]>,
     positions: Vec<f64>,
     finder: Finder,
-    /// The same numbers apart, for vector loops.
+    /// The same numbers apart, for vector loops; those of the lines are followed by eight zeros.
     c: [Vec<f64>; 2],
     octets: Vec<Octet>,
 }
@@ -81,7 +81,8 @@ impl LineGrid {
         let positions: Vec<f64> = weights.iter().map(|[w0, w1]| w1 / w0).collect();
         debug_assert!(positions.windows(2).all(|p| p[0] < p[1]));
         let finder = Finder::new(&positions);
-        let c = [0, 1].map(|i| lines.iter().map(|c| c[i]).collect());
+        let padding = [0.0; Octet::LEN];
+        let c = [0, 1].map(|i| lines.iter().map(|c| c[i]).chain(padding).collect());
         let octets =
             weights.chunks(Octet::LEN).zip(positions.chunks(Octet::LEN)).map(|(w, t)| Octet::of(w, t)).collect();
         let image_from_line = line_from_image.inverse();
@@ -125,14 +126,10 @@ impl LineGrid {
         &self.weights
     }
 
-    /// c0 of every line.
-    pub(crate) fn c0(&self) -> &[f64] {
-        &self.c[0]
-    }
-
-    /// c1 of every line.
-    pub(crate) fn c1(&self) -> &[f64] {
-        &self.c[1]
+    /// c0 and c1 of eight lines; past the last one they are 0.
+    #[inline(always)]
+    pub(crate) fn eight_lines(&self, first: usize) -> [&[f64; Octet::LEN]; 2] {
+        self.c.each_ref().map(|c| c[first..].first_chunk().expect("padded by eight"))
     }
 
     /// The samples in eights.
