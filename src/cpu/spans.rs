@@ -173,7 +173,7 @@ impl Spans {
                 let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
                 let (w0, w1) = (S::as_simd_f64s(&octet.w0).0, S::as_simd_f64s(&octet.w1).0);
                 let t = S::as_simd_f64s(&octet.t).0;
-                // No selects before the stores: the compiler would make masked stores of them, and later loads wait for those.
+                // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
                 for i in 0..EIGHT / S::F64_LANES {
                     let k = simd.add_f64s(simd.mul_f64s(scale, w0[i]), simd.mul_f64s(slope, w1[i]));
                     let inside = simd
