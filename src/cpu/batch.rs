@@ -1,7 +1,6 @@
 //! Batches: polygons after setup, binned by band.
 
 use super::Bands;
-use crate::limits;
 use crate::plan::Run;
 use glam::DVec3;
 use std::ops::Range;
@@ -14,7 +13,7 @@ pub(super) struct SetUp {
     /// Lines it may cover.
     pub first_line: u32,
     pub end_line: u32,
-    /// Its bounds `t >= p c0 + q c1`, then `t <= p c0 + q c1`, then sign tests, in [`Batch::edges`].
+    /// Its bounds `t >= p c0 + q c1`, then `t <= p c0 + q c1`, then sign tests, in [`Batch::bounds`].
     pub first_edge: u32,
     pub lower: u8,
     pub upper: u8,
@@ -26,7 +25,6 @@ pub(super) struct SetUp {
 pub(super) struct Shade {
     /// Distance of the plane from the sensor: cos_incidence = inverse range x this.
     pub distance: f64,
-    pub slot: u32,
     pub polygon_id: u32,
     pub object_id: u32,
 }
@@ -35,8 +33,14 @@ pub(super) struct Shade {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub polygons: Vec<SetUp>,
+    /// By polygon, on their way to [`Winners`].
     pub shades: Vec<Shade>,
-    /// Line grids: (p, q, unused) or, steep, an edge plane. Ray tables: edge planes.
+    pub slots: Vec<u32>,
+    /// Polygon i wins rays as number `first_number + i`.
+    pub first_number: u32,
+    /// Line grids: (p, q) or, steep, the first two of an edge plane.
+    pub bounds: Vec<[f64; 2]>,
+    /// Ray tables: edge planes.
     pub edges: Vec<DVec3>,
     pub edge_on: usize,
     /// Polygons by band: `by_band[band_start[b]..band_start[b + 1]]`.
@@ -44,15 +48,40 @@ pub(super) struct Batch {
     band_start: Vec<u32>,
 }
 
-/// Bits of a winner's number that name the polygon inside its batch.
-const INDEX_BITS: u32 = 12;
-/// No winner.
-pub(super) const NOTHING: u32 = u32::MAX;
+/// The number under which no polygon wins a ray.
+pub(super) const NOTHING: u32 = 0;
+/// Everything that was set up for a frame, by the numbers under which polygons win rays.
+#[derive(Debug, Default)]
+pub(super) struct Winners {
+    /// What is seen. One table for all: it stays in the cache while an image is resolved.
+    pub shades: Vec<Shade>,
+    /// Decide ties.
+    pub slots: Vec<u32>,
+}
+
+impl Winners {
+    /// Only [`NOTHING`], of which nothing is seen.
+    pub fn clear(&mut self) {
+        self.shades.clear();
+        self.shades.push(Shade { distance: f64::NAN, polygon_id: 0, object_id: 0 });
+        self.slots.clear();
+        self.slots.push(0);
+    }
+
+    /// Numbers a batch's polygons.
+    pub fn number(&mut self, batch: &mut Batch) {
+        batch.first_number = self.shades.len() as u32;
+        self.shades.extend_from_slice(&batch.shades);
+        self.slots.extend_from_slice(&batch.slots);
+    }
+}
 
 impl Batch {
     pub fn clear(&mut self) {
         self.polygons.clear();
         self.shades.clear();
+        self.slots.clear();
+        self.bounds.clear();
         self.edges.clear();
         self.edge_on = 0;
     }
@@ -89,25 +118,9 @@ impl Batch {
     }
 }
 
-/// The number under which a polygon of a batch wins a ray.
-pub(super) fn winner(batch: usize, polygon: u32) -> u32 {
-    (batch as u32) << INDEX_BITS | polygon
-}
-
-/// The polygon behind a winner's number.
-#[inline(always)]
-pub(super) fn shade(batches: &[Batch], winner: u32) -> &Shade {
-    &batches[(winner >> INDEX_BITS) as usize].shades[(winner & ((1 << INDEX_BITS) - 1)) as usize]
-}
-
-/// Most batches that winners can number.
-pub(super) const MAX_BATCHES: usize = 1 << (32 - INDEX_BITS);
-
 /// Cuts runs into groups of about five hundred polygons, one batch each.
 pub(super) fn group_runs(runs: &[Run]) -> Vec<Range<usize>> {
     const TARGET: usize = 512;
-    // A polygon over the azimuth seam is set up twice; every number must fit.
-    const _: () = assert!(2 * (TARGET + limits::CLUSTER_POLYGONS) <= 1 << INDEX_BITS);
     let mut groups = Vec::new();
     let (mut start, mut polygons) = (0, 0);
     for (i, run) in runs.iter().enumerate() {

@@ -2,6 +2,7 @@
 //! ray at all. Most polygons of a scene end here, so this is the loop that must be cheap.
 
 use crate::sensor::{Angles, Geometry, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor};
+use pulp::Simd;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
 
@@ -125,10 +126,10 @@ impl<'a> Bounds<'a> {
     /// The footprints of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
     /// repeating their last one.
     #[inline(always)]
-    pub fn cover(&self, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
+    pub fn cover<S: Simd>(&self, simd: S, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         match &self.kind {
             Kind::Camera(grid) => camera(grid, self.range_max_squared, corners),
-            Kind::Scanner(bounds) => bounds.cover(self.range_max_squared, corners),
+            Kind::Scanner(bounds) => bounds.cover(simd, self.range_max_squared, corners),
             Kind::Rays(grid) => {
                 let mut extent = Extent::new();
                 for corner in corners {
@@ -209,7 +210,7 @@ fn pieces(low: f64, high: f64, n: usize) -> Range<u32> {
 impl ScannerBounds<'_> {
     /// Line frame (x, y, -z).
     #[inline(always)]
-    fn cover(&self, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
+    fn cover<S: Simd>(&self, simd: S, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         let mut e = Extent::new();
         for (i, corner) in corners.iter().enumerate() {
             e.hold(corner);
@@ -234,37 +235,41 @@ impl ScannerBounds<'_> {
             to[l] = if to[l].is_nan() { f64::INFINITY } else { to[l] };
         }
         let t = self.grid.positions();
+        let samples = self.grid.samples_around(simd, &from, &to);
+        let columns = self.uniform.map(|(start, step)| columns_of(&e, start, step));
         let mut footprints = [const { NOTHING }; LANES];
         for l in 0..LANES {
-            if distance_squared[l] > range_max_squared || to[l] < t[0] || from[l] > t[t.len() - 1] {
+            let (first, end) = (samples[0][l], samples[1][l]);
+            if distance_squared[l] > range_max_squared || first >= end {
                 continue;
             }
-            let first = self.grid.samples_below(from[l]);
-            let end = self.grid.samples_up_to(to[l]);
+            // One more at either side is possible, and most polygons that cover no ray end here.
+            let first = first + u32::from(t[first as usize] < from[l]);
+            let end = end - u32::from(t[end as usize - 1] > to[l]);
             if first < end {
-                footprints[l] = Footprint { lines: self.columns(&e, l), samples: first as u32..end as u32 };
+                footprints[l] = Footprint { lines: self.columns(&e, columns.as_ref(), l), samples: first..end };
             }
         }
         footprints
     }
 
     #[inline(always)]
-    fn columns(&self, e: &Extent, l: usize) -> Cover {
+    fn columns(&self, e: &Extent, columns: Option<&[Lanes; 2]>, l: usize) -> Cover {
         let n = self.grid.lines().len();
         let everything = [0..n as u32, 0..0];
-        let Some((start, step)) = self.uniform else {
+        let (Some([low, high]), Some((_, step))) = (columns, self.uniform) else {
             return everything;
         };
         // Round the axis, or too close by it to tell.
         if e.astray[l] > 0.0 || (e.turned[l] - e.first[l]).abs() > 1.0 {
             return everything;
         }
-        // In columns, of which a whole turn has `turn`; either sign of the step.
-        let (a, b) = ((e.low[0][l] - AZIMUTH_SLACK - start) / step, (e.high[0][l] + AZIMUTH_SLACK - start) / step);
-        let (a, b) = (a.min(b), a.max(b));
-        let turn = TAU / step.abs();
-        let shift = (a / turn).floor() * turn;
-        let (one, two) = (pieces(a - shift, b - shift, n), pieces(a - shift - turn, b - shift - turn, n));
+        let (low, high, turn) = (low[l], high[l], TAU / step.abs());
+        let one = pieces(low, high, n);
+        if high < turn {
+            return [one, 0..0];
+        }
+        let two = pieces(low - turn, high - turn, n);
         if two.is_empty() {
             [one, 0..0]
         } else if one.is_empty() {
@@ -275,6 +280,23 @@ impl ScannerBounds<'_> {
             [one, two]
         }
     }
+}
+
+/// Azimuth intervals in columns, of which a whole turn has `TAU / step`; they begin in the first turn. Either sign of the
+/// step.
+#[inline(always)]
+fn columns_of(e: &Extent, start: f64, step: f64) -> [Lanes; 2] {
+    let (per_step, turn) = (1.0 / step, TAU / step.abs());
+    let per_turn = 1.0 / turn;
+    let (mut low, mut high) = ([0.0; LANES], [0.0; LANES]);
+    for l in 0..LANES {
+        let a = (e.low[0][l] - AZIMUTH_SLACK - start) * per_step;
+        let b = (e.high[0][l] + AZIMUTH_SLACK - start) * per_step;
+        let (a, b) = if step < 0.0 { (b, a) } else { (a, b) };
+        let shift = (a * per_turn).floor() * turn;
+        (low[l], high[l]) = (a - shift, b - shift);
+    }
+    [low, high]
 }
 
 /// Widening of approximate azimuths, radians: above the error of [`atan2_approximately`].

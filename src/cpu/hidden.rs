@@ -4,21 +4,24 @@
 use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
 use super::setup::Placed;
-use super::spans::Buffer;
+use super::spans::{Buffer, EIGHT};
+use crate::environment::{Cluster, Mesh};
 use crate::geometry::Aabb;
 use crate::plan::{FramePlan, Run};
 use crate::sensor::LineAxis;
 use glam::DVec3;
+use pulp::Simd;
 
 /// Side of the squares of pixels whose farthest depth is kept.
-pub(super) const TILE: usize = 8;
+pub(super) const TILE: usize = EIGHT;
 
 /// A box this much nearer than the farthest depth behind it is not hidden: far above f64 rounding.
 const SLACK: f64 = 1e-9;
 
 /// The runs that may show: all but those behind what the bands hold.
 #[inline(always)]
-pub(super) fn visible(
+pub(super) fn visible<S: Simd>(
+    simd: S,
     plan: &FramePlan,
     bounds: &Bounds<'_>,
     runs: &[Run],
@@ -37,7 +40,7 @@ pub(super) fn visible(
             );
             nearest[l] = place_box(at, run, l, &mut corners, bands.axis);
         }
-        for (l, footprint) in bounds.cover(&corners).iter().enumerate().take(eight.len()) {
+        for (l, footprint) in bounds.cover(simd, &corners).iter().enumerate().take(eight.len()) {
             // In front of the sensor and clear of its axis, else the box has no footprint to speak of.
             let hidden = nearest[l] > 0.0 && is_behind(footprint, 1.0 / nearest[l], canvas, bands);
             if !hidden {
@@ -51,9 +54,7 @@ pub(super) fn visible(
 /// Puts a run's box into a lane; the answer is its least depth in the frame of the rays, 0 if it cannot be bounded.
 #[inline(always)]
 fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8], axis: LineAxis) -> f64 {
-    let clusters = at.mesh.clusters();
-    let cluster = clusters.partition_point(|c| c.first <= run.first) - 1;
-    let Aabb { min, max } = clusters[cluster].bounds;
+    let Aabb { min, max } = cluster_of(at.mesh, run.first).bounds;
     let mut around = Aabb::EMPTY;
     for (i, corner) in corners.iter_mut().enumerate() {
         let pick = |bit: usize, low: f64, high: f64| if i >> bit & 1 == 0 { low } else { high };
@@ -73,6 +74,20 @@ fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3];
     }
 }
 
+/// The cluster that holds a polygon. All are of about one size, so that a guess is off by few.
+#[inline(always)]
+fn cluster_of(mesh: &Mesh, polygon: u32) -> &Cluster {
+    let clusters = mesh.clusters();
+    let mut i = (u64::from(polygon) * clusters.len() as u64 / mesh.polygon_count() as u64) as usize;
+    while clusters[i].first > polygon {
+        i -= 1;
+    }
+    while i + 1 < clusters.len() && clusters[i + 1].first <= polygon {
+        i += 1;
+    }
+    &clusters[i]
+}
+
 /// True if every tile of the footprint is filled by something nearer than `inverse`.
 #[inline(always)]
 fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Bands) -> bool {
@@ -90,16 +105,25 @@ fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Ban
 
 /// The least inverse depth of every tile of a band; 0 where a ray has met nothing yet.
 #[inline(always)]
-pub(super) fn measure(buffer: &mut Buffer, samples: usize) {
+pub(super) fn measure(buffer: &mut Buffer, lines: usize, samples: usize) {
     let across = samples.div_ceil(TILE);
-    let lines = buffer.inverse.len() / samples;
-    buffer.farthest.clear();
-    buffer.farthest.resize(lines.div_ceil(TILE) * across, f64::INFINITY);
-    for (line, inverse) in buffer.inverse.chunks_exact(samples).enumerate() {
-        let row = &mut buffer.farthest[line / TILE * across..][..across];
-        for (farthest, tile) in row.iter_mut().zip(inverse.chunks(TILE)) {
-            let least = tile.iter().copied().fold(f64::INFINITY, |a, b| if b < a { b } else { a });
-            *farthest = if least < *farthest { least } else { *farthest };
+    let mut farthest = std::mem::take(&mut buffer.farthest);
+    farthest.clear();
+    for first in (0..lines).step_by(TILE) {
+        for column in 0..across {
+            let mut least = [f64::INFINITY; EIGHT];
+            for line in first..lines.min(first + TILE) {
+                let inverse = &buffer.inverse[buffer.at(line, column)].0;
+                for i in 0..EIGHT {
+                    least[i] = if inverse[i] < least[i] { inverse[i] } else { least[i] };
+                }
+            }
+            let mut all = f64::INFINITY;
+            for k in least {
+                all = if k < all { k } else { all };
+            }
+            farthest.push(all);
         }
     }
+    buffer.farthest = farthest;
 }

@@ -20,7 +20,7 @@ mod spans;
 use crate::error::{Error, ErrorKind, Result};
 use crate::plan::{FramePlan, Images, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
-use batch::Batch;
+use batch::{Batch, Winners};
 use bounds::Bounds;
 use rayon::prelude::*;
 use spans::Buffer;
@@ -31,6 +31,7 @@ use std::time::{Duration, Instant};
 pub struct Engine {
     pool: rayon::ThreadPool,
     batches: Vec<Batch>,
+    winners: Winners,
     canvas: Vec<Buffer>,
 }
 
@@ -39,6 +40,9 @@ const BAND_PIXELS: usize = 8192;
 
 /// Polygons of the first wave; every further one takes as many as all before it together.
 const FIRST_WAVE: usize = 4096;
+
+/// Runs that a task looks at to drop what is hidden.
+const SIFTED: usize = 64;
 
 impl Engine {
     /// With so many threads; 0 takes all cores.
@@ -54,7 +58,7 @@ impl Engine {
                 Error::new(ErrorKind::System, "cannot start the threads of the CPU engine", "lower --threads")
                     .caused_by(e)
             })?;
-        Ok(Self { pool, batches: Vec::new(), canvas: Vec::new() })
+        Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
     }
 
     /// Fills the asked images.
@@ -65,84 +69,87 @@ impl Engine {
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
         images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
+        // Winners are numbered in 32 bits, and a polygon over the azimuth seam is set up twice.
+        if plan.polygon_count >= (u32::MAX / 2) as usize {
+            return Err(Error::invalid(
+                format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
+                "lower range_max or split the environment",
+            ));
+        }
         let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
-        let arch = pulp::Arch::new();
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
-        let canvas = &mut self.canvas[..bands.count()];
-        for (band, buffer) in canvas.iter_mut().enumerate() {
-            buffer.clear(bands.lines(band).len() * bands.samples);
-        }
-
-        let mut times = [Duration::ZERO; 3];
-        let (mut done, mut used, mut hidden) = (0, 0, 0);
-        while done < plan.runs.len() {
-            let start = Instant::now();
-            let wave = next_wave(&plan.runs, done);
-            let runs = if used == 0 || matches!(plan.sensor.grid(), PixelGrid::Rays(_)) {
-                plan.runs[wave.clone()].to_vec()
-            } else {
-                arch.dispatch(Sift { plan, runs: &plan.runs[wave.clone()], canvas, bands: &bands })
-            };
-            hidden += wave.len() - runs.len();
-            done = wave.end;
-            let groups = batch::group_runs(&runs);
-            let first = used;
-            used += groups.len();
-            if used > batch::MAX_BATCHES {
-                return Err(Error::invalid(
-                    format!("{} polygons in view are more than the CPU engine can number", plan.polygon_count),
-                    "lower range_max or split the environment",
-                ));
-            }
-            if self.batches.len() < used {
-                self.batches.resize_with(used, Batch::default);
-            }
-            times[0] += start.elapsed();
-
-            let start = Instant::now();
-            let batches = &mut self.batches[first..used];
-            self.pool.install(|| {
-                batches.par_iter_mut().zip(&groups).for_each(|(batch, group)| {
-                    arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands: &bands });
-                });
-            });
-            times[1] += start.elapsed();
-
-            let start = Instant::now();
-            let batches = &self.batches[..used];
-            let more = done < plan.runs.len();
-            self.pool.install(|| {
-                canvas.par_iter_mut().enumerate().for_each(|(band, buffer)| {
-                    arch.dispatch(Draw { buffer, plan, batches, first, bands: &bands, band, more });
-                });
-            });
-            times[2] += start.elapsed();
-        }
-        for (name, time) in ["hidden", "setup", "rasterization"].iter().zip(times) {
-            stats.stages_ms.push(((*name).to_owned(), time.as_secs_f64() * 1e3));
-        }
-
-        let start = Instant::now();
-        let batches = &self.batches[..used];
-        self.pool.install(|| {
-            let targets = resolve::split(images, &bands);
-            canvas.par_iter_mut().zip(targets).enumerate().for_each_init(
-                resolve::Block::default,
-                |block, (band, (buffer, target))| {
-                    arch.dispatch(Resolve { buffer, block, plan, batches, bands: &bands, band, target });
-                },
-            );
+        let Self { pool, batches, winners, canvas } = self;
+        let canvas = &mut canvas[..bands.count()];
+        // The whole frame on the pool: between two stages its threads stay awake.
+        pool.install(|| {
+            let used = draw_waves(plan, &bands, (batches, winners), canvas, images, stats);
+            stats.count("polygons_set_up", batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count("polygons_edge_on", batches[..used].iter().map(|b| b.edge_on).sum());
         });
-        stats.stage("resolve", start);
-        stats.count("polygons_selected", plan.polygon_count);
-        stats.count("runs_selected", plan.runs.len());
-        stats.count("runs_hidden", hidden);
-        stats.count("polygons_set_up", batches.iter().map(|b| b.polygons.len()).sum());
-        stats.count("polygons_edge_on", batches.iter().map(|b| b.edge_on).sum());
         Ok(())
     }
+}
+
+/// Sets up and draws all runs, nearest first; the answer is the number of batches in use.
+fn draw_waves(
+    plan: &FramePlan,
+    bands: &Bands,
+    (batches, winners): (&mut Vec<Batch>, &mut Winners),
+    canvas: &mut [Buffer],
+    images: &mut Images,
+    stats: &mut Stats,
+) -> usize {
+    let arch = pulp::Arch::new();
+    let mut targets = resolve::split(images, bands);
+    winners.clear();
+    let mut times = [Duration::ZERO; 3];
+    let (mut done, mut used, mut hidden) = (0, 0, 0);
+    let mut clear = true;
+    while clear || done < plan.runs.len() {
+        let start = Instant::now();
+        let wave = next_wave(&plan.runs, done);
+        let runs = if used == 0 || matches!(plan.sensor.grid(), PixelGrid::Rays(_)) {
+            plan.runs[wave.clone()].to_vec()
+        } else {
+            let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
+            plan.runs[wave.clone()].par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat()
+        };
+        hidden += wave.len() - runs.len();
+        done = wave.end;
+        let groups = batch::group_runs(&runs);
+        let first = used;
+        used += groups.len();
+        if batches.len() < used {
+            batches.resize_with(used, Batch::default);
+        }
+        times[0] += start.elapsed();
+
+        let start = Instant::now();
+        batches[first..used].par_iter_mut().zip(&groups).for_each(|(batch, group)| {
+            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
+        });
+        batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
+        times[1] += start.elapsed();
+
+        let start = Instant::now();
+        let batches = &batches[first..used];
+        let last = done == plan.runs.len();
+        canvas.par_iter_mut().zip(&mut targets).enumerate().for_each(|(band, (buffer, target))| {
+            let target = last.then_some(target);
+            arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear });
+        });
+        clear = false;
+        times[2] += start.elapsed();
+    }
+    for (name, time) in ["hidden", "setup", "rasterization"].iter().zip(times) {
+        stats.stages_ms.push(((*name).to_owned(), time.as_secs_f64() * 1e3));
+    }
+    stats.count("polygons_selected", plan.polygon_count);
+    stats.count("runs_selected", plan.runs.len());
+    stats.count("runs_hidden", hidden);
+    used
 }
 
 /// The runs to draw next: as many polygons as all before them, and at least [`FIRST_WAVE`].
@@ -169,9 +176,9 @@ impl pulp::WithSimd for Sift<'_> {
     type Output = Vec<Run>;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Run> {
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> Vec<Run> {
         let bounds = Bounds::new(&self.plan.sensor);
-        hidden::visible(self.plan, &bounds, self.runs, self.canvas, self.bands)
+        hidden::visible(simd, self.plan, &bounds, self.runs, self.canvas, self.bands)
     }
 }
 
@@ -187,60 +194,48 @@ impl pulp::WithSimd for SetUp<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        setup::fill(self.batch, self.plan, self.runs, self.bands);
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands);
     }
 }
 
-/// Draws a wave into a band.
-struct Draw<'a> {
+/// Draws a wave into a band and, after the last one, resolves it.
+struct Draw<'a, 't> {
     buffer: &'a mut Buffer,
+    /// After the last wave.
+    target: Option<&'a mut resolve::Target<'t>>,
     plan: &'a FramePlan,
     batches: &'a [Batch],
-    first: usize,
+    winners: &'a Winners,
     bands: &'a Bands,
     band: usize,
-    /// Another wave follows that wants to know what is hidden.
-    more: bool,
+    /// This is the first wave.
+    clear: bool,
 }
 
-impl pulp::WithSimd for Draw<'_> {
+impl pulp::WithSimd for Draw<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Self { buffer, batches, first, bands, band, .. } = self;
-        match self.plan.sensor.grid() {
-            PixelGrid::Lines(grid) => {
-                spans::rasterize(buffer, grid, batches, first, bands, band);
-                if self.more {
-                    hidden::measure(buffer, bands.samples);
-                }
-            }
-            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, first, bands, band),
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let Self { buffer, target, plan, batches, winners, bands, band, clear } = self;
+        let slots = &winners.slots;
+        if clear {
+            buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
+        }
+        match plan.sensor.grid() {
+            PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, batches, slots, bands, band),
+            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, slots, bands, band),
+        }
+        if let Some(target) = target {
+            resolve::resolve(target, buffer, plan, &winners.shades, bands, band);
+        } else if matches!(plan.sensor.grid(), PixelGrid::Lines(_)) {
+            hidden::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }
 }
 
-/// Resolves a band.
-struct Resolve<'a> {
-    buffer: &'a mut Buffer,
-    block: &'a mut resolve::Block,
-    plan: &'a FramePlan,
-    batches: &'a [Batch],
-    bands: &'a Bands,
-    band: usize,
-    target: resolve::Target<'a>,
-}
-
-impl pulp::WithSimd for Resolve<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(mut self, _: S) {
-        resolve::resolve(self.buffer, self.block, self.plan, self.batches, self.bands, self.band, &mut self.target);
-    }
-}
+const _: () = assert!(resolve::TOGETHER.is_multiple_of(hidden::TILE));
 
 /// How the image is cut into bands of lines, each one task.
 pub(crate) struct Bands {
@@ -250,13 +245,11 @@ pub(crate) struct Bands {
     per_band: usize,
 }
 
-const _: () = assert!(resolve::BLOCK_LINES.is_multiple_of(hidden::TILE));
-
 impl Bands {
     fn new(grid: &PixelGrid, threads: usize) -> Self {
         let (axis, lines, samples, multiple) = match grid {
             PixelGrid::Lines(g) if g.axis() == LineAxis::Columns => {
-                (g.axis(), g.lines().len(), g.weights().len(), resolve::BLOCK_LINES)
+                (g.axis(), g.lines().len(), g.weights().len(), resolve::TOGETHER)
             }
             PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), hidden::TILE),
             PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, rays::BAND_MULTIPLE),

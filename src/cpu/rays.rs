@@ -1,21 +1,21 @@
 //! Ray tables (lens distortion, listed rays): each polygon against the rays of the tiles that its cone may touch.
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp, shade, winner};
-use super::spans::Buffer;
+use super::batch::{Batch, NOTHING, SetUp};
+use super::spans::{Buffer, EIGHT};
 use crate::sensor::{RayGrid, Tile};
 use glam::DVec3;
 
 /// Bands hold whole rows of tiles.
 pub(super) const BAND_MULTIPLE: usize = 8;
 
-/// Draws all polygons of a band.
+/// Draws the polygons of some batches into a band.
 #[inline(always)]
 pub(super) fn rasterize(
     buffer: &mut Buffer,
     grid: &RayGrid,
     batches: &[Batch],
-    first_batch: usize,
+    slots: &[u32],
     bands: &Bands,
     band: usize,
 ) {
@@ -26,14 +26,14 @@ pub(super) fn rasterize(
         .filter(|t| lines.contains(&(t.row as usize)) && t.half_angle >= 0.0)
         .map(|t| (t, if t.half_angle < 1.5 { t.half_angle.sin() } else { 2.0 }))
         .collect();
-    for (b, batch) in batches.iter().enumerate().skip(first_batch) {
+    for batch in batches {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
             let first = polygon.first_edge as usize;
             let edges = &batch.edges[first..first + usize::from(polygon.steep)];
             for (tile, sine) in &tiles {
                 if edges.iter().all(|e| e.dot(tile.axis) >= -sine * e.length()) {
-                    draw(buffer, grid, (batches, winner(b, i)), polygon, edges, tile, lines.start);
+                    draw(buffer, grid, (slots, batch.first_number + i), polygon, edges, tile, lines.start);
                 }
             }
         }
@@ -44,7 +44,7 @@ pub(super) fn rasterize(
 fn draw(
     buffer: &mut Buffer,
     grid: &RayGrid,
-    (batches, number): (&[Batch], u32),
+    (slots, number): (&[u32], u32),
     polygon: &SetUp,
     edges: &[DVec3],
     tile: &Tile,
@@ -53,7 +53,6 @@ fn draw(
     let width = grid.width() as usize;
     for row in tile.row as usize..(tile.row + tile.height) as usize {
         let columns = tile.column as usize..(tile.column + tile.width) as usize;
-        let at = (row - first_line) * width;
         for column in columns {
             // A missing ray is NaN and fails every test.
             let ray = grid.directions()[row * width + column];
@@ -61,11 +60,13 @@ fn draw(
                 continue;
             }
             let k = polygon.m.dot(ray);
-            let (inverse, before) = (&mut buffer.inverse[at + column], &mut buffer.winner[at + column]);
-            let lower = || *before != NOTHING && shade(batches, number).slot < shade(batches, *before).slot;
+            let (at, i) = (buffer.at(row - first_line, column / EIGHT), column % EIGHT);
+            let (inverse, before) = (&mut buffer.inverse[at].0[i], &mut buffer.winner[at].0[i]);
+            let held = *before as u32;
+            let lower = || held != NOTHING && slots[number as usize] < slots[held as usize];
             if k > *inverse || (k == *inverse && lower()) {
                 *inverse = k;
-                *before = number;
+                *before = number.into();
             }
         }
     }

@@ -1,12 +1,14 @@
-//! Resolve: the asked images from inverse depth and winner.
+//! Resolve: the asked images from inverse depth and winner, band by band while the z-buffer is still in the cache.
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, Shade, shade};
-use super::spans::Buffer;
-use crate::plan::{FramePlan, Images, Output};
+use super::batch::Shade;
+use super::spans::{Buffer, EIGHT};
+use crate::plan::{FramePlan, Images};
 use crate::sensor::{LineAxis, LineGrid, PixelGrid};
+use std::ops::Range;
 
-/// The parts of the images that one band fills: for every image row it touches, its pixels.
+/// The parts of the images that one band fills: for every image row it touches, its pixels. Images that were not asked
+/// for have no rows.
 #[derive(Default)]
 pub(super) struct Target<'a> {
     range: Vec<&'a mut [f32]>,
@@ -28,11 +30,14 @@ pub(super) fn split<'a>(images: &'a mut Images, bands: &Bands) -> Vec<Target<'a>
         part: impl Fn(&'t mut Target<'a>) -> &'t mut Vec<&'a mut [T]>,
     ) {
         let mut parts: Vec<_> = targets.iter_mut().map(part).collect();
+        if bands.axis == LineAxis::Columns {
+            parts.iter_mut().for_each(|part| part.reserve_exact(image.len() / width));
+        }
         for (y, row) in image.chunks_mut(width).enumerate() {
             match bands.axis {
                 LineAxis::Rows => parts[y / bands.per_band].push(row),
                 LineAxis::Columns => {
-                    row.chunks_mut(bands.per_band).zip(&mut parts).for_each(|(piece, part)| part.push(piece))
+                    row.chunks_mut(bands.per_band).zip(&mut parts).for_each(|(piece, part)| part.push(piece));
                 }
             }
         }
@@ -45,135 +50,185 @@ pub(super) fn split<'a>(images: &'a mut Images, bands: &Bands) -> Vec<Target<'a>
     targets
 }
 
-/// The images of a few lines before they go to their place: written along the line, read across.
-#[derive(Default)]
-pub(super) struct Block {
-    range: Vec<f32>,
-    depth_z: Vec<f32>,
-    cos_incidence: Vec<f32>,
-    polygon_id: Vec<u32>,
-    object_id: Vec<u32>,
-}
-
-/// Lines of a block: two cache lines of a row at a time. Every row of a scanner's image is a page of its own, and each
-/// visit to it may miss in the address translation.
-pub(super) const BLOCK_LINES: usize = 32;
+/// Pixels of a row taken together, which for scanners are as many lines: two cache lines of an image. Every row of a
+/// scanner's image is a page of its own, and each visit to it may miss in the address translation.
+pub(super) const TOGETHER: usize = 32;
 
 /// Fills the asked images of a band.
 #[inline(always)]
 pub(super) fn resolve(
-    buffer: &mut Buffer,
-    block: &mut Block,
+    target: &mut Target<'_>,
+    buffer: &Buffer,
     plan: &FramePlan,
-    batches: &[Batch],
+    shades: &[Shade],
     bands: &Bands,
     band: usize,
-    target: &mut Target<'_>,
 ) {
+    let spec = plan.sensor.spec();
+    let mut painter = Painter { shades, range_min: spec.range_min, range_max: spec.range_max, target };
     let lines = bands.lines(band);
-    let samples = bands.samples;
-    let outputs = plan.request.outputs;
-    let len = |o| if outputs.has(o) { BLOCK_LINES * samples } else { 0 };
-    block.range.resize(len(Output::Range), 0.0);
-    block.depth_z.resize(len(Output::DepthZ), 0.0);
-    block.cos_incidence.resize(len(Output::CosIncidence), 0.0);
-    block.polygon_id.resize(len(Output::PolygonId), 0);
-    block.object_id.resize(len(Output::ObjectId), 0);
-    for first in lines.clone().step_by(BLOCK_LINES) {
-        let count = BLOCK_LINES.min(lines.end - first);
-        for j in 0..count {
-            let line = first - lines.start + j;
-            let pixels = line * samples..(line + 1) * samples;
-            let inverse = &mut buffer.inverse[pixels.clone()];
-            resolve_line(plan, batches, first + j, inverse, &buffer.winner[pixels], block, j * samples);
+    match (bands.axis, plan.sensor.grid()) {
+        (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
+        (LineAxis::Rows, PixelGrid::Lines(grid)) => {
+            rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| pixels.pinhole(grid, line, part));
         }
-        let at = first - lines.start;
-        place(&block.range, &mut target.range, bands.axis, at, count, samples);
-        place(&block.depth_z, &mut target.depth_z, bands.axis, at, count, samples);
-        place(&block.cos_incidence, &mut target.cos_incidence, bands.axis, at, count, samples);
-        place(&block.polygon_id, &mut target.polygon_id, bands.axis, at, count, samples);
-        place(&block.object_id, &mut target.object_id, bands.axis, at, count, samples);
+        (LineAxis::Rows, PixelGrid::Rays(grid)) => {
+            let directions = grid.directions();
+            rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| {
+                let rays = &directions[line * bands.samples + part.start..][..part.len()];
+                for (j, ray) in rays.iter().enumerate() {
+                    pixels.per_length[j] = if ray.x.is_nan() { f64::NAN } else { 1.0 };
+                    pixels.z[j] = ray.z;
+                }
+            });
+        }
     }
 }
 
-/// Moves a block's lines to the rows of the image.
+/// A scanner's lines are the columns of its image: turned octet by octet, in which the buffer is ordered.
 #[inline(always)]
-fn place<T: Copy>(block: &[T], rows: &mut [&mut [T]], axis: LineAxis, at: usize, count: usize, samples: usize) {
-    if block.is_empty() {
-        return;
-    }
-    match axis {
-        LineAxis::Rows => {
-            for j in 0..count {
-                rows[at + j].copy_from_slice(&block[j * samples..(j + 1) * samples]);
-            }
-        }
-        LineAxis::Columns => {
-            for (i, row) in rows.iter_mut().enumerate() {
-                for (out, line) in row[at..at + count].iter_mut().zip(block.chunks_exact(samples)) {
-                    *out = line[i];
+fn columns(painter: &mut Painter<'_, '_>, buffer: &Buffer, lines: usize, samples: usize) {
+    let mut pixels = [const { Pixels::unit() }; EIGHT];
+    for first in (0..lines).step_by(TOGETHER) {
+        let count = TOGETHER.min(lines - first);
+        for octet in 0..samples.div_ceil(EIGHT) {
+            let at = buffer.at(first, octet);
+            let column = buffer.inverse[at..at + count].iter().zip(&buffer.winner[at..at + count]);
+            for (j, (inverse, winner)) in column.enumerate() {
+                for i in 0..EIGHT {
+                    pixels[i].inverse[j] = inverse.0[i];
+                    pixels[i].winner[j] = winner.0[i] as u32;
                 }
             }
+            let rows = EIGHT.min(samples - octet * EIGHT);
+            for (i, pixels) in pixels[..rows].iter().enumerate() {
+                painter.paint(pixels, octet * EIGHT + i, first..first + count);
+            }
         }
     }
 }
 
-/// Resolves a line into a block, run of equal winners by run; leaves ranges in `inverse`.
+/// Lines that are rows of the image.
 #[inline(always)]
-fn resolve_line(
-    plan: &FramePlan,
-    batches: &[Batch],
-    line: usize,
-    inverse: &mut [f64],
-    winners: &[u32],
-    block: &mut Block,
-    at: usize,
+fn rows(
+    painter: &mut Painter<'_, '_>,
+    buffer: &Buffer,
+    lines: Range<usize>,
+    samples: usize,
+    rays: impl Fn(&mut Pixels, usize, Range<usize>),
 ) {
-    let outputs = plan.request.outputs;
-    let spec = plan.sensor.spec();
-    let (range_min, range_max) = (spec.range_min, spec.range_max);
-    let samples = winners.len();
-    if outputs.has(Output::DepthZ) {
-        depth_line(plan, line, inverse, range_min, range_max, &mut block.depth_z[at..at + samples]);
-    }
-    ranges_of_line(plan, line, inverse);
-    let ranges = &*inverse;
-    if outputs.has(Output::Range) {
-        for (out, &range) in block.range[at..at + samples].iter_mut().zip(ranges) {
-            *out = metres(range, range, range_min, range_max);
+    const OCTETS: usize = TOGETHER / EIGHT;
+    let octets = samples.div_ceil(EIGHT);
+    let mut pixels = Pixels::unit();
+    for (row, line) in lines.enumerate() {
+        let line_of_buffer = row * octets..(row + 1) * octets;
+        let inverse = buffer.inverse[line_of_buffer.clone()].chunks(OCTETS);
+        let winner = buffer.winner[line_of_buffer].chunks(OCTETS);
+        for (c, (inverse, winner)) in inverse.zip(winner).enumerate() {
+            for (o, (inverse, winner)) in inverse.iter().zip(winner).enumerate() {
+                for i in 0..EIGHT {
+                    pixels.inverse[o * EIGHT + i] = inverse.0[i];
+                    pixels.winner[o * EIGHT + i] = winner.0[i] as u32;
+                }
+            }
+            let part = c * TOGETHER..samples.min((c + 1) * TOGETHER);
+            rays(&mut pixels, line, part.clone());
+            painter.paint(&pixels, row, part);
         }
     }
-    if !(outputs.has(Output::CosIncidence) || outputs.has(Output::PolygonId) || outputs.has(Output::ObjectId)) {
-        return;
+}
+
+/// Some pixels of a row before they are images.
+struct Pixels {
+    inverse: [f64; TOGETHER],
+    winner: [u32; TOGETHER],
+    /// Rays of the z-buffer: 1 / length (NaN where there is no ray) and z, in the image frame.
+    per_length: [f64; TOGETHER],
+    z: [f64; TOGETHER],
+}
+
+impl Pixels {
+    /// Rays of length one whose z nobody asks for.
+    const fn unit() -> Self {
+        Self { inverse: [0.0; TOGETHER], winner: [0; TOGETHER], per_length: [1.0; TOGETHER], z: [1.0; TOGETHER] }
     }
-    let mut start = 0;
-    while start < samples {
-        let number = winners[start];
-        let length = winners[start..].iter().position(|&w| w != number).unwrap_or(samples - start);
-        let run = at + start..at + start + length;
-        let ranges = &ranges[start..start + length];
-        let seen = if number == NOTHING {
-            Shade { distance: f64::NAN, slot: 0, polygon_id: 0, object_id: 0 }
-        } else {
-            *shade(batches, number)
+
+    /// The rays of a pinhole camera, whose z is 1.
+    #[inline(always)]
+    fn pinhole(&mut self, grid: &LineGrid, row: usize, samples: Range<usize>) {
+        let image_from_line = grid.image_from_line();
+        let x_per_t = image_from_line.z_axis.x;
+        let y = image_from_line.x_axis.y * grid.lines()[row][0];
+        let y_squared = y * y;
+        for (per_length, t) in self.per_length.iter_mut().zip(&grid.positions()[samples]) {
+            let x = t * x_per_t;
+            *per_length = 1.0 / (x * x + y_squared + 1.0).sqrt();
+        }
+    }
+}
+
+/// Makes images of pixels.
+struct Painter<'t, 'a> {
+    /// By winner.
+    shades: &'t [Shade],
+    range_min: f64,
+    range_max: f64,
+    target: &'t mut Target<'a>,
+}
+
+impl Painter<'_, '_> {
+    /// Pixels into a part of a row. Loops over slices, for the compiler makes vectors of those.
+    #[inline(always)]
+    fn paint(&mut self, pixels: &Pixels, row: usize, part: Range<usize>) {
+        let n = part.len();
+        let mut distance = [0.0; TOGETHER];
+        let (mut polygon_id, mut object_id) = ([0; TOGETHER], [0; TOGETHER]);
+        for (i, &winner) in pixels.winner[..n].iter().enumerate() {
+            let seen = &self.shades[winner as usize];
+            (distance[i], polygon_id[i], object_id[i]) = (seen.distance, seen.polygon_id, seen.object_id);
+        }
+        let mut inverse = [0.0; TOGETHER];
+        for ((inverse, k), per_length) in inverse[..n].iter_mut().zip(&pixels.inverse).zip(&pixels.per_length) {
+            *inverse = k * per_length;
+        }
+        let (range_min, range_max) = (self.range_min, self.range_max);
+        let Target { range: ranges, depth_z, cos_incidence, polygon_id: polygon_ids, object_id: object_ids } =
+            self.target;
+        let mut unasked = [0.0; TOGETHER];
+        let range = match ranges.get_mut(row) {
+            Some(row) => &mut row[part.clone()],
+            None => &mut unasked[..n],
         };
-        if outputs.has(Output::CosIncidence) {
-            for (out, &range) in block.cos_incidence[run.clone()].iter_mut().zip(ranges) {
-                let cos = (seen.distance / range) as f32;
-                *out = if range <= range_max { if cos > 1.0 { 1.0 } else { cos } } else { f32::NAN };
+        for (out, inverse) in range.iter_mut().zip(&inverse) {
+            let exact = 1.0 / inverse;
+            *out = metres(exact, exact, range_min, range_max);
+        }
+        let range = &*range;
+        if let Some(out) = depth_z.get_mut(row) {
+            for (i, out) in out[part.clone()].iter_mut().enumerate() {
+                *out = metres(pixels.z[i] / pixels.inverse[i], 1.0 / inverse[i], range_min, range_max);
             }
         }
-        if outputs.has(Output::PolygonId) {
-            for (out, &range) in block.polygon_id[run.clone()].iter_mut().zip(ranges) {
-                *out = if range <= range_max { seen.polygon_id } else { 0 };
+        // Ids and angle are kept below range_min; nothing is seen at infinity or without a ray.
+        if let Some(out) = cos_incidence.get_mut(row) {
+            for (((out, distance), inverse), range) in
+                out[part.clone()].iter_mut().zip(&distance).zip(&inverse).zip(range)
+            {
+                let cos = (distance * inverse) as f32;
+                let cos = if cos > 1.0 { 1.0 } else { cos };
+                *out = if *range < f32::INFINITY { cos } else { f32::NAN };
             }
         }
-        if outputs.has(Output::ObjectId) {
-            for (out, &range) in block.object_id[run].iter_mut().zip(ranges) {
-                *out = if range <= range_max { seen.object_id } else { 0 };
+        if let Some(out) = polygon_ids.get_mut(row) {
+            for ((out, id), range) in out[part.clone()].iter_mut().zip(&polygon_id).zip(range) {
+                *out = if *range < f32::INFINITY { *id } else { 0 };
             }
         }
-        start += length;
+        if let Some(out) = object_ids.get_mut(row) {
+            for ((out, id), range) in out[part].iter_mut().zip(&object_id).zip(range) {
+                *out = if *range < f32::INFINITY { *id } else { 0 };
+            }
+        }
     }
 }
 
@@ -183,59 +238,4 @@ fn metres(value: f64, range: f64, range_min: f64, range_max: f64) -> f32 {
     let shown = if range < range_min { f32::NEG_INFINITY } else { value as f32 };
     let shown = if range > range_max { f32::INFINITY } else { shown };
     if range.is_nan() { f32::NAN } else { shown }
-}
-
-/// Turns inverse depths into ranges: 1 / 0 makes a miss infinite.
-#[inline(always)]
-fn ranges_of_line(plan: &FramePlan, line: usize, inverse: &mut [f64]) {
-    match plan.sensor.grid() {
-        PixelGrid::Lines(grid) if grid.axis() == LineAxis::Columns => {
-            for k in inverse {
-                *k = 1.0 / *k;
-            }
-        }
-        PixelGrid::Lines(grid) => {
-            let (x_per_t, y_squared) = pinhole_row(grid, line);
-            for (k, &t) in inverse.iter_mut().zip(grid.positions()) {
-                let x = t * x_per_t;
-                *k = (x * x + y_squared + 1.0).sqrt() / *k;
-            }
-        }
-        PixelGrid::Rays(grid) => {
-            let width = grid.width() as usize;
-            for (k, ray) in inverse.iter_mut().zip(&grid.directions()[line * width..]) {
-                *k = if ray.x.is_nan() { f64::NAN } else { 1.0 / *k };
-            }
-        }
-    }
-}
-
-/// Planar depths of a camera's row from its inverse depths.
-#[inline(always)]
-fn depth_line(plan: &FramePlan, line: usize, inverse: &[f64], range_min: f64, range_max: f64, out: &mut [f32]) {
-    match plan.sensor.grid() {
-        PixelGrid::Lines(grid) => {
-            let (x_per_t, y_squared) = pinhole_row(grid, line);
-            for ((out, &k), &t) in out.iter_mut().zip(inverse).zip(grid.positions()) {
-                let x = t * x_per_t;
-                let depth = 1.0 / k;
-                *out = metres(depth, (x * x + y_squared + 1.0).sqrt() * depth, range_min, range_max);
-            }
-        }
-        PixelGrid::Rays(grid) => {
-            let width = grid.width() as usize;
-            for ((out, &k), ray) in out.iter_mut().zip(inverse).zip(&grid.directions()[line * width..]) {
-                let range = if ray.x.is_nan() { f64::NAN } else { 1.0 / k };
-                *out = metres(range * ray.z, range, range_min, range_max);
-            }
-        }
-    }
-}
-
-/// x per position and y^2 of a pinhole row, normalized image coordinates.
-#[inline(always)]
-fn pinhole_row(grid: &LineGrid, line: usize) -> (f64, f64) {
-    let image_from_line = grid.image_from_line();
-    let y = image_from_line.x_axis.y * grid.lines()[line][0];
-    (image_from_line.z_axis.x, y * y)
 }

@@ -8,6 +8,8 @@ use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::sensor::PixelGrid;
 use glam::{DMat3, DVec3};
+use pulp::Simd;
+use std::ops::Range;
 
 /// One instance in the frame of the rays.
 pub(super) struct Placed<'a> {
@@ -16,6 +18,8 @@ pub(super) struct Placed<'a> {
     /// Turns a mesh normal over its plane distance into m.
     m_from_normal: DMat3,
     normal_from_mesh: DMat3,
+    /// What [`Placed::length_per_distance`] is for every normal, if it is.
+    uniform: Option<f64>,
     pub center: DVec3,
     mirrored: bool,
     mesh_mirrored: bool,
@@ -37,6 +41,7 @@ impl<'a> Placed<'a> {
             ray_from_mesh,
             m_from_normal: image_from_ray.transpose() * instance.normal_from_mesh,
             normal_from_mesh: instance.normal_from_mesh,
+            uniform: uniform_scale(&instance.normal_from_mesh).map(f64::recip),
             center: instance.center_in_mesh,
             mirrored: ray_from_mesh.determinant() < 0.0,
             mesh_mirrored: instance.image_from_mesh.determinant() < 0.0,
@@ -45,16 +50,33 @@ impl<'a> Placed<'a> {
             first_slot: object.first_slot,
         }
     }
+
+    /// True metres per metre of a plane's distance in the mesh frame.
+    #[inline(always)]
+    fn length_per_distance(&self, normal: DVec3) -> f64 {
+        match self.uniform {
+            Some(factor) => factor,
+            None => (self.normal_from_mesh * normal).length().recip(),
+        }
+    }
+}
+
+/// The length of every turned unit vector, if it is the same for all to rounding: most instances are at most scaled.
+fn uniform_scale(m: &DMat3) -> Option<f64> {
+    let squares = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length_squared());
+    let skew = [m.x_axis.dot(m.y_axis), m.y_axis.dot(m.z_axis), m.z_axis.dot(m.x_axis)];
+    let rounding = 1e-13 * squares[0];
+    let alike = (squares[0] - squares[1]).abs() <= rounding && (squares[0] - squares[2]).abs() <= rounding;
+    (alike && skew.iter().all(|s| s.abs() <= rounding)).then(|| squares[0].sqrt())
 }
 
 /// Sets up the polygons of some runs.
 #[inline(always)]
-pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
+pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
     let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
-    let mut outline =
-        Outline { corners: [DVec3::ZERO; limits::MAX_CORNERS], planes: [DVec3::ZERO; limits::MAX_CORNERS] };
+    let mut outline = Outline::new();
     let mut placed: Option<(u32, Placed<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
@@ -63,10 +85,11 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
         let end = run.first + run.count;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
-            let footprints = cover_lanes(&bounds, at, records, &mut corners);
+            let footprints = cover_lanes(simd, &bounds, at, records, &mut corners);
             for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
                 if !footprint.lines[0].is_empty() {
-                    set_up(batch, plan, at, first + i as u32, footprint.lines, &mut outline);
+                    let corners = |k: usize| DVec3::from(corners[k].map(|lanes| lanes[i]));
+                    set_up(batch, plan, at, first + i as u32, footprint.lines, corners, &mut outline);
                 }
             }
         }
@@ -74,10 +97,20 @@ pub(super) fn fill(batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Ba
     batch.bin(bands);
 }
 
-/// Room for one polygon's corners and edge planes, kept from polygon to polygon: clearing it costs more than filling it.
+/// Room for one polygon's corners, edge planes and bounds, kept from polygon to polygon: clearing it costs more than
+/// filling it.
 struct Outline {
     corners: [DVec3; limits::MAX_CORNERS],
     planes: [DVec3; limits::MAX_CORNERS],
+    lower: [[f64; 2]; limits::MAX_CORNERS],
+    upper: [[f64; 2]; limits::MAX_CORNERS],
+}
+
+impl Outline {
+    fn new() -> Self {
+        let (points, bounds) = ([DVec3::ZERO; limits::MAX_CORNERS], [[0.0; 2]; limits::MAX_CORNERS]);
+        Self { corners: points, planes: points, lower: bounds, upper: bounds }
+    }
 }
 
 /// Corners of [`LANES`] polygons, x, y and z apart.
@@ -85,7 +118,8 @@ type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
 
 /// The footprints of up to [`LANES`] polygons; lanes without one repeat the last.
 #[inline(always)]
-fn cover_lanes(
+fn cover_lanes<S: Simd>(
+    simd: S,
     bounds: &Bounds<'_>,
     at: &Placed<'_>,
     records: &[PolygonRecord],
@@ -110,11 +144,19 @@ fn cover_lanes(
             corner[2][l] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
         }
     }
-    bounds.cover(&corners[..count])
+    bounds.cover(simd, &corners[..count])
 }
 
 #[inline(always)]
-fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, cover: Cover, outline: &mut Outline) {
+fn set_up(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    at: &Placed<'_>,
+    polygon: u32,
+    cover: Cover,
+    corner_in_ray_frame: impl Fn(usize) -> DVec3,
+    outline: &mut Outline,
+) {
     let record = &at.mesh.polygons()[polygon as usize];
     let facing = if at.plain { None } else { Some(plan.facings[usize::from(record.material)]) };
     if facing.is_some_and(|f| !f.opaque) {
@@ -134,7 +176,8 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
         nearest = if p.length_squared() < nearest.length_squared() { p } else { nearest };
     }
     let d = plane.normal.dot(nearest);
-    let rounding = 16.0 * f64::EPSILON * nearest.length() + if indices.len() > 3 { most - least } else { 0.0 };
+    let reach = nearest.abs().element_sum();
+    let rounding = 16.0 * f64::EPSILON * reach + if indices.len() > 3 { most - least } else { 0.0 };
     if d.abs() <= rounding {
         batch.edge_on += 1;
         return;
@@ -142,25 +185,26 @@ fn set_up(batch: &mut Batch, plan: &FramePlan, at: &Placed<'_>, polygon: u32, co
     if facing.is_some_and(|f| f.one_sided) && (d > 0.0) != at.mesh_mirrored {
         return;
     }
-    for (corner, &i) in outline.corners.iter_mut().zip(indices) {
-        *corner = at.ray_from_mesh * (vertices[i as usize].as_dvec3() - at.center);
+    for (k, corner) in outline.corners[..indices.len()].iter_mut().enumerate() {
+        *corner = corner_in_ray_frame(k);
     }
     let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
-    let first_edge = batch.edges.len() as u32;
-    let (lower, upper, steep) = match plan.sensor.grid() {
-        PixelGrid::Lines(_) => line_edges(batch, indices, outline, outward),
-        PixelGrid::Rays(_) => plane_edges(batch, indices, &outline.corners[..indices.len()], outward),
+    let (first_edge, [lower, upper, steep]) = match plan.sensor.grid() {
+        PixelGrid::Lines(_) => (batch.bounds.len() as u32, line_edges(batch, indices, outline, outward)),
+        PixelGrid::Rays(_) => (batch.edges.len() as u32, plane_edges(batch, indices, outline, outward)),
     };
     let shade = Shade {
-        distance: d.abs() / (at.normal_from_mesh * plane.normal).length(),
-        slot: at.first_slot + polygon,
+        distance: d.abs() * at.length_per_distance(plane.normal),
         polygon_id: plan.polygon_id(at.object, polygon),
         object_id: at.object + 1,
     };
     let m = at.m_from_normal * plane.normal / d;
+    let slot = at.first_slot + polygon;
     for lines in cover.into_iter().filter(|lines| !lines.is_empty()) {
-        batch.polygons.push(SetUp { m, first_line: lines.start, end_line: lines.end, first_edge, lower, upper, steep });
+        let Range { start: first_line, end: end_line } = lines;
+        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep });
         batch.shades.push(shade);
+        batch.slots.push(slot);
     }
 }
 
@@ -181,27 +225,35 @@ fn edge_plane(indices: &[u32], corners: &[DVec3], k: usize, outward: f64) -> DVe
 
 /// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
 #[inline(always)]
-fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> (u8, u8, u8) {
+fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> [u8; 3] {
     let n = indices.len();
-    let Outline { corners, planes } = outline;
+    let (corners, planes) = (&outline.corners, &mut outline.planes);
     for (k, plane) in planes[..n].iter_mut().enumerate() {
         *plane = edge_plane(indices, &corners[..n], k, outward);
     }
+    // Without a branch on the sign, which no processor can foresee: each bound is written to both lists, and counted in one.
+    let (mut lower, mut upper, mut steep) = (0, 0, 0);
     let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
-    let bound = |e: DVec3| DVec3::new(-e.x / e.z, -e.y / e.z, 0.0);
-    let before = batch.edges.len();
-    batch.edges.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z > 0.0).map(|e| bound(*e)));
-    let lower = batch.edges.len() - before;
-    batch.edges.extend(planes[..n].iter().filter(|e| !is_steep(**e) && e.z < 0.0).map(|e| bound(*e)));
-    let upper = batch.edges.len() - before - lower;
-    batch.edges.extend(planes[..n].iter().filter(|e| is_steep(**e)));
-    (lower as u8, upper as u8, (n - lower - upper) as u8)
+    for e in &planes[..n] {
+        let bound = [-e.x / e.z, -e.y / e.z];
+        (outline.lower[lower], outline.upper[upper]) = (bound, bound);
+        let flat = is_steep(*e);
+        lower += usize::from(!flat & (e.z > 0.0));
+        upper += usize::from(!flat & (e.z < 0.0));
+        steep += usize::from(flat);
+    }
+    batch.bounds.extend_from_slice(&outline.lower[..lower]);
+    batch.bounds.extend_from_slice(&outline.upper[..upper]);
+    if steep > 0 {
+        batch.bounds.extend(planes[..n].iter().filter(|e| is_steep(**e)).map(|e| [e.x, e.y]));
+    }
+    [lower as u8, upper as u8, steep as u8]
 }
 
 /// Appends the edge planes as they are.
 #[inline(always)]
-fn plane_edges(batch: &mut Batch, indices: &[u32], corners: &[DVec3], outward: f64) -> (u8, u8, u8) {
-    let n = corners.len();
-    batch.edges.extend((0..n).map(|k| edge_plane(indices, corners, k, outward)));
-    (0, 0, n as u8)
+fn plane_edges(batch: &mut Batch, indices: &[u32], outline: &Outline, outward: f64) -> [u8; 3] {
+    let n = indices.len();
+    batch.edges.extend((0..n).map(|k| edge_plane(indices, &outline.corners[..n], k, outward)));
+    [0, 0, n as u8]
 }

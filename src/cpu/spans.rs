@@ -1,164 +1,216 @@
 //! Spans: one interval of samples per polygon and line, then inverse depth along it (paper section 3.2, Fig. 6).
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp, shade, winner};
-use crate::sensor::LineGrid;
-use glam::DVec3;
+use super::batch::{Batch, NOTHING, SetUp};
+use crate::sensor::{LineAxis, LineGrid, Octet};
+use pulp::Simd;
 
-/// The z-buffer of a band, line by line.
+/// Samples taken together, and the unit in which the lines of a z-buffer are kept.
+pub(super) const EIGHT: usize = Octet::LEN;
+
+/// Inverse depths of eight samples of a line.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub(super) struct Depths(pub [f64; EIGHT]);
+
+/// Winners of eight samples of a line, as wide as the depths so that one mask serves both.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub(super) struct Numbers(pub [u64; EIGHT]);
+
+/// The z-buffer of a band in octets of a line. Octets that go to the same place in an image are neighbours: those of a
+/// line where lines are rows, else those with the same samples on neighbouring lines.
 #[derive(Default)]
 pub(super) struct Buffer {
-    /// 1 / depth in the frame of the rays; 0 is nothing.
-    pub inverse: Vec<f64>,
-    /// See [`winner`].
-    pub winner: Vec<u32>,
+    /// 1 / depth in the frame of the rays; 0 is nothing, and infinite past the end of a line, where nothing is drawn.
+    pub inverse: Vec<Depths>,
+    /// The polygon that is there, by its number in [`super::batch::Winners`].
+    pub winner: Vec<Numbers>,
+    /// From a line to the next one, and from an octet to the next one on its line.
+    pub per_line: usize,
+    pub per_octet: usize,
     /// Least inverse depth of every tile, see [`super::hidden`].
     pub farthest: Vec<f64>,
 }
 
 impl Buffer {
-    pub fn clear(&mut self, pixels: usize) {
+    /// Nothing drawn yet.
+    pub fn clear(&mut self, axis: LineAxis, lines: usize, samples: usize) {
+        let octets = samples.div_ceil(EIGHT);
+        (self.per_line, self.per_octet) = match axis {
+            LineAxis::Rows => (octets, 1),
+            // Odd, so that a line is spread over all sets of the cache.
+            LineAxis::Columns => (1, lines | 1),
+        };
+        let size = octets * lines.max(self.per_octet);
         self.inverse.clear();
-        self.inverse.resize(pixels, 0.0);
+        self.inverse.resize(size, Depths([0.0; EIGHT]));
         self.winner.clear();
-        self.winner.resize(pixels, NOTHING);
+        self.winner.resize(size, Numbers([NOTHING.into(); EIGHT]));
+        if !samples.is_multiple_of(EIGHT) {
+            for line in 0..lines {
+                let last = self.at(line, octets - 1);
+                self.inverse[last].0[samples % EIGHT..].fill(f64::INFINITY);
+            }
+        }
+    }
+
+    /// Where an octet of a line is.
+    #[inline(always)]
+    pub fn at(&self, line: usize, octet: usize) -> usize {
+        line * self.per_line + octet * self.per_octet
     }
 }
 
 /// Lines whose intervals are found together.
 const TOGETHER: usize = 8;
 
-/// Draws the polygons of a band that the batches from `first_batch` on hold.
+/// Draws the polygons of some batches into a band.
 #[inline(always)]
-pub(super) fn rasterize(
+pub(super) fn rasterize<S: Simd>(
+    simd: S,
     buffer: &mut Buffer,
     grid: &LineGrid,
     batches: &[Batch],
-    first_batch: usize,
+    slots: &[u32],
     bands: &Bands,
     band: usize,
 ) {
     let lines = bands.lines(band);
-    for (b, batch) in batches.iter().enumerate().skip(first_batch) {
+    for batch in batches {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
-            let edges = &batch.edges[polygon.first_edge as usize..];
-            let number = winner(b, i);
+            let edges = &batch.bounds[polygon.first_edge as usize..];
+            let number = batch.first_number + i;
             let start = lines.start.max(polygon.first_line as usize);
             let end = lines.end.min(polygon.end_line as usize);
             for first in (start..end).step_by(TOGETHER) {
                 let count = TOGETHER.min(end - first);
-                let (c0, c1) = (&grid.c0()[first..first + count], &grid.c1()[first..first + count]);
-                let (least, greatest) = bounds_of_lines(polygon, edges, c0, c1);
-                for l in 0..count {
-                    if least[l] > greatest[l] {
-                        continue;
-                    }
-                    let (from, to) = (grid.samples_below(least[l]), grid.samples_up_to(greatest[l]));
-                    if from < to {
-                        let row = (first + l - lines.start) * bands.samples;
-                        let scale = polygon.m.x * c0[l] + polygon.m.y * c1[l];
-                        draw(buffer, grid, row, from..to, [scale, polygon.m.z], number, batches);
-                    }
+                let [c0, c1] = grid.eight_lines(first);
+                let bounds = bounds_of_lines(polygon, edges, c0, c1);
+                let mut scale = [0.0; TOGETHER];
+                for l in 0..TOGETHER {
+                    scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
+                }
+                let spans = Spans { number, count, bounds, scale, slope: polygon.m.z, first: first - lines.start };
+                if spans.draw(simd, buffer, grid) {
+                    spans.settle_ties(buffer, grid, slots);
                 }
             }
         }
     }
 }
 
-/// Where the polygon's cone begins and ends on up to [`TOGETHER`] lines, as positions t.
+/// Where the polygon's cone begins and ends on [`TOGETHER`] lines, as positions t.
 #[inline(always)]
-fn bounds_of_lines(polygon: &SetUp, edges: &[DVec3], c0: &[f64], c1: &[f64]) -> ([f64; TOGETHER], [f64; TOGETHER]) {
+fn bounds_of_lines(
+    polygon: &SetUp,
+    edges: &[[f64; 2]],
+    a: &[f64; TOGETHER],
+    b: &[f64; TOGETHER],
+) -> [[f64; TOGETHER]; 2] {
     let (lower, rest) = edges.split_at(usize::from(polygon.lower));
     let (upper, rest) = rest.split_at(usize::from(polygon.upper));
-    let mut a = [0.0; TOGETHER];
-    let mut b = [0.0; TOGETHER];
-    a[..c0.len()].copy_from_slice(c0);
-    b[..c1.len()].copy_from_slice(c1);
     let mut least = [f64::NEG_INFINITY; TOGETHER];
     let mut greatest = [f64::INFINITY; TOGETHER];
     for e in lower {
         for l in 0..TOGETHER {
-            let t = e.x * a[l] + e.y * b[l];
+            let t = e[0] * a[l] + e[1] * b[l];
             least[l] = if t > least[l] { t } else { least[l] };
         }
     }
     for e in upper {
         for l in 0..TOGETHER {
-            let t = e.x * a[l] + e.y * b[l];
+            let t = e[0] * a[l] + e[1] * b[l];
             greatest[l] = if t < greatest[l] { t } else { greatest[l] };
         }
     }
     for e in &rest[..usize::from(polygon.steep)] {
         for l in 0..TOGETHER {
-            greatest[l] = if e.x * a[l] + e.y * b[l] < 0.0 { f64::NEG_INFINITY } else { greatest[l] };
+            greatest[l] = if e[0] * a[l] + e[1] * b[l] < 0.0 { f64::NEG_INFINITY } else { greatest[l] };
         }
     }
-    (least, greatest)
+    [least, greatest]
 }
 
-/// Spans below this length are drawn one by one.
-const SHORT: usize = 8;
-
-#[inline(always)]
-fn draw(
-    buffer: &mut Buffer,
-    grid: &LineGrid,
-    row: usize,
-    span: std::ops::Range<usize>,
-    [scale, slope]: [f64; 2],
+/// A polygon on some lines.
+struct Spans {
     number: u32,
-    batches: &[Batch],
-) {
-    let pixels = row + span.start..row + span.end;
-    let inverse = &mut buffer.inverse[pixels.clone()];
-    let winners = &mut buffer.winner[pixels];
-    let w0 = &grid.w0()[span.clone()];
-    let w1 = &grid.w1()[span];
-    let n = inverse.len();
-    assert!(winners.len() == n && w0.len() == n && w1.len() == n);
-    let mut tie = false;
-    if n < SHORT {
-        for i in 0..n {
-            let k = scale * w0[i] + slope * w1[i];
-            if k > inverse[i] {
-                inverse[i] = k;
-                winners[i] = number;
-            } else {
-                tie |= k == inverse[i];
+    /// Lines.
+    count: usize,
+    /// Where it begins and ends on them.
+    bounds: [[f64; TOGETHER]; 2],
+    /// Its inverse depth is `scale w0 + slope w1`.
+    scale: [f64; TOGETHER],
+    slope: f64,
+    /// First line in the band.
+    first: usize,
+}
+
+impl Spans {
+    /// Draws into whole octets, whose samples outside the spans stay as they are. The answer is true if anywhere the
+    /// buffer held the same depth.
+    #[inline(always)]
+    fn draw<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid) -> bool {
+        let octets = grid.octets();
+        let [least, greatest] = &self.bounds;
+        let samples = grid.samples_around(simd, least, greatest);
+        let (number, slope) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(self.slope));
+        let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
+        let mut ties = none;
+        for l in 0..self.count {
+            let (from, to) = (samples[0][l] as usize, samples[1][l] as usize);
+            if from >= to {
+                continue;
+            }
+            let (from, to) = (from / EIGHT, to.div_ceil(EIGHT));
+            let line = (self.first + l) * buffer.per_line;
+            let (low, high) = (simd.splat_f64s(least[l]), simd.splat_f64s(greatest[l]));
+            let scale = simd.splat_f64s(self.scale[l]);
+            for (o, octet) in (from..to).zip(&octets[from..to]) {
+                let at = line + o * buffer.per_octet;
+                let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
+                let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
+                let (w0, w1) = (S::as_simd_f64s(&octet.w0).0, S::as_simd_f64s(&octet.w1).0);
+                let t = S::as_simd_f64s(&octet.t).0;
+                // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
+                for i in 0..EIGHT / S::F64_LANES {
+                    let k = simd.add_f64s(simd.mul_f64s(scale, w0[i]), simd.mul_f64s(slope, w1[i]));
+                    let inside = simd
+                        .and_m64s(simd.greater_than_or_equal_f64s(t[i], low), simd.less_than_or_equal_f64s(t[i], high));
+                    let k = simd.select_f64s(inside, k, nowhere);
+                    let before = inverse[i];
+                    let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
+                    ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                    inverse[i] = simd.max_f64s(k, before);
+                    winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
+                }
             }
         }
-    } else {
-        for i in 0..n {
-            let k = scale * w0[i] + slope * w1[i];
-            let before = inverse[i];
-            let nearer = k > before;
-            tie |= k == before;
-            inverse[i] = if nearer { k } else { before };
-            winners[i] = if nearer { number } else { winners[i] };
-        }
+        let mut any = [0; EIGHT];
+        S::as_mut_simd_u64s(&mut any).0[0] = ties;
+        any.iter().fold(0, |any, tie| any | tie) != 0
     }
-    if tie {
-        settle_ties(inverse, winners, w0, w1, [scale, slope], number, batches);
-    }
-}
 
-/// On bit-equal inverse depth the lower slot wins.
-#[cold]
-fn settle_ties(
-    inverse: &[f64],
-    winners: &mut [u32],
-    w0: &[f64],
-    w1: &[f64],
-    [scale, slope]: [f64; 2],
-    number: u32,
-    batches: &[Batch],
-) {
-    let slot = shade(batches, number).slot;
-    for i in 0..inverse.len() {
-        let k = scale * w0[i] + slope * w1[i];
-        if k == inverse[i] && winners[i] != NOTHING && slot < shade(batches, winners[i]).slot {
-            winners[i] = number;
+    /// On bit-equal inverse depth the lower slot wins.
+    #[cold]
+    #[inline(never)]
+    fn settle_ties(&self, buffer: &mut Buffer, grid: &LineGrid, slots: &[u32]) {
+        let octets = grid.octets();
+        let own = slots[self.number as usize];
+        for l in 0..self.count {
+            let span = self.bounds[0][l]..=self.bounds[1][l];
+            let from = grid.samples_below(*span.start());
+            for sample in from..grid.samples_up_to(*span.end()) {
+                let (octet, i) = (sample / EIGHT, sample % EIGHT);
+                let k = self.scale[l] * octets[octet].w0[i] + self.slope * octets[octet].w1[i];
+                let at = buffer.at(self.first + l, octet);
+                let winner = &mut buffer.winner[at].0[i];
+                let drawn = *winner != u64::from(NOTHING);
+                if drawn && k == buffer.inverse[at].0[i] && own < slots[*winner as usize] {
+                    *winner = self.number.into();
+                }
+            }
         }
     }
 }

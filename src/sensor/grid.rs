@@ -1,6 +1,7 @@
 //! Rays as the engines walk them: straight lines of samples where the geometry allows, a table with tiles otherwise.
 
 use glam::{DMat3, DVec3};
+use pulp::Simd;
 
 /// All rays of a sensor, in the image frame.
 #[derive(Clone, Debug)]
@@ -48,9 +49,30 @@ pub struct LineGrid {
     weights: Vec<[f64; 2]>,
     positions: Vec<f64>,
     finder: Finder,
-    /// The same numbers apart, for vector loops.
+    /// The same numbers apart, for vector loops; those of the lines are followed by eight zeros.
     c: [Vec<f64>; 2],
-    w: [Vec<f64>; 2],
+    octets: Vec<Octet>,
+}
+
+/// Eight samples of a line, for vector loops; past the last sample t is NaN and w0, w1 are 0.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub(crate) struct Octet {
+    pub w0: [f64; Octet::LEN],
+    pub w1: [f64; Octet::LEN],
+    pub t: [f64; Octet::LEN],
+}
+
+impl Octet {
+    pub const LEN: usize = 8;
+
+    fn of(weights: &[[f64; 2]], positions: &[f64]) -> Self {
+        let mut octet = Self { w0: [0.0; Self::LEN], w1: [0.0; Self::LEN], t: [f64::NAN; Self::LEN] };
+        for (i, (w, t)) in weights.iter().zip(positions).enumerate() {
+            (octet.w0[i], octet.w1[i], octet.t[i]) = (w[0], w[1], *t);
+        }
+        octet
+    }
 }
 
 impl LineGrid {
@@ -59,10 +81,12 @@ impl LineGrid {
         let positions: Vec<f64> = weights.iter().map(|[w0, w1]| w1 / w0).collect();
         debug_assert!(positions.windows(2).all(|p| p[0] < p[1]));
         let finder = Finder::new(&positions);
-        let apart = |pairs: &[[f64; 2]]| [0, 1].map(|i| pairs.iter().map(|p| p[i]).collect());
-        let (c, w) = (apart(&lines), apart(&weights));
+        let padding = [0.0; Octet::LEN];
+        let c = [0, 1].map(|i| lines.iter().map(|c| c[i]).chain(padding).collect());
+        let octets =
+            weights.chunks(Octet::LEN).zip(positions.chunks(Octet::LEN)).map(|(w, t)| Octet::of(w, t)).collect();
         let image_from_line = line_from_image.inverse();
-        Self { axis, line_from_image, image_from_line, lines, weights, positions, finder, c, w }
+        Self { axis, line_from_image, image_from_line, lines, weights, positions, finder, c, octets }
     }
 
     /// Number of samples at positions below `t`: the first one at or above it.
@@ -102,24 +126,35 @@ impl LineGrid {
         &self.weights
     }
 
-    /// c0 of every line.
-    pub(crate) fn c0(&self) -> &[f64] {
-        &self.c[0]
+    /// c0 and c1 of eight lines; past the last one they are 0.
+    #[inline(always)]
+    pub(crate) fn eight_lines(&self, first: usize) -> [&[f64; Octet::LEN]; 2] {
+        self.c.each_ref().map(|c| c[first..].first_chunk().expect("padded by eight"))
     }
 
-    /// c1 of every line.
-    pub(crate) fn c1(&self) -> &[f64] {
-        &self.c[1]
+    /// The samples in eights.
+    pub(crate) fn octets(&self) -> &[Octet] {
+        &self.octets
     }
 
-    /// w0 of every sample.
-    pub(crate) fn w0(&self) -> &[f64] {
-        &self.w[0]
-    }
-
-    /// w1 of every sample.
-    pub(crate) fn w1(&self) -> &[f64] {
-        &self.w[1]
+    /// For each of some intervals of t, the first and the end of samples that hold all of its own and at most one more
+    /// at either side; an interval without samples may get an end at or before its first.
+    #[inline(always)]
+    pub(crate) fn samples_around<S: Simd>(
+        &self,
+        simd: S,
+        least: &[f64; Octet::LEN],
+        greatest: &[f64; Octet::LEN],
+    ) -> [[u32; Octet::LEN]; 2] {
+        let (from, to) = (self.finder.entries(simd, least), self.finder.entries(simd, greatest));
+        let end = self.finder.surely_below.len();
+        let (below, up_to) = (&self.finder.surely_below[..end], &self.finder.up_to[..end]);
+        let mut samples = [[0; Octet::LEN]; 2];
+        for l in 0..Octet::LEN {
+            samples[0][l] = below[from[l] as u32 as usize];
+            samples[1][l] = up_to[to[l] as u32 as usize];
+        }
+        samples
     }
 
     /// t = w1 / w0 of every sample, rising; infinite at a pole.
@@ -156,6 +191,10 @@ struct Finder {
     cells_per_unit: f64,
     /// By cell: number of positions below its lower end.
     below: Vec<u32>,
+    /// By entry, which are the ends of the cells and one before them: number of positions surely below any t nearest to
+    /// it, and of those that may be up to it.
+    surely_below: Vec<u32>,
+    up_to: Vec<u32>,
 }
 
 impl Finder {
@@ -165,14 +204,43 @@ impl Finder {
         let end = finite.next_back().unwrap_or(start);
         let cells = 4 * positions.len();
         let cells_per_unit = if end > start { cells as f64 / (end - start) } else { 0.0 };
-        let below = (0..=cells)
+        let below: Vec<u32> = (0..=cells)
             .map(|cell| {
                 // A little low, so that rounding in `find` cannot start too high.
                 let t = if cells_per_unit > 0.0 { start + (cell as f64 - 1e-3) / cells_per_unit } else { start };
                 positions.partition_point(|&p| p < t) as u32
             })
             .collect();
-        Self { start, cells_per_unit, below }
+        let n = positions.len() as u32;
+        // A t belongs to the nearest entry; widened a little for rounding in `entries`.
+        let at = |entry: f64| start + (entry - 1.0) / cells_per_unit;
+        let entries = 0..cells + 2;
+        let surely_below = entries.clone().map(|i| match i {
+            1.. if cells_per_unit > 0.0 => positions.partition_point(|&p| p < at(i as f64 - 0.501)) as u32,
+            _ => 0,
+        });
+        let up_to = entries.map(|i| {
+            let inner = cells_per_unit > 0.0 && i <= cells;
+            if inner { positions.partition_point(|&p| p <= at(i as f64 + 0.501)) as u32 } else { n }
+        });
+        let (surely_below, up_to) = (surely_below.collect(), up_to.collect());
+        Self { start, cells_per_unit, below, surely_below, up_to }
+    }
+
+    /// Indices into `surely_below` and `up_to` for some t, in the low 32 bits: adding 2^52 leaves no bits for a fraction.
+    #[inline(always)]
+    fn entries<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u64; Octet::LEN] {
+        let (start, scale) = (simd.splat_f64s(self.start), simd.splat_f64s(self.cells_per_unit));
+        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        let last = simd.splat_f64s((self.surely_below.len() - 1) as f64);
+        let integer = simd.splat_f64s(4_503_599_627_370_496.0);
+        let mut entries = [0; Octet::LEN];
+        for (to, &t) in S::as_mut_simd_u64s(&mut entries).0.iter_mut().zip(S::as_simd_f64s(t).0) {
+            let entry = simd.add_f64s(simd.mul_f64s(simd.sub_f64s(t, start), scale), one);
+            let entry = simd.min_f64s(simd.max_f64s(entry, zero), last);
+            *to = simd.transmute_u64s_f64s(simd.add_f64s(entry, integer));
+        }
+        entries
     }
 
     #[inline(always)]
@@ -270,6 +338,16 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    struct Entries<'a>(&'a Finder, f64);
+
+    impl pulp::WithSimd for Entries<'_> {
+        type Output = [u64; Octet::LEN];
+
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            self.0.entries(simd, &[self.1; Octet::LEN])
+        }
+    }
+
     proptest! {
         #[test]
         fn finder_agrees_with_a_search(
@@ -288,6 +366,9 @@ mod tests {
             for t in [t, positions[pick % positions.len()], f64::INFINITY, f64::NEG_INFINITY] {
                 prop_assert_eq!(finder.find(&positions, t, |p, t| p < t), positions.partition_point(|&p| p < t));
                 prop_assert_eq!(finder.find(&positions, t, |p, t| p <= t), positions.partition_point(|&p| p <= t));
+                let [entry, ..] = pulp::Arch::new().dispatch(Entries(&finder, t)).map(|e| e as u32 as usize);
+                prop_assert!(finder.surely_below[entry] as usize <= positions.partition_point(|&p| p < t));
+                prop_assert!(finder.up_to[entry] as usize >= positions.partition_point(|&p| p <= t));
             }
         }
     }

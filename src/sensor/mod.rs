@@ -11,6 +11,7 @@ mod undistort;
 
 pub use camera::Camera;
 pub use distortion::Distortion;
+pub(crate) use grid::Octet;
 #[cfg(feature = "gpu")]
 pub(crate) use grid::TILE_SIDE;
 pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
