@@ -43,6 +43,7 @@ pub mod compare;
 pub mod cpu;
 pub mod environment;
 mod error;
+pub mod features;
 pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]

@@ -1,8 +1,10 @@
 //! The environment: objects, meshes and materials; the thing that is stored and kept true (paper section 2.1).
 
+mod feature;
 mod material;
 mod mesh;
 
+pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};

@@ -1,0 +1,142 @@
+//! Features: what a sensor can extract from its image, where it is, and how sure that is (paper section 2.3).
+
+use glam::{DMat3, DVec3};
+
+/// The features for one sensor class.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FeatureLayer {
+    /// The sensor class they are for.
+    pub class: String,
+    /// How far a feature may be off the polygons it lies on, metres.
+    pub tolerance: f64,
+    /// Rising ids.
+    pub features: Vec<Feature>,
+    /// Covariances of objects' poses, shared by all features of the object, by object path: x y z, then rotation about
+    /// the fixed axes x y z, metres and radians, in the object's frame.
+    pub pose_covariances: Vec<(String, [[f64; 6]; 6])>,
+}
+
+/// How far a feature may be off its polygons where the layer does not say, metres.
+pub const DEFAULT_TOLERANCE: f64 = 1e-3;
+
+/// Something that a sensor can extract from its image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Feature {
+    /// Stable, never used again; 0 is nothing.
+    pub id: u32,
+    /// For people.
+    pub name: Option<String>,
+    /// Path of the object in whose frame it is given, and with which it moves; `None` is the world.
+    pub object: Option<String>,
+    /// Where it is and how sure that is.
+    pub shape: FeatureShape,
+    /// That it is there at all.
+    pub existence: Existence,
+    /// What else is known.
+    pub properties: Properties,
+}
+
+/// Geometry with its covariance, in the frame of the feature's object, metres. Covariances are symmetric and positive
+/// semidefinite; singular ones are fine.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FeatureShape {
+    /// A point.
+    Point {
+        /// Position.
+        at: DVec3,
+        /// Of the position.
+        covariance: DMat3,
+    },
+    /// A straight edge.
+    Segment {
+        /// Both ends, apart.
+        ends: [DVec3; 2],
+        /// Of each end.
+        covariances: [DMat3; 2],
+        /// Cross-covariance of the first end with the second.
+        cross: DMat3,
+    },
+    /// A plane, convex patch.
+    Patch {
+        /// At least three corners, in winding order.
+        corners: Vec<DVec3>,
+        /// Of its position as a whole.
+        covariance: DMat3,
+    },
+    /// A retro-reflector.
+    Reflector {
+        /// Position.
+        at: DVec3,
+        /// Of the position.
+        covariance: DMat3,
+    },
+    /// A square fiducial marker.
+    Fiducial {
+        /// Clockwise from the top left, seen from the front.
+        corners: [DVec3; 4],
+        /// Of its position as a whole.
+        covariance: DMat3,
+        /// OpenCV's name of the dictionary.
+        family: String,
+        /// Number in the dictionary.
+        code: u32,
+    },
+}
+
+/// Temporal uncertainty: p(t) = p0 exp(-rate (t - t0)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Existence {
+    /// Probability at the last confirmation, 0..=1.
+    pub p0: f64,
+    /// Last confirmation, UTC seconds.
+    pub confirmed: f64,
+    /// Decay, 1 / s.
+    pub rate: f64,
+}
+
+impl Default for Existence {
+    fn default() -> Self {
+        Self { p0: 1.0, confirmed: 0.0, rate: 0.0 }
+    }
+}
+
+impl Existence {
+    /// The probability at a time (UTC seconds); before the confirmation that of the confirmation.
+    pub fn at(&self, time: f64) -> f64 {
+        self.p0 * (-self.rate * (time - self.confirmed).max(0.0)).exp()
+    }
+}
+
+/// Attributes of a feature.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Properties {
+    /// Strength or reflectivity, 0..=1.
+    pub strength: Option<f64>,
+    /// Contrast across an edge, 0..=1.
+    pub contrast: Option<f64>,
+    /// Unit normal of the surface, in the frame of the feature's object; landmarks are seen from its side only.
+    pub normal: Option<DVec3>,
+}
+
+impl FeatureShape {
+    /// The kind as files name it.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Point { .. } => "point",
+            Self::Segment { .. } => "segment",
+            Self::Patch { .. } => "patch",
+            Self::Reflector { .. } => "reflector",
+            Self::Fiducial { .. } => "fiducial",
+        }
+    }
+
+    /// The points that define it.
+    pub fn points(&self) -> &[DVec3] {
+        match self {
+            Self::Point { at, .. } | Self::Reflector { at, .. } => std::slice::from_ref(at),
+            Self::Segment { ends, .. } => ends,
+            Self::Patch { corners, .. } => corners,
+            Self::Fiducial { corners, .. } => corners,
+        }
+    }
+}
