@@ -15,9 +15,7 @@ use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
     FeatureOptions, FeaturePrediction, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility, predict_features,
 };
-use presight::{
-    Angles, Camera, Distortion, Environment, Geometry, Images, Pose, Scanner, Sensor, SensorSpec, World,
-};
+use presight::{Angles, Camera, Distortion, Environment, Geometry, Images, Pose, Scanner, Sensor, SensorSpec, World};
 
 /// Hits nearer than this part of the range hide.
 const SHORT: f64 = 1e-9;

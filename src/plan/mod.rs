@@ -180,6 +180,8 @@ impl FramePlan {
     }
 
     fn fill(&mut self) {
+        // Made of features afterwards.
+        self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
             // Only a planar image has a planar depth.
             self.request.outputs = self.request.outputs.without(Output::DepthZ);
