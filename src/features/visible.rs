@@ -4,8 +4,9 @@
 //! propose what may hide it: the polygons seen by the nine pixels around the sample. Each that the feature does not lie on
 //! is tested against the own ray, exactly in f64 (all e_k . u >= 0), and hides the sample if it is nearer by more than the
 //! derived rounding bound: n . u / d > 1 / |p| + bound. The sample is seen if its own polygon covers the ray, or another
-//! one of the nine does and is not nearer. Where none covers it (fine tessellation, occluders under a pixel, holes) the
-//! sample is in doubt, and a ray through the index decides.
+//! one of the nine does and is not nearer. Where none covers it (fine tessellation, occluders under a pixel, holes), or one
+//! is beside the ray whose plane passes before the sample (the next facet of what it belongs to may cover the ray), the
+//! sample is in doubt, and a ray through the index decides. So it does where pixels are larger than 3 degrees.
 //!
 //! Comparing the point's depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane
 //! says nothing about places that the polygon does not cover.
@@ -21,7 +22,7 @@ use crate::geometry::{Pose, plane_of_polygon};
 use crate::index::{Found, Region};
 use crate::plan::{Facing, IdScheme, Images, Instance, facings};
 use crate::reference::Face;
-use crate::sensor::Sensor;
+use crate::sensor::{Angles, Geometry, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
@@ -137,6 +138,8 @@ struct Frame<'a> {
     /// Slot by `source` id.
     of_source: HashMap<u32, u32>,
     sampler: Sampler<'a>,
+    /// Neighbouring pixels are asked first.
+    by_pixels: bool,
 }
 
 impl<'a> Frame<'a> {
@@ -179,6 +182,7 @@ impl<'a> Frame<'a> {
             facings: facings(environment, &sensor.spec().class).collect(),
             instances: (0..objects).map(|_| OnceLock::new()).collect(),
             of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
+            by_pixels: options.visibility == Visibility::Image && !is_coarse(sensor),
             sampler: Sampler::new(sensor),
         })
     }
@@ -226,6 +230,19 @@ impl<'a> Frame<'a> {
             Some(_) => image_from_object * *p + self.image_from_world * shift,
         };
         (points.iter().map(place).collect(), image_from_object, rounding)
+    }
+}
+
+/// Pixels so large that what their rays meet says little about what is between them.
+fn is_coarse(sensor: &Sensor) -> bool {
+    const COARSE_DEG: f64 = 3.0;
+    let step = |angles: &Angles| {
+        let n = angles.len();
+        if n < 2 { 0.0 } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
+    };
+    match &sensor.spec().geometry {
+        Geometry::Scanner(s) => step(&s.azimuth).max(step(&s.elevation)) > COARSE_DEG,
+        Geometry::Camera(_) | Geometry::Rays(_) => false,
     }
 }
 
@@ -451,12 +468,18 @@ impl<'a> Judge<'a> {
     }
 
     fn verdict(&mut self, ray: DVec3, range: f64, pixel: DVec2, own: &Own<'_>) -> Verdict {
-        if self.frame.options.visibility == Visibility::Image {
+        if self.frame.by_pixels {
             self.gather(pixel, own);
-            let (mut nearest, mut covered) = (None::<(f64, u32)>, false);
+            let (mut nearest, mut covered, mut beside) = (None::<(f64, u32)>, false, false);
             for (at, lies_on) in &self.near {
                 let known = &self.known[*at as usize];
-                if !known.covers || !known.face.holds(ray) {
+                if !known.covers {
+                    continue;
+                }
+                if !known.face.holds(ray) {
+                    // Its plane passes before the sample: it may be part of something that hides it.
+                    let inverse = known.face.inverse_range(ray);
+                    beside |= !lies_on && !(inverse > 0.0 && inverse * range <= 1.0);
                     continue;
                 }
                 match (*lies_on, nearer(known, ray, range, own)) {
@@ -473,7 +496,7 @@ impl<'a> Judge<'a> {
                 self.stats.hidden_by_neighbours += 1;
                 return Verdict::Hidden(slot);
             }
-            if covered {
+            if covered && !beside {
                 self.stats.visible_by_neighbours += 1;
                 return Verdict::Seen;
             }
