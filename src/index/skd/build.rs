@@ -149,7 +149,7 @@ fn leaves_of(count: usize, capacity: usize) -> usize {
     }
     let half = count / 2;
     // Both halves differ by at most one: the same depth but at a boundary.
-    if count % 2 == 0 {
+    if count.is_multiple_of(2) {
         2 * leaves_of(half, capacity)
     } else {
         leaves_of(half, capacity) + leaves_of(half + 1, capacity)
