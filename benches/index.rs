@@ -384,7 +384,14 @@ fn plot(names: &[&str], curves: &[Vec<(f64, f64)>]) -> String {
             .y_label_area_size(64)
             .build_cartesian_2d((1e3..1e7f64).log_scale(), 0.0..1.1 * highest)
             .expect("the area is large enough");
-        chart.configure_mesh().x_desc("polygons").y_desc("us").draw().expect("text can be drawn to");
+        chart
+            .configure_mesh()
+            .x_desc("polygons")
+            .x_label_formatter(&|n| format!("{n}"))
+            .y_desc("us")
+            .max_light_lines(0)
+            .draw()
+            .expect("text can be drawn to");
         let colors = [(230, 159, 0), (86, 180, 233), (0, 158, 115), (213, 94, 0), (0, 114, 178)];
         for ((name, curve), (r, g, b)) in names.iter().zip(curves).zip(colors) {
             let color = RGBColor(r, g, b);
