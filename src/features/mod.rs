@@ -1,5 +1,8 @@
 //! Features in a world: which polygons they lie on, how much of each a sensor sees, and where.
 
+mod normal;
+pub mod roi;
+
 use crate::environment::Feature;
 
 /// A feature with its place in a version of the world.
