@@ -117,13 +117,16 @@ pub fn run(args: &Args) -> Result<Verdict> {
 /// Foreign files may lack an image: what one of the two lacks is not compared, and that is said.
 fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
     let (a, b) = (reference.images.outputs(), other.images.outputs());
-    let common: Vec<Output> = a.iter().filter(|o| b.has(*o)).collect();
+    // Which feature a pixel shows is no engine's answer.
+    let common: Vec<Output> = a.iter().filter(|o| b.has(*o) && *o != Output::FeatureId).collect();
     if common.is_empty() {
         return Err(Error::invalid("has no image that the reference has", "predict both with the same --outputs"));
     }
-    for output in Output::ALL {
+    for output in Output::WITH_FEATURES {
         if a.has(output) != b.has(output) {
             print::message(&format!("note: {} is in one file only and not compared", output.name()));
+        } else if output == Output::FeatureId && a.has(output) {
+            print::message("note: feature_id is not compared");
         }
     }
     for images in [&mut reference.images, &mut other.images] {
@@ -136,13 +139,14 @@ fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
 }
 
 fn keep(images: &mut Images, outputs: Outputs) {
-    for output in Output::ALL.into_iter().filter(|o| !outputs.has(*o)) {
+    for output in Output::WITH_FEATURES.into_iter().filter(|o| !outputs.has(*o)) {
         match output {
             Output::Range => images.range.clear(),
             Output::DepthZ => images.depth_z.clear(),
             Output::PolygonId => images.polygon_id.clear(),
             Output::ObjectId => images.object_id.clear(),
             Output::CosIncidence => images.cos_incidence.clear(),
+            Output::FeatureId => images.feature_id.clear(),
         }
     }
 }

@@ -12,6 +12,7 @@ pub mod bound;
 mod candidates;
 mod pixel;
 
+pub(crate) use bound::FaceBound;
 pub use bound::Precision;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{Allowed, Shares, Values};

@@ -132,6 +132,8 @@ impl Frame {
                 Output::PolygonId => self.params.polygon_at = at,
                 Output::ObjectId => self.params.object_at = at,
                 Output::CosIncidence => self.params.cos_at = at,
+                // The plan leaves it out: no engine makes it.
+                Output::FeatureId => {}
             }
         }
         self.output_words = u64::from(pixels) * self.outputs.iter().count() as u64;

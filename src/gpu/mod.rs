@@ -230,6 +230,8 @@ impl Engine {
                 Output::PolygonId => bytemuck::cast_slice_mut(&mut images.polygon_id),
                 Output::ObjectId => bytemuck::cast_slice_mut(&mut images.object_id),
                 Output::CosIncidence => bytemuck::cast_slice_mut(&mut images.cos_incidence),
+                // The plan leaves it out: no engine makes it.
+                Output::FeatureId => continue,
             };
             to.copy_from_slice(from);
         }

@@ -1,7 +1,7 @@
 //! Query regions: plain geometry in the world, made from a sensor and its pose (paper section 2.2).
 
 use super::sector::Sector;
-use super::shapes::{self, Axes, Cuboid, Frustum, Lying, SLACK, Segment, Shape, Turned, Upright};
+use super::shapes::{self, Axes, Cuboid, Frustum, Lying, Ray, SLACK, Segment, Shape, Turned, Upright};
 use crate::geometry::{Aabb, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::FRAC_PI_2;
@@ -33,6 +33,7 @@ pub(super) enum Form {
     Segment(Segment),
     Frustum(Frustum),
     Cuboid(Cuboid),
+    Ray(Ray),
 }
 
 impl Region {
@@ -91,6 +92,22 @@ impl Region {
         Self { origin: bounds.center(), region_from_world: DMat3::IDENTITY, form }
     }
 
+    /// A straight line from `from` along a unit `direction` (world axes), of that length in metres: the boxes that a ray
+    /// meets.
+    ///
+    /// ```
+    /// use presight::{Aabb, index::Region};
+    /// use glam::DVec3;
+    /// let ray = Region::ray(DVec3::ZERO, DVec3::X, 10.0);
+    /// let at = |p: DVec3| Aabb::of([p - 0.1, p + 0.1]);
+    /// assert!(ray.meets(&at(DVec3::X * 10.05)));
+    /// assert!(!ray.meets(&at(DVec3::X * 10.2)) && !ray.meets(&at(DVec3::new(5.0, 0.2, 0.0))));
+    /// assert!(!ray.meets(&at(DVec3::X * -0.2)));
+    /// ```
+    pub fn ray(from: DVec3, direction: DVec3, length: f64) -> Self {
+        Self { origin: from, region_from_world: DMat3::IDENTITY, form: Form::Ray(Ray { direction, length }) }
+    }
+
     /// Everywhere.
     pub fn everything() -> Self {
         Self::frustum(DVec3::ZERO, &[], f64::INFINITY)
@@ -123,6 +140,7 @@ impl Region {
             Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box }),
             Form::Frustum(shape) => visitor.visit(&shape),
             Form::Cuboid(shape) => visitor.visit(&shape),
+            Form::Ray(shape) => visitor.visit(&shape),
         }
     }
 
@@ -153,6 +171,7 @@ fn visit_turned<V: Visit>(form: Form, region_from_box: DMat3, visitor: V) -> V::
         Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
         Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
         Form::Cuboid(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        Form::Ray(shape) => visitor.visit(&shape.turned(region_from_box)),
     }
 }
 
@@ -165,6 +184,7 @@ impl Region {
             Form::Segment(s) => around(DVec3::splat(s.azimuth.radius())),
             Form::Frustum(f) => around(DVec3::splat(f.radius)),
             Form::Cuboid(c) => around(c.0),
+            Form::Ray(r) => Aabb::of([self.origin, self.origin + r.length * r.direction]),
         }
     }
 }

@@ -49,6 +49,20 @@ pub(super) struct Frustum {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cuboid(pub DVec3);
 
+/// A piece of a straight line from the origin: parameters 0 to `length` along `direction`, of any length.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ray {
+    pub direction: DVec3,
+    pub length: f64,
+}
+
+impl Ray {
+    /// The parameter stays the same in any linear frame.
+    pub fn turned(&self, shape_from_box: DMat3) -> Self {
+        Self { direction: shape_from_box.inverse() * self.direction, length: self.length }
+    }
+}
+
 /// A shape whose axes are turned (or scaled) against those of the boxes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Turned<S> {
@@ -302,6 +316,45 @@ impl Shape for Cuboid {
 
     fn contains(&self, p: DVec3) -> bool {
         p.abs().cmple(self.0).all()
+    }
+}
+
+impl Shape for Ray {
+    /// Slabs, the box widened by what turning the direction can have rounded at the box's far corner.
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        let far = greater(greater(-b.min.x, b.max.x), greater(greater(-b.min.y, b.max.y), greater(-b.min.z, b.max.z)));
+        let slack = 64.0 * f64::EPSILON * far.abs();
+        let (mut from, mut to) = (0.0f64, self.length * (1.0 + 64.0 * f64::EPSILON));
+        for k in 0..3 {
+            let (low, high, d) = (b.min[k] - slack, b.max[k] + slack, self.direction[k]);
+            if d == 0.0 {
+                if low > 0.0 || high < 0.0 {
+                    return false;
+                }
+                continue;
+            }
+            let (s, t) = (low / d, high / d);
+            (from, to) = (from.max(s.min(t)), to.min(s.max(t)));
+        }
+        // Written so that NaN (an infinite box, an overflow) keeps the box.
+        !(from * (1.0 - 64.0 * f64::EPSILON) > to * (1.0 + 64.0 * f64::EPSILON))
+    }
+
+    #[inline(always)]
+    fn covers(&self, _: &Aabb) -> bool {
+        false
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        let t = p.dot(self.direction) / self.direction.length_squared();
+        (0.0..=self.length).contains(&t) && p.distance(t * self.direction) <= SLACK * p.length()
+    }
+
+    /// Boxes of other frames have other units: no promise.
+    #[inline(always)]
+    fn distance(&self, _: &Aabb) -> f64 {
+        0.0
     }
 }
 

@@ -183,7 +183,7 @@ fn read_unnamed(path: &Path) -> Result<ImageFile> {
     let mut ignored = Vec::new();
     for channel in layer.channel_data.list {
         let name = channel.name.to_string();
-        match Output::ALL.into_iter().find(|o| o.name() == name) {
+        match Output::WITH_FEATURES.into_iter().find(|o| o.name() == name) {
             Some(output) => keep(&mut images, output, channel.sample_data)?,
             None => ignored.push(name),
         }
@@ -219,12 +219,12 @@ fn check_header(header: &Header) -> Result<()> {
     }
     let mut known = 0;
     for channel in &header.channels.list {
-        let Some(output) = Output::ALL.into_iter().find(|o| channel.name.eq(o.name())) else {
+        let Some(output) = Output::WITH_FEATURES.into_iter().find(|o| channel.name.eq(o.name())) else {
             continue;
         };
         known += 1;
         let (wanted, word) = match output {
-            Output::PolygonId | Output::ObjectId => (SampleType::U32, "UINT"),
+            Output::PolygonId | Output::ObjectId | Output::FeatureId => (SampleType::U32, "UINT"),
             Output::Range | Output::DepthZ | Output::CosIncidence => (SampleType::F32, "FLOAT"),
         };
         if channel.sample_type != wanted || channel.sampling.0 != 1 || channel.sampling.1 != 1 {
@@ -235,7 +235,7 @@ fn check_header(header: &Header) -> Result<()> {
     }
     if known == 0 {
         let there: Vec<String> = header.channels.list.iter().take(8).map(|c| c.name.to_string()).collect();
-        let names = Output::ALL.map(Output::name).join(", ");
+        let names = Output::WITH_FEATURES.map(Output::name).join(", ");
         return Err(
             Error::invalid(format!("none of its channels ({}) is known", there.join(", ")), names).at("channels")
         );
@@ -250,6 +250,7 @@ fn keep(images: &mut Images, output: Output, samples: FlatSamples) -> Result<()>
         (Output::CosIncidence, FlatSamples::F32(v)) => images.cos_incidence = v,
         (Output::PolygonId, FlatSamples::U32(v)) => images.polygon_id = v,
         (Output::ObjectId, FlatSamples::U32(v)) => images.object_id = v,
+        (Output::FeatureId, FlatSamples::U32(v)) => images.feature_id = v,
         (output, _) => {
             let remedy = "write floats as FLOAT and ids as UINT";
             return Err(Error::invalid("is of the wrong type", remedy).at(format!("channel {:?}", output.name())));

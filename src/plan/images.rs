@@ -22,6 +22,8 @@ pub struct Images {
     pub object_id: Vec<u32>,
     /// 0..=1.
     pub cos_incidence: Vec<f32>,
+    /// The feature's own number; filled from [`crate::features::FeaturePrediction`], never by an engine.
+    pub feature_id: Vec<u32>,
 }
 
 impl Images {
@@ -35,6 +37,7 @@ impl Images {
         self.polygon_id.resize(len(Output::PolygonId), 0);
         self.object_id.resize(len(Output::ObjectId), 0);
         self.cos_incidence.resize(len(Output::CosIncidence), 0.0);
+        self.feature_id.clear();
     }
 
     /// Number of pixels.
@@ -50,6 +53,7 @@ impl Images {
             (Output::PolygonId, self.polygon_id.len()),
             (Output::ObjectId, self.object_id.len()),
             (Output::CosIncidence, self.cos_incidence.len()),
+            (Output::FeatureId, self.feature_id.len()),
         ];
         let there: Vec<Output> = lens.into_iter().filter(|(_, len)| *len > 0).map(|(o, _)| o).collect();
         Outputs::of(&there)
@@ -61,7 +65,7 @@ impl Images {
             Output::Range => &self.range,
             Output::DepthZ => &self.depth_z,
             Output::CosIncidence => &self.cos_incidence,
-            Output::PolygonId | Output::ObjectId => return None,
+            Output::PolygonId | Output::ObjectId | Output::FeatureId => return None,
         };
         (!image.is_empty()).then_some(image.as_slice())
     }
@@ -71,6 +75,7 @@ impl Images {
         let image = match output {
             Output::PolygonId => &self.polygon_id,
             Output::ObjectId => &self.object_id,
+            Output::FeatureId => &self.feature_id,
             Output::Range | Output::DepthZ | Output::CosIncidence => return None,
         };
         (!image.is_empty()).then_some(image.as_slice())

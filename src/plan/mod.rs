@@ -10,7 +10,7 @@ pub use request::{IdScheme, Output, Outputs, Request};
 pub use stats::Stats;
 pub use view::region_of;
 
-use crate::environment::{Appearance, Environment};
+use crate::environment::{Appearance, Environment, Material};
 use crate::geometry::Pose;
 use crate::index::{Found, ObjectRun};
 use crate::sensor::{PixelGrid, Sensor};
@@ -32,6 +32,40 @@ pub struct Instance {
     pub normal_from_mesh: DMat3,
     /// All the mesh's materials are opaque to the sensor's class and two-sided: polygons need no look at theirs.
     pub plain: bool,
+}
+
+impl Instance {
+    /// An object as a sensor at a pose (body axes) sees it; `facings` are those of [`facings`].
+    pub fn new(
+        environment: &Environment,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        facings: &[Facing],
+        object: u32,
+    ) -> Self {
+        let o = &environment.objects()[object as usize];
+        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        let object_from_mesh = o.object_from_mesh;
+        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
+        let image_from_mesh = image_from_object * object_from_mesh.matrix3;
+        let plain = o.mesh.materials().iter().all(|m| {
+            let f = facings[usize::from(*m)];
+            f.opaque && !f.one_sided
+        });
+        Self {
+            object,
+            image_from_mesh,
+            center_in_mesh: o.point_in_mesh(world_from_sensor.translation),
+            normal_from_mesh: image_from_object * object_from_mesh.matrix3.inverse().transpose(),
+            plain,
+        }
+    }
+}
+
+/// How the materials of an environment take part for a sensor class, by material index.
+pub fn facings<'a>(environment: &'a Environment, class: &'a str) -> impl Iterator<Item = Facing> + 'a {
+    let opaque = move |m: &Material| m.appearance(class) == Appearance::Opaque;
+    environment.materials().iter().map(move |m| Facing { opaque: opaque(m), one_sided: m.one_sided })
 }
 
 /// A contiguous run of an instance's polygons, the unit that selection hands to the engines.
@@ -133,23 +167,7 @@ impl FramePlan {
 
     /// An object as the sensor sees it, whether selected or not.
     pub fn instance_of(&self, object: u32) -> Instance {
-        let environment = self.world.environment();
-        let o = &environment.objects()[object as usize];
-        let world_from_image = self.world_from_sensor.rotation_matrix() * self.sensor.body_from_image();
-        let object_from_mesh = o.object_from_mesh;
-        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
-        let image_from_mesh = image_from_object * object_from_mesh.matrix3;
-        let plain = o.mesh.materials().iter().all(|m| {
-            let f = self.facings[usize::from(*m)];
-            f.opaque && !f.one_sided
-        });
-        Instance {
-            object,
-            image_from_mesh,
-            center_in_mesh: o.point_in_mesh(self.world_from_sensor.translation),
-            normal_from_mesh: image_from_object * object_from_mesh.matrix3.inverse().transpose(),
-            plain,
-        }
+        Instance::new(self.world.environment(), &self.sensor, &self.world_from_sensor, &self.facings, object)
     }
 
     /// What `polygon_id` shows for a polygon.
@@ -162,6 +180,8 @@ impl FramePlan {
     }
 
     fn fill(&mut self) {
+        // Made of features afterwards.
+        self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
             // Only a planar image has a planar depth.
             self.request.outputs = self.request.outputs.without(Output::DepthZ);
@@ -174,12 +194,7 @@ impl FramePlan {
         let world = self.world.clone();
         let environment = world.environment();
         let class = self.sensor.spec().class.clone();
-        self.facings.extend(
-            environment
-                .materials()
-                .iter()
-                .map(|m| Facing { opaque: m.appearance(&class) == Appearance::Opaque, one_sided: m.one_sided }),
-        );
+        self.facings.extend(facings(environment, &class));
         let region = region_of(&self.sensor, &self.world_from_sensor);
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();

@@ -15,11 +15,17 @@ pub enum Output {
     ObjectId,
     /// |cos| of the angle between ray and surface normal: the paper's reflection angle (section 3.2).
     CosIncidence,
+    /// Feature seen, by its own number, 0 is none; made of features, not by an engine (see [`crate::features`]).
+    FeatureId,
 }
 
 impl Output {
-    /// Every output.
+    /// Every output that engines make.
     pub const ALL: [Self; 5] = [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence];
+
+    /// Every output there is.
+    pub const WITH_FEATURES: [Self; 6] =
+        [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence, Self::FeatureId];
 
     /// The channel name in files.
     pub fn name(self) -> &'static str {
@@ -29,6 +35,7 @@ impl Output {
             Self::PolygonId => "polygon_id",
             Self::ObjectId => "object_id",
             Self::CosIncidence => "cos_incidence",
+            Self::FeatureId => "feature_id",
         }
     }
 }
@@ -45,7 +52,7 @@ impl Output {
 pub struct Outputs(u8);
 
 impl Outputs {
-    /// Every output a sensor can have.
+    /// Every output that engines make.
     pub const ALL: Self = Self(0b1_1111);
 
     /// These and no others.
@@ -66,7 +73,7 @@ impl Outputs {
 
     /// All that are asked for, in a fixed order.
     pub fn iter(self) -> impl Iterator<Item = Output> {
-        Output::ALL.into_iter().filter(move |o| self.has(*o))
+        Output::WITH_FEATURES.into_iter().filter(move |o| self.has(*o))
     }
 }
 
@@ -80,10 +87,10 @@ impl std::str::FromStr for Outputs {
     type Err = Error;
 
     fn from_str(list: &str) -> Result<Self> {
-        let names = Output::ALL.map(Output::name).join(", ");
+        let names = Output::WITH_FEATURES.map(Output::name).join(", ");
         let mut outputs = Vec::new();
         for word in list.split(',').map(str::trim) {
-            let found = Output::ALL.into_iter().find(|o| o.name() == word);
+            let found = Output::WITH_FEATURES.into_iter().find(|o| o.name() == word);
             outputs.push(
                 found
                     .ok_or_else(|| Error::usage(format!("unknown output {word:?}"), format!("choose from {names}")))?,

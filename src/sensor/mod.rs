@@ -5,6 +5,7 @@ mod distortion;
 mod grid;
 mod polynomial;
 mod presets;
+mod project;
 mod rays;
 mod scanner;
 mod undistort;
@@ -101,6 +102,7 @@ pub struct Sensor(Arc<Checked>);
 struct Checked {
     spec: SensorSpec,
     grid: PixelGrid,
+    projector: project::Projector,
     width: u32,
     height: u32,
 }
@@ -121,12 +123,17 @@ impl Sensor {
         });
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
         let (width, height) = spec.geometry.size();
-        Ok(Self(Arc::new(Checked { spec, grid, width, height })))
+        let projector = project::Projector::new(&spec);
+        Ok(Self(Arc::new(Checked { spec, grid, projector, width, height })))
     }
 
     /// What the sensor was made from.
     pub fn spec(&self) -> &SensorSpec {
         &self.0.spec
+    }
+
+    pub(self) fn projector(&self) -> &project::Projector {
+        &self.0.projector
     }
 
     /// Image columns.

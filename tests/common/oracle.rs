@@ -61,6 +61,28 @@ impl Oracle {
         Some(Self { mesh, of_triangle, origin })
     }
 
+    /// Is there a triangle between a place and `length` metres farther along a unit direction, world, but for those of
+    /// some polygons?
+    pub fn hides(&self, from: DVec3, direction: DVec3, length: f64, but: &[u32]) -> bool {
+        let vector = |v: DVec3| Vector::new(v.x, v.y, v.z);
+        let mut done = 0.0;
+        // A hit that does not count is stepped over.
+        for _ in 0..64 {
+            let start = from - self.origin + done * direction;
+            let ray = Ray::new(vector(start), vector(direction));
+            let hit = CompositeShapeRef(&self.mesh).cast_local_ray(&ray, length - done, false);
+            let Some((triangle, on)) = hit else { return false };
+            if !but.contains(&self.of_triangle[triangle as usize].1) {
+                return true;
+            }
+            done += on + 1e-10 * length;
+            if done >= length {
+                return false;
+            }
+        }
+        panic!("64 polygons of one feature on one ray");
+    }
+
     /// What a right engine shows at a pixel; `None` without a ray.
     pub fn cast(&self, sensor: &Sensor, world_from_sensor: &Pose, (column, row): (u32, u32)) -> Option<Values> {
         let ray = sensor.ray(column, row)?;

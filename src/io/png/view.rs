@@ -160,7 +160,7 @@ pub fn footer(canvas: &mut Canvas, top: u32, output: Output, palette: &Palette, 
     match output {
         Output::Range | Output::DepthZ => bar(canvas, top, width, scale, "m", by_distance),
         Output::CosIncidence => bar(canvas, top, width, scale, "", grey),
-        Output::PolygonId | Output::ObjectId => {}
+        Output::PolygonId | Output::ObjectId | Output::FeatureId => {}
     }
 }
 

@@ -1,0 +1,510 @@
+//! Features sampled along their image.
+//!
+//! A segment's image is cut into pieces of at most half a pixel, and a sample sits in the middle of each. A pinhole
+//! camera images straight lines as straight lines: clipped in closed form, equal pieces in the image. Everywhere else
+//! (lens distortion, scanners, ray tables) the arc of directions between the ends is halved until its image is short
+//! enough, so that the curved image of a straight edge is followed, over seam and poles, too.
+//!
+//! A scanner of one row sees a cone of directions (with the height of its beam, a layer between two cones): segments and
+//! patches are cut with it first.
+
+use super::Reason;
+use crate::geometry::plane_of_polygon;
+use crate::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
+use glam::{DVec2, DVec3};
+
+/// Longest piece of an image that one sample stands for, pixels.
+pub const STEP: f64 = 0.5;
+/// Most samples of one segment.
+pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
+/// Most samples of one patch: of larger ones they are farther apart than half a pixel.
+pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
+
+/// Pieces of arc that are looked at first, in pixels: no part of an image smaller than that between two places outside
+/// of it is found.
+const COARSE: f64 = 8.0;
+/// Most pieces of arc that are looked at first.
+const MAX_COARSE: f64 = 4096.0;
+/// How often arcs are halved: beyond a pole's neighbourhood nothing needs as many.
+const MAX_DEPTH: u32 = 40;
+/// Directions this far off the cone of a row without height are still on it, radians.
+const ON_CONE: f64 = 1e-9;
+
+/// A small part of a feature's image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Part of the feature's length in space that it stands for; equal ends where a cut leaves a point.
+    pub t: [f64; 2],
+    /// Its middle, image frame, metres.
+    pub at: DVec3,
+    /// Pixel coordinates of the middle.
+    pub pixel: DVec2,
+    /// Pixel coordinates of both ends.
+    pub ends: [DVec2; 2],
+    /// Length (area for patches) in the image, pixels; 0 of points.
+    pub weight: f64,
+}
+
+/// What sampling finds along a feature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Piece {
+    /// In the image.
+    Inside(Sample),
+    /// Not in the image, or behind the sensor.
+    Outside {
+        /// Part of the feature's length.
+        t: [f64; 2],
+        /// Why.
+        reason: Reason,
+    },
+}
+
+/// Samples features for one sensor.
+#[derive(Debug)]
+pub struct Sampler<'a> {
+    sensor: &'a Sensor,
+    pinhole: Option<&'a Camera>,
+    size: DVec2,
+    turn: Option<f64>,
+    /// About the finest angle between neighbouring rays.
+    pixel_angle: f64,
+    /// Elevations between which a single row sees.
+    cone: Option<[f64; 2]>,
+    /// Elevations of rows and half the height of the beam, degrees, where it does not reach from row to row.
+    beams: Option<(Vec<f64>, f64)>,
+}
+
+impl<'a> Sampler<'a> {
+    /// For a sensor.
+    pub fn new(sensor: &'a Sensor) -> Self {
+        let (mut pinhole, mut cone, mut beams) = (None, None, None);
+        match &sensor.spec().geometry {
+            Geometry::Camera(c) if c.distortion.is_none() => pinhole = Some(c),
+            Geometry::Scanner(s) if s.elevation.len() == 1 => {
+                let half = 0.5 * s.beam_height_deg.unwrap_or(0.0);
+                let row = s.elevation.degrees(0);
+                cone = Some([row - half, row + half].map(|e| e.clamp(-90.0, 90.0).to_radians()));
+            }
+            Geometry::Scanner(s) => beams = s.beam_height_deg.map(|h| (s.rows_deg(), 0.5 * h)),
+            _ => {}
+        }
+        Self {
+            sensor,
+            pinhole,
+            size: DVec2::new(f64::from(sensor.width()), f64::from(sensor.height())),
+            turn: sensor.columns_of_a_turn(),
+            pixel_angle: pixel_angle(sensor),
+            cone,
+            beams,
+        }
+    }
+
+    /// Columns of a whole turn, where the last column's neighbour is the first.
+    pub fn turn(&self) -> Option<f64> {
+        self.turn
+    }
+
+    /// The sample of a point of the image frame.
+    pub fn point(&self, at: DVec3) -> Piece {
+        let t = [0.0, 1.0];
+        match self.project(at).filter(|pixel| self.holds(at, *pixel)) {
+            Some(pixel) => Piece::Inside(Sample { t, at, pixel, ends: [pixel, pixel], weight: 0.0 }),
+            None => self.outside(at, t),
+        }
+    }
+
+    /// Samples a segment between two points of the image frame; pieces come in order and cover all of 0..=1.
+    pub fn segment(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        match (self.pinhole, self.cone) {
+            (Some(camera), _) => self.straight(camera, a, b, visit),
+            (None, Some(cone)) => self.cut(cone, a, b, visit),
+            (None, None) => self.arc(a, b, [0.0, 1.0], visit),
+        }
+    }
+
+    fn project(&self, p: DVec3) -> Option<DVec2> {
+        self.sensor.project(p).map(DVec2::from)
+    }
+
+    /// True if a point, imaged at `pixel`, is in the image.
+    fn holds(&self, at: DVec3, pixel: DVec2) -> bool {
+        let inside = pixel.cmpge(DVec2::splat(-0.5)).all() && pixel.cmple(self.size - 0.5).all();
+        let elevation = || at.z.atan2(at.x.hypot(at.y));
+        if let Some([low, high]) = self.cone {
+            return pixel.x >= -0.5
+                && pixel.x <= self.size.x - 0.5
+                && (low - ON_CONE..=high + ON_CONE).contains(&elevation());
+        }
+        let in_beam = |(rows, half): &(Vec<f64>, f64)| {
+            let row = (pixel.y.round().max(0.0) as usize).min(rows.len() - 1);
+            (elevation().to_degrees() - rows[row]).abs() <= *half
+        };
+        inside && self.beams.as_ref().is_none_or(in_beam)
+    }
+
+    fn outside(&self, at: DVec3, t: [f64; 2]) -> Piece {
+        let behind = self.sensor.is_camera() && at.z <= 0.0 && self.sensor.project(at).is_none();
+        Piece::Outside { t, reason: if behind { Reason::BehindSensor } else { Reason::OutsideImage } }
+    }
+
+    /// A pinhole camera: the image of a segment is straight.
+    fn straight(&self, camera: &Camera, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        // Positive inside the four sides of the image: linear along the segment. Together they put it in front.
+        let sides = |p: DVec3| {
+            let (x, y) = (camera.fx * p.x, camera.fy * p.y);
+            let (left, top) = (camera.cx + 0.5, camera.cy + 0.5);
+            [x + left * p.z, (self.size.x - left) * p.z - x, y + top * p.z, (self.size.y - top) * p.z - y, p.z]
+        };
+        let (mut from, mut to) = (0.0f64, 1.0f64);
+        for (s, e) in sides(a).into_iter().zip(sides(b)) {
+            match (s >= 0.0, e >= 0.0) {
+                (true, true) => {}
+                (false, false) => to = -1.0,
+                (false, true) => from = from.max(s / (s - e)),
+                (true, false) => to = to.min(s / (s - e)),
+            }
+        }
+        let at = |t: f64| if t == 1.0 { b } else { a + t * (b - a) };
+        let (start, end) = (at(from), at(to.max(0.0)));
+        if !(from < to && start.z > 0.0 && end.z > 0.0) {
+            return before_camera(a, b, [0.0, 1.0], visit);
+        }
+        let place = |p: DVec3| DVec2::new(camera.fx * (p.x / p.z) + camera.cx, camera.fy * (p.y / p.z) + camera.cy);
+        let (first, last) = (place(start), place(end));
+        if from > 0.0 {
+            before_camera(a, b, [0.0, from], visit);
+        }
+        let length = first.distance(last);
+        let count = (length / STEP).ceil().clamp(1.0, MAX_SEGMENT_SAMPLES as f64);
+        // Equal steps in the image are unequal ones in space: 1 / z is linear in the image.
+        let along = |s: f64| s * start.z / (s * start.z + (1.0 - s) * end.z);
+        let (by, step) = (end - start, 1.0 / count);
+        let (mut t0, mut p0) = (from, first);
+        for i in 0..count as usize {
+            let s = (i as f64 + 1.0) * step;
+            let last_one = i + 1 == count as usize;
+            let (t1, p1) = if last_one { (to, last) } else { (from + along(s) * (to - from), first.lerp(last, s)) };
+            let middle = (i as f64 + 0.5) * step;
+            visit(Piece::Inside(Sample {
+                t: [t0, t1],
+                at: start + along(middle) * by,
+                pixel: first.lerp(last, middle),
+                ends: [p0, p1],
+                weight: length * step,
+            }));
+            (t0, p0) = (t1, p1);
+        }
+        if to < 1.0 {
+            before_camera(a, b, [to, 1.0], visit);
+        }
+    }
+
+    /// A single row: cuts with the cones above and below it.
+    fn cut(&self, [low, high]: [f64; 2], a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        let at = |t: f64| a + t * (b - a);
+        let elevation = |p: DVec3| p.z.atan2(p.x.hypot(p.y));
+        let within = |p: DVec3| (low - ON_CONE..=high + ON_CONE).contains(&elevation(p));
+        let mut places = crossings(a, b, low);
+        if high > low {
+            places.extend(crossings(a, b, high));
+        }
+        places.retain(|t| *t > 0.0 && *t < 1.0);
+        places.sort_by(f64::total_cmp);
+        places.dedup();
+        let mut from = 0.0;
+        for to in places.iter().copied().chain([1.0]) {
+            if within(at(0.5 * (from + to))) {
+                self.arc(at(from), at(to), [from, to], visit);
+            } else {
+                visit(Piece::Outside { t: [from, to], reason: Reason::OutsideImage });
+                // A row without height leaves points.
+                if to < 1.0 && low == high {
+                    let t = [to, to];
+                    match self.point(at(to)) {
+                        Piece::Inside(sample) => visit(Piece::Inside(Sample { t, ..sample })),
+                        Piece::Outside { reason, .. } => visit(Piece::Outside { t, reason }),
+                    }
+                }
+            }
+            from = to;
+        }
+    }
+
+    /// Any sensor: halves the arc of directions from a to b, which are at `span` of the whole feature.
+    fn arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Piece)) {
+        let (near, far) = (a.length(), b.length());
+        let angle = a.cross(b).length().atan2(a.dot(b));
+        if !(angle > 1e-12 && near > 0.0 && far > 0.0) {
+            // Seen from its end: a point.
+            match self.point(a.lerp(b, 0.5)) {
+                Piece::Inside(sample) => visit(Piece::Inside(Sample { t: span, ..sample })),
+                Piece::Outside { reason, .. } => visit(Piece::Outside { t: span, reason }),
+            }
+            return;
+        }
+        let t_at = |phi: f64| {
+            let (x, y) = (near * phi.sin(), far * (angle - phi).sin());
+            if phi <= 0.0 || x <= 0.0 {
+                0.0
+            } else if phi >= angle || y <= 0.0 {
+                1.0
+            } else {
+                x / (x + y)
+            }
+        };
+        let end = |phi: f64| {
+            let t = t_at(phi);
+            let at = a + t * (b - a);
+            End { phi, t: span[0] + t * (span[1] - span[0]), at, pixel: self.project(at) }
+        };
+        let pieces = (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE);
+        let mut left = MAX_SEGMENT_SAMPLES;
+        let mut from = end(0.0);
+        for i in 1..=pieces as u32 {
+            let to = end(angle * f64::from(i) / pieces);
+            self.halve(&from, &to, MAX_DEPTH, &end, &mut left, visit);
+            from = to;
+        }
+    }
+
+    fn halve(
+        &self,
+        from: &End,
+        to: &End,
+        depth: u32,
+        end: &impl Fn(f64) -> End,
+        left: &mut usize,
+        visit: &mut impl FnMut(Piece),
+    ) {
+        let middle = || end(0.5 * (from.phi + to.phi));
+        let t = [from.t, to.t];
+        let apart = from.pixel.zip(to.pixel).map(|(p, q)| self.distance(p, q));
+        let short = apart.is_some_and(|d| d <= STEP);
+        let last = depth == 0 || *left == 0 || to.phi - from.phi <= 0.25 * STEP * self.pixel_angle && apart.is_none();
+        if short || last {
+            let m = middle();
+            *left = left.saturating_sub(1);
+            let inside = m.pixel.filter(|pixel| self.holds(m.at, *pixel));
+            return visit(match inside {
+                Some(pixel) => Piece::Inside(Sample {
+                    t,
+                    at: m.at,
+                    pixel,
+                    ends: [from.pixel.unwrap_or(pixel), to.pixel.unwrap_or(pixel)],
+                    weight: apart.unwrap_or(0.0).min(STEP),
+                }),
+                None => self.outside(m.at, t),
+            });
+        }
+        let off = |pixel: DVec2| {
+            let out = (DVec2::splat(-0.5) - pixel).max(pixel - (self.size - 0.5)).max(DVec2::ZERO);
+            out.max_element()
+        };
+        let skipped = match (from.pixel, to.pixel, apart) {
+            (Some(p), Some(q), Some(d)) => off(p).min(off(q)) > d + 2.0,
+            (None, None, _) => true,
+            _ => false,
+        };
+        if skipped {
+            return visit(self.outside(middle().at, t));
+        }
+        let m = middle();
+        self.halve(from, &m, depth - 1, end, left, visit);
+        self.halve(&m, to, depth - 1, end, left, visit);
+    }
+
+    /// Distance in the image, over the seam if that is nearer.
+    fn distance(&self, p: DVec2, q: DVec2) -> f64 {
+        let mut by = (p - q).abs();
+        if let Some(turn) = self.turn {
+            by.x = by.x.min((turn - by.x).abs());
+        }
+        by.length()
+    }
+
+    /// Samples the area of a convex patch in the image, corners in the image frame; `t` of the samples is 0..=1 and
+    /// their weight the area that they stand for. Without any in the image, one piece says why.
+    pub fn patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
+        let Some(cone) = PatchCone::new(corners) else {
+            // Seen from its edge, as far as can be told.
+            return visit(self.edge_on(corners));
+        };
+        let bounds = self.patch_bounds(corners, &cone);
+        let mut any = false;
+        if let Some([low, high]) = bounds {
+            let flat = self.cone.is_some_and(|[l, h]| l == h);
+            let size = high - low;
+            let area = if flat { size.x * STEP } else { size.x * size.y };
+            let step = (area / MAX_PATCH_SAMPLES as f64).sqrt().max(STEP);
+            let columns = (size.x / step).ceil().max(1.0);
+            let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
+            let cell = DVec2::new(size.x / columns, size.y / rows);
+            for row in 0..rows as u32 {
+                for column in 0..columns as u32 {
+                    let pixel = low + cell * DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+                    let pixel = if flat { DVec2::new(pixel.x, 0.0) } else { pixel };
+                    let at = self.sensor.ray_at(pixel.x, pixel.y).and_then(|ray| cone.meet(ray));
+                    if let Some(at) = at.filter(|at| self.holds(*at, pixel)) {
+                        any = true;
+                        let weight = if flat { cell.x } else { cell.x * cell.y };
+                        visit(Piece::Inside(Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight }));
+                    }
+                }
+            }
+        }
+        if !any {
+            visit(self.edge_on(corners));
+        }
+    }
+
+    /// A patch too small or too flat for a grid: its middle, if that is in the image.
+    fn edge_on(&self, corners: &[DVec3]) -> Piece {
+        self.point(corners.iter().sum::<DVec3>() / corners.len().max(1) as f64)
+    }
+
+    /// A box around a patch's image, cut to the image.
+    fn patch_bounds(&self, corners: &[DVec3], cone: &PatchCone) -> Option<[DVec2; 2]> {
+        let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        let mut take = |p: DVec2| (low, high) = (low.min(p), high.max(p));
+        let (mut jump, mut previous) = (false, None::<DVec2>);
+        for (k, a) in corners.iter().enumerate() {
+            let b = corners[(k + 1) % corners.len()];
+            self.segment(*a, b, &mut |piece| match piece {
+                Piece::Inside(s) => {
+                    s.ends.into_iter().chain([s.pixel]).for_each(|p| take(p.clamp(least, greatest)));
+                    jump |= (s.ends[0].x - s.ends[1].x).abs() > 0.5 * self.size.x
+                        || previous.is_some_and(|p| (p.x - s.pixel.x).abs() > 0.5 * self.size.x);
+                    previous = Some(s.pixel);
+                }
+                Piece::Outside { .. } => previous = None,
+            });
+        }
+        // Where the image is inside the patch, its own border is the patch's image's border.
+        let middle = 0.5 * (least + greatest);
+        let mut border = vec![middle];
+        for i in 0..=16 {
+            let s = f64::from(i) / 16.0;
+            let (x, y) = (least.x + s * self.size.x, least.y + s * self.size.y);
+            border.extend([(x, least.y), (x, greatest.y), (least.x, y), (greatest.x, y)].map(DVec2::from));
+            if self.cone.is_some() {
+                border.push(DVec2::new(x, 0.0));
+            }
+        }
+        let covers = |p: &DVec2| self.sensor.ray_at(p.x, p.y).is_some_and(|ray| cone.meet(ray).is_some());
+        border.into_iter().filter(covers).for_each(&mut take);
+        if low.x > high.x {
+            return None;
+        }
+        if self.pinhole.is_none() && self.sensor.is_camera() || matches!(self.sensor.spec().geometry, Geometry::Rays(_))
+        {
+            // Curved outlines are followed, but tables may have holes and folds beside them.
+            (low, high) = ((low - 1.0).max(least), (high + 1.0).min(greatest));
+        }
+        if self.turn.is_some() && jump {
+            (low.x, high.x) = (least.x, greatest.x);
+        }
+        // A row without height, or an edge-on sliver: one sample wide at least.
+        let (mid, half) = (0.5 * (low + high), (0.5 * (high - low)).max(DVec2::splat(1e-9)));
+        Some([mid - half, mid + half])
+    }
+}
+
+/// A place on an arc.
+struct End {
+    phi: f64,
+    t: f64,
+    at: DVec3,
+    pixel: Option<DVec2>,
+}
+
+/// The directions to a convex patch, and its plane.
+struct PatchCone {
+    edges: Vec<DVec3>,
+    normal: DVec3,
+    offset: f64,
+}
+
+impl PatchCone {
+    /// `None` if the sensor is in the patch's plane.
+    fn new(corners: &[DVec3]) -> Option<Self> {
+        let plane = plane_of_polygon(corners)?;
+        let reach = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
+        if plane.offset.abs() <= 1e-12 * reach {
+            return None;
+        }
+        let sign = plane.offset.signum();
+        let edge = |k: usize| sign * corners[k].cross(corners[(k + 1) % corners.len()] - corners[k]);
+        Some(Self { edges: (0..corners.len()).map(edge).collect(), normal: plane.normal, offset: plane.offset })
+    }
+
+    /// Where a unit ray meets it.
+    fn meet(&self, ray: DVec3) -> Option<DVec3> {
+        let inverse = self.normal.dot(ray) / self.offset;
+        (inverse > 0.0 && self.edges.iter().all(|e| e.dot(ray) >= 0.0)).then(|| ray / inverse)
+    }
+}
+
+/// Parts of a segment outside a pinhole image: behind the camera, or beside the image.
+fn before_camera(a: DVec3, b: DVec3, [from, to]: [f64; 2], visit: &mut impl FnMut(Piece)) {
+    let z = |t: f64| a.z + t * (b.z - a.z);
+    let mut put = |t: [f64; 2], behind: bool| {
+        let reason = if behind { Reason::BehindSensor } else { Reason::OutsideImage };
+        visit(Piece::Outside { t, reason });
+    };
+    let (start, end) = (z(from) <= 0.0, z(to) <= 0.0);
+    let between = a.z / (a.z - b.z);
+    if start == end || !(between > from && between < to) {
+        return put([from, to], z(0.5 * (from + to)) <= 0.0);
+    }
+    put([from, between], start);
+    put([between, to], end);
+}
+
+/// Where a segment crosses the cone of an elevation.
+fn crossings(a: DVec3, b: DVec3, elevation: f64) -> Vec<f64> {
+    let d = b - a;
+    let tan = elevation.tan();
+    if tan == 0.0 {
+        return if d.z == 0.0 { Vec::new() } else { vec![-a.z / d.z] };
+    }
+    // z^2 = tan^2 (x^2 + y^2), on the side that z has the tangent's sign.
+    let square = |p: DVec3, q: DVec3| p.z * q.z - tan * tan * (p.x * q.x + p.y * q.y);
+    let (qa, qb, qc) = (square(d, d), square(a, d), square(a, a));
+    let mut roots = Vec::new();
+    let discriminant = qb * qb - qa * qc;
+    if discriminant < 0.0 {
+        return roots;
+    }
+    let q = -(qb + qb.signum() * discriminant.sqrt());
+    roots.extend([q / qa, qc / q].into_iter().filter(|t| t.is_finite()));
+    roots.retain(|t| (a.z + t * d.z) * tan >= 0.0);
+    roots
+}
+
+/// About the finest angle between neighbouring rays, radians.
+fn pixel_angle(sensor: &Sensor) -> f64 {
+    let mean = |angles: &Angles| {
+        let n = angles.len();
+        if n < 2 { f64::INFINITY } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
+    };
+    if let Geometry::Scanner(Scanner { azimuth, elevation, .. }) = &sensor.spec().geometry {
+        let finest = mean(azimuth).min(mean(elevation));
+        return if finest.is_finite() && finest > 0.0 { finest.to_radians() } else { 1f64.to_radians() };
+    }
+    let (w, h) = (sensor.width(), sensor.height());
+    let mut finest = f64::INFINITY;
+    for i in 0..16 {
+        for j in 0..16 {
+            let (c, r) = (i * w / 16, j * h / 16);
+            let Some(ray) = sensor.ray(c, r) else { continue };
+            for other in [(c + 1, r), (c, r + 1)].into_iter().filter_map(|(c, r)| sensor.ray(c, r)) {
+                let angle = ray.angle_between(other);
+                if angle > 1e-9 {
+                    finest = finest.min(angle);
+                }
+            }
+        }
+    }
+    if finest.is_finite() { finest } else { 1f64.to_radians() }
+}
