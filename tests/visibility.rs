@@ -13,7 +13,8 @@ use common::{Random, data, env_number, scenes};
 use glam::{DMat3, DVec2, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility, predict_features,
+    FeatureOptions, FeaturePrediction, FeatureStats, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility,
+    predict_features,
 };
 use presight::{Angles, Camera, Distortion, Environment, Geometry, Images, Pose, Scanner, Sensor, SensorSpec, World};
 
@@ -121,7 +122,6 @@ fn predicted(seen: &SeenFeature, t: f64) -> Option<Result<(), Reason>> {
 
 /// Holds every segment sample to the oracle.
 fn check(
-    world: &World,
     oracle: &Oracle,
     sensor: &Sensor,
     pose: &Pose,
@@ -168,7 +168,6 @@ fn check(
         sum.features += 1;
         sum.features_wrong += usize::from(wrong > 0);
     }
-    let _ = world;
     sum
 }
 
@@ -195,10 +194,62 @@ fn sensors() -> Vec<Sensor> {
     ]
 }
 
+/// By neighbouring pixels, then with a ray for every sample.
+fn in_both_ways(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> [FeaturePrediction; 2] {
+    let images = common::reference(&common::plan(world, sensor, pose));
+    [Visibility::Image, Visibility::Rays].map(|visibility| {
+        let options = FeatureOptions { visibility, ..FeatureOptions::default() };
+        predict_features(world, sensor, pose, &images, placed, &options).unwrap()
+    })
+}
+
+/// Neighbouring pixels may all miss an occluder smaller than a pixel: this share of samples may be wrong, as it was when
+/// the method was tried out.
+const MISSED: f64 = 0.003;
+
+#[derive(Debug, Default)]
+struct Total {
+    by_pixels: Agreement,
+    by_rays: Agreement,
+    stats: FeatureStats,
+}
+
+impl Total {
+    fn say(&self, name: &str) {
+        let sum = &self.by_pixels;
+        eprintln!(
+            "{name}: {} samples of {} features, {:.2} % left out, wrong {} ({:.4} %) in {} features, by rays alone {}; {:?}",
+            sum.samples,
+            sum.features,
+            100.0 * sum.excluded_share(),
+            sum.wrong.len(),
+            100.0 * sum.wrong_share(),
+            sum.features_wrong,
+            self.by_rays.wrong.len(),
+            self.stats,
+        );
+    }
+
+    fn check(&self, name: &str, least: usize) {
+        self.say(name);
+        assert!(self.by_pixels.samples >= least && self.by_pixels.excluded_share() < 0.05, "{name}");
+        let some = |wrong: &[String]| format!("{:#?}", &wrong[..wrong.len().min(10)]);
+        assert!(self.by_rays.wrong.is_empty(), "{name}: {}", some(&self.by_rays.wrong));
+        assert!(self.by_pixels.wrong_share() <= MISSED, "{name}: {}", some(&self.by_pixels.wrong));
+    }
+
+    fn take(&mut self, world: &World, oracle: &Oracle, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) {
+        let [by_pixels, by_rays] = in_both_ways(world, sensor, pose, placed);
+        self.by_pixels.add(check(oracle, sensor, pose, placed, &by_pixels));
+        self.by_rays.add(check(oracle, sensor, pose, placed, &by_rays));
+        self.stats.add(&by_pixels.stats);
+    }
+}
+
 #[test]
 fn rooms_agree_with_rays_in_space() {
     let mut random = Random(env_number("PRESIGHT_SEED", 1));
-    let mut totals: std::collections::BTreeMap<String, Agreement> = Default::default();
+    let mut totals: std::collections::BTreeMap<String, Total> = Default::default();
     for scene in 0..4 {
         let world = scenes::room_world(random.bits(), [3, 15, 40, 80][scene]);
         let placed = edges(world.environment(), 150, &mut random);
@@ -207,24 +258,132 @@ fn rooms_agree_with_rays_in_space() {
             let pose = Pose::from_xyz_rpy(at, 0.1, random.uniform(-0.2, 0.2), random.uniform(-3.0, 3.0));
             let oracle = Oracle::new(world.environment(), at).unwrap();
             for (i, sensor) in sensors().iter().enumerate() {
-                let (prediction, _) = predict(&world, sensor, &pose, &placed);
-                let found = check(&world, &oracle, sensor, &pose, &placed, &prediction);
-                assert_eq!(prediction.stats.undecided, 0);
-                totals.entry(format!("{i} {}", sensor.spec().name)).or_default().add(found);
+                let name = format!("{i} {}", sensor.spec().name);
+                totals.entry(name).or_default().take(&world, &oracle, sensor, &pose, &placed);
             }
         }
     }
     for (name, sum) in totals {
-        eprintln!(
-            "{name}: {} samples of {} features, {:.2} % left out, {} wrong ({:.4} %), {} features",
-            sum.samples,
-            sum.features,
-            100.0 * sum.excluded_share(),
-            sum.wrong.len(),
-            100.0 * sum.wrong_share(),
-            sum.features_wrong,
-        );
-        assert!(sum.samples > 200 && sum.excluded_share() < 0.05, "{name}");
-        assert!(sum.wrong.is_empty(), "{name}: {:#?}", &sum.wrong[..sum.wrong.len().min(10)]);
+        sum.check(&name, 100);
+        assert_eq!(sum.stats.undecided, 0, "{name}");
     }
+}
+
+#[test]
+fn real_scenes_agree_with_rays_in_space() {
+    let wanted = std::env::var("PRESIGHT_FEATURE_SCENES").unwrap_or_else(|_| "factory_hall,hospital".into());
+    let mut random = Random(env_number("PRESIGHT_SEED", 1));
+    for scene in wanted.split(',') {
+        let Some(world) = data::scene(scene, true) else { return };
+        let mut total = Total::default();
+        for pose in data::poses(&world, 3, env_number("PRESIGHT_SEED", 1)) {
+            // Near ones: most of a hall's edges are too small to be sampled more than once.
+            let mut placed = edges(world.environment(), usize::MAX, &mut random);
+            let near = |p: &PlacedFeature| {
+                let pose_of = world.environment().objects()[p.object.unwrap() as usize].world_from_object;
+                let [a, b] = [0, 1].map(|i| pose_of.transform_point(p.feature.shape.points()[i]) - pose.translation);
+                a.distance(b) / a.length().min(b.length()) > 0.1
+            };
+            placed.retain(near);
+            while placed.len() > 600 {
+                placed.swap_remove(random.below(placed.len()));
+            }
+            let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+            for sensor in [scenes::camera(512, 384), scenes::scanner(360, 91)] {
+                total.take(&world, &oracle, &sensor, &pose, &placed);
+            }
+        }
+        total.say(scene);
+        // Edges of faces that overlap or interpenetrate lie on more polygons than have them as an edge: what is coplanar
+        // within rounding is not decided alike by anybody.
+        assert!(total.by_pixels.samples > 1000, "{scene}");
+        assert!(total.by_pixels.wrong_share() <= 0.01, "{scene}: {:#?}", total.by_pixels.wrong);
+    }
+}
+
+#[test]
+fn planted_faults_are_caught() {
+    let (world, sensor) = (scenes::room_world(11, 40), scenes::camera(320, 240));
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.0, 0.1, 0.4);
+    let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+    let placed = edges(world.environment(), usize::MAX, &mut Random(1));
+    let (right, _) = predict(&world, &sensor, &pose, &placed);
+    assert!(check(&oracle, &sensor, &pose, &placed, &right).wrong_share() <= MISSED);
+
+    // Every feature 2 pixels to the right of where it is.
+    let aside = pose.rotation * (sensor.body_from_image() * DVec3::X);
+    let mut moved = placed.clone();
+    for (moved, seen) in moved.iter_mut().zip(&right.features) {
+        let FeatureShape::Segment { ends, .. } = &mut moved.feature.shape else { continue };
+        *ends = [0, 1].map(|i| {
+            let p = seen.points_world[i];
+            p + aside * (2.0 / 320.0 * p.distance(pose.translation))
+        });
+        moved.object = None;
+    }
+    let (mut shifted, _) = predict(&world, &sensor, &pose, &moved);
+    for (shifted, seen) in shifted.features.iter_mut().zip(&right.features) {
+        shifted.points_world.clone_from(&seen.points_world);
+    }
+    assert!(check(&oracle, &sensor, &pose, &placed, &shifted).wrong.len() > 50);
+
+    let mut dropped = right.clone();
+    let with_two = dropped.features.iter_mut().find(|f| f.visible.len() > 1).expect("a feature seen in parts");
+    with_two.visible.remove(0);
+    assert!(check(&oracle, &sensor, &pose, &placed, &dropped).wrong_share() > 0.0);
+    let before = check(&oracle, &sensor, &pose, &placed, &right).wrong.len();
+    assert!(check(&oracle, &sensor, &pose, &placed, &dropped).wrong.len() > before);
+}
+
+#[test]
+fn points_and_patches_agree_with_rays_in_space() {
+    let mut random = Random(env_number("PRESIGHT_SEED", 1));
+    let (mut points, mut patches, mut partly) = (0, 0, 0);
+    for _ in 0..4 {
+        let world = scenes::room_world(random.bits(), 30);
+        let placed = patches_and_points(world.environment(), &mut random);
+        let pose = Pose::from_xyz_rpy(DVec3::new(0.3, -0.2, 1.4), 0.0, 0.1, random.uniform(-3.0, 3.0));
+        let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+        for sensor in [scenes::camera(200, 150), scenes::scanner(360, 91)] {
+            let (prediction, images) = predict(&world, &sensor, &pose, &placed);
+            let sampler = Sampler::new(&sensor);
+            let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
+            for (placed, seen) in placed.iter().zip(&prediction.features) {
+                let corners: Vec<DVec3> =
+                    seen.points_world.iter().map(|p| world_from_image.transpose() * (*p - pose.translation)).collect();
+                let (mut inside, mut clear) = (0usize, 0usize);
+                let mut one = |piece: Piece| {
+                    if let Piece::Inside(s) = piece {
+                        let (range, ray) = (s.at.length(), world_from_image * s.at.normalize());
+                        inside += 1;
+                        let hidden = oracle.hides(pose.translation, ray, range * (1.0 - SHORT), &placed.slots);
+                        clear += usize::from(!hidden);
+                    }
+                };
+                match corners.len() {
+                    1 => one(sampler.point(corners[0])),
+                    _ => sampler.patch(&corners, &mut one),
+                }
+                let share = if inside > 0 { clear as f64 / inside as f64 } else { 0.0 };
+                assert!(
+                    (share - seen.visible_fraction).abs() <= 0.005 + 2.0 / inside.max(1) as f64,
+                    "{} {}: {share} of {inside}, {}",
+                    sensor.spec().name,
+                    seen.feature.id,
+                    seen.visible_fraction
+                );
+                let ends: f64 = seen.visible.iter().map(|v| v.t[1] - v.t[0]).sum::<f64>()
+                    + seen.hidden.iter().map(|h| h.t[1] - h.t[0]).sum::<f64>();
+                assert!((ends - 1.0).abs() < 1e-9, "{ends}");
+                points += usize::from(corners.len() == 1 && inside > 0);
+                patches += usize::from(corners.len() > 1 && inside > 0);
+                partly += usize::from((0.01..0.99).contains(&seen.visible_fraction));
+            }
+            let marked = prediction.feature_id.iter().filter(|id| **id != 0).count();
+            assert_eq!(prediction.feature_id.len(), images.pixels());
+            assert!(marked > images.pixels() / 20, "{marked}");
+        }
+    }
+    eprintln!("{points} points and {patches} patches in view, {partly} seen in part");
+    assert!(points > 50 && patches > 50 && partly > 20);
 }

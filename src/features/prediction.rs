@@ -100,6 +100,8 @@ pub struct SeenFeature {
     pub feature: Feature,
     /// Its defining points in the world, metres.
     pub points_world: Vec<DVec3>,
+    /// Unit normal of its surface in the world, if the layer gives one.
+    pub normal_world: Option<DVec3>,
     /// Share of the image length inside image and range limits that is seen; of the area for patches, 0 or 1 for points.
     /// 0 where nothing is inside.
     pub visible_fraction: f64,

@@ -331,6 +331,11 @@ impl<'a> Judge<'a> {
         let in_world = |p: &DVec3| world_from_object.map_or(*p, |pose| pose.transform_point(*p));
         let seen = SeenFeature {
             points_world: placed.feature.shape.points().iter().map(in_world).collect(),
+            normal_world: placed
+                .feature
+                .properties
+                .normal
+                .and_then(|n| world_from_object.map_or(n, |pose| pose.rotation * n).try_normalize()),
             visible_fraction: share(tally.seen, tally.inside),
             visible,
             hidden,

@@ -11,6 +11,7 @@ pub mod pcd;
 pub mod ply;
 pub mod png;
 mod points;
+pub mod prediction_json;
 pub mod robot_toml;
 pub mod sensor_toml;
 pub(crate) mod text;

@@ -3,6 +3,7 @@
 mod canvas;
 mod color;
 mod font;
+mod overlay;
 mod polar;
 mod scale;
 mod view;
@@ -15,6 +16,7 @@ use canvas::Canvas;
 use color::Palette;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
+pub use overlay::Overlay;
 use scale::Scale;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -30,14 +32,29 @@ use std::path::Path;
 /// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size,
 /// [`crate::ErrorKind::System`] if the file cannot be written.
 pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
-    let canvas = preview(images, sensor, output).map_err(|e| e.in_file(path))?;
+    write_preview_with(path, images, sensor, output, None)
+}
+
+/// [`write_preview`] with features drawn over it: what is seen of them solid, what is hidden dashed, their regions of
+/// interest as boxes.
+///
+/// # Errors
+/// As [`write_preview`].
+pub fn write_preview_with(
+    path: &Path,
+    images: &Images,
+    sensor: &Sensor,
+    output: Output,
+    overlay: Option<&Overlay<'_>>,
+) -> Result<()> {
+    let canvas = preview(images, sensor, output, overlay).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {
         let out = BufWriter::new(file);
         encode(out, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
     })
 }
 
-fn preview(images: &Images, sensor: &Sensor, output: Output) -> Result<Canvas> {
+fn preview(images: &Images, sensor: &Sensor, output: Output, overlay: Option<&Overlay<'_>>) -> Result<Canvas> {
     let (width, height) = (sensor.width(), sensor.height());
     let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len)).unwrap_or(0);
     if len != width as usize * height as usize {
@@ -49,9 +66,9 @@ fn preview(images: &Images, sensor: &Sensor, output: Output) -> Result<Canvas> {
     let scale = Scale::of(images, output);
     let palette = Palette::new(images, output, &scale);
     Ok(if is_one_row_scan(sensor) && images.range.len() == len {
-        polar::draw(images, sensor, output, &palette, &scale)
+        polar::draw(images, sensor, output, &palette, &scale, overlay)
     } else {
-        view::draw(images, sensor, output, &palette, &scale)
+        view::draw(images, sensor, output, &palette, &scale, overlay)
     })
 }
 

@@ -2,6 +2,7 @@
 
 use super::canvas::{Canvas, FAINT, INK, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{MISS, Palette};
+use super::overlay::Overlay;
 use super::scale::{Scale, nice_step};
 use super::view::{FOOTER, HEADER, MARGIN, footer, title};
 use crate::plan::{Images, Output};
@@ -51,7 +52,14 @@ impl Map {
 }
 
 /// Draws free space, range rings and hits in their colours.
-pub fn draw(images: &Images, sensor: &Sensor, output: Output, palette: &Palette, scale: &Scale) -> Canvas {
+pub fn draw(
+    images: &Images,
+    sensor: &Sensor,
+    output: Output,
+    palette: &Palette,
+    scale: &Scale,
+    overlay: Option<&Overlay<'_>>,
+) -> Canvas {
     let horizontal = |column: u32| sensor.ray(column, 0).map(DVec3::truncate);
     let hits: Vec<Option<DVec2>> = (0..images.width)
         .map(|column| {
@@ -75,6 +83,9 @@ pub fn draw(images: &Images, sensor: &Sensor, output: Output, palette: &Palette,
             canvas.stroke(map.page(*point), map.page(next), 1.5, color);
         }
         canvas.disc(map.page(*point), 2.0, color);
+    }
+    if let Some(overlay) = overlay {
+        overlay.draw_from_above(&mut canvas, &|p| map.page(p));
     }
     marker(&mut canvas, &map);
     footer(&mut canvas, MARGIN + HEADER + map.size[1] + MARGIN, output, palette, scale);

@@ -2,9 +2,11 @@
 
 use super::canvas::{Canvas, FAINT, INK, PAGE, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{Palette, by_distance, grey};
+use super::overlay::Overlay;
 use super::scale::Scale;
 use crate::plan::{Images, Output};
 use crate::sensor::{Angles, Geometry, Sensor};
+use glam::DVec2;
 
 /// Free page around and between, pixels.
 pub const MARGIN: u32 = 20;
@@ -24,7 +26,14 @@ const THINNEST: f64 = 24.0;
 const NARROWEST: u32 = 560;
 
 /// Draws the image pixel by pixel.
-pub fn draw(images: &Images, sensor: &Sensor, output: Output, palette: &Palette, scale: &Scale) -> Canvas {
+pub fn draw(
+    images: &Images,
+    sensor: &Sensor,
+    output: Output,
+    palette: &Palette,
+    scale: &Scale,
+    overlay: Option<&Overlay<'_>>,
+) -> Canvas {
     let (width, height) = drawn_size(sensor);
     let (page_width, left) = (width.max(NARROWEST) + 2 * MARGIN, MARGIN + NARROWEST.saturating_sub(width) / 2);
     let mut canvas = Canvas::new(page_width, MARGIN + HEADER + height + FOOTER + MARGIN);
@@ -50,6 +59,14 @@ pub fn draw(images: &Images, sensor: &Sensor, output: Output, palette: &Palette,
             }
             canvas.set(i64::from(left) + x as i64, i64::from(top) + y as i64, color);
         }
+    }
+    if let Some(overlay) = overlay {
+        let size = DVec2::new(f64::from(images.width), f64::from(images.height));
+        overlay.draw(&mut canvas, &|pixel| {
+            let share = (pixel + 0.5) / size;
+            let across = if mirrored { 1.0 - share.x } else { share.x };
+            [f64::from(left) + across * f64::from(width), f64::from(top) + share.y * f64::from(height)]
+        });
     }
     footer(&mut canvas, top + height + MARGIN, output, palette, scale);
     canvas

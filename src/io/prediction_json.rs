@@ -1,0 +1,264 @@
+//! Predictions of features as JSON, `format = 1`. Numbers that are not finite are null.
+//!
+//! | key | meaning |
+//! |---|---|
+//! | `sensor` | its name |
+//! | `world_from_sensor` | x, y, z, qx, qy, qz, qw; body axes |
+//! | `pose_covariance` | 36 numbers, row-major, or null |
+//! | `confidence` | of the regions of interest, or null |
+//! | `features` | one entry each, see [`crate::features::SeenFeature`] |
+//!
+//! An entry has `id`, `kind`, `name`, `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
+//! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
+//! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
+//! of the prediction) and `history` (null without a store).
+
+use super::atomic::write_atomically;
+use crate::environment::{Environment, FeatureShape};
+use crate::error::{Error, Result};
+use crate::features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
+use crate::geometry::Pose;
+use glam::{DVec2, DVec3};
+use serde::Serialize;
+use std::io::Write;
+use std::path::Path;
+
+/// The version that this build writes.
+const FORMAT: u32 = 1;
+
+/// What was predicted, and how sure the pose was.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Header {
+    /// The sensor's name.
+    pub sensor: String,
+    /// The sensor's pose, body axes.
+    pub world_from_sensor: Pose,
+    /// Of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
+    pub pose_covariance: Option<[[f64; 6]; 6]>,
+    /// Probability with which features are in their regions.
+    pub confidence: Option<f64>,
+}
+
+/// Writes a prediction of features; `environment` names the objects that hide them.
+///
+/// ```
+/// use presight::features::FeaturePrediction;
+/// use presight::io::prediction_json::{Header, to_string};
+/// use presight::Environment;
+/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new())?;
+/// let json: serde_json::Value = serde_json::from_str(&text)?;
+/// assert_eq!(json["format"], 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+pub fn write(path: &Path, header: &Header, prediction: &FeaturePrediction, environment: &Environment) -> Result<()> {
+    let text = to_string(header, prediction, environment).map_err(|e| e.in_file(path))?;
+    write_atomically(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// The text of [`write`].
+///
+/// # Errors
+/// None in practice: everything that can be predicted is JSON.
+pub fn to_string(header: &Header, prediction: &FeaturePrediction, environment: &Environment) -> Result<String> {
+    let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
+    let file = File {
+        format: FORMAT,
+        sensor: &header.sensor,
+        world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
+        pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
+        confidence: header.confidence,
+        features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
+    };
+    let text = serde_json::to_string_pretty(&file);
+    text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction is no JSON: {e}"), ""))
+}
+
+#[derive(Serialize)]
+struct File<'a> {
+    format: u32,
+    sensor: &'a str,
+    world_from_sensor: [f64; 7],
+    pose_covariance: Option<Vec<f64>>,
+    confidence: Option<f64>,
+    features: Vec<Entry<'a>>,
+}
+
+#[derive(Serialize)]
+struct Entry<'a> {
+    id: u32,
+    kind: &'static str,
+    name: Option<&'a str>,
+    points_world: Vec<[f64; 3]>,
+    visible_fraction: f64,
+    visible: Vec<Visible>,
+    hidden: Vec<Hidden<'a>>,
+    range: Option<f64>,
+    cos_incidence: Option<f64>,
+    roi: Option<[f64; 4]>,
+    roi_flag: Option<&'static str>,
+    image_covariance: Option<&'a [[[f64; 2]; 2]]>,
+    properties: Properties<'a>,
+    history: Option<()>,
+}
+
+#[derive(Serialize)]
+struct Visible {
+    t: [f64; 2],
+    pixels: [[f64; 2]; 2],
+}
+
+#[derive(Serialize)]
+struct Hidden<'a> {
+    t: [f64; 2],
+    reason: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    by: Option<By<'a>>,
+}
+
+#[derive(Serialize)]
+struct By<'a> {
+    polygon: u32,
+    object: &'a str,
+}
+
+#[derive(Serialize)]
+struct Properties<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    strength: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    contrast: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    normal: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    direction: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    family: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    code: Option<u32>,
+    existence: f64,
+}
+
+fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> Entry<'a> {
+    Entry {
+        id: seen.feature.id,
+        kind: seen.feature.shape.kind(),
+        name: seen.feature.name.as_deref(),
+        points_world: seen.points_world.iter().map(DVec3::to_array).collect(),
+        visible_fraction: seen.visible_fraction,
+        visible: seen.visible.iter().map(visible).collect(),
+        hidden: seen.hidden.iter().map(|h| hidden(h, environment)).collect(),
+        range: seen.range,
+        cos_incidence: seen.cos_incidence,
+        roi: seen.roi,
+        roi_flag: seen.roi_flag,
+        image_covariance: seen.image_covariance.as_deref(),
+        properties: properties(seen),
+        history: None,
+    }
+}
+
+fn visible(v: &VisibleInterval) -> Visible {
+    Visible { t: v.t, pixels: v.pixels.map(|p: DVec2| p.to_array()) }
+}
+
+fn hidden<'a>(h: &HiddenInterval, environment: &'a Environment) -> Hidden<'a> {
+    let by = h.by.map(|by| By { polygon: by.polygon_id, object: &environment.objects()[by.object as usize].name });
+    Hidden { t: h.t, reason: h.reason.name(), by }
+}
+
+fn properties(seen: &SeenFeature) -> Properties<'_> {
+    let given = &seen.feature.properties;
+    let (family, code) = match &seen.feature.shape {
+        FeatureShape::Fiducial { family, code, .. } => (Some(family.as_str()), Some(*code)),
+        _ => (None, None),
+    };
+    let direction = match (&seen.feature.shape, seen.points_world.as_slice()) {
+        (FeatureShape::Segment { .. }, [a, b]) => (*b - *a).try_normalize(),
+        _ => None,
+    };
+    Properties {
+        strength: given.strength,
+        contrast: given.contrast,
+        normal: seen.normal_world.map(|n| n.to_array()),
+        direction: direction.map(|d| d.to_array()),
+        family,
+        code,
+        existence: seen.existence,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::{Existence, Feature, Properties};
+    use crate::features::Reason;
+    use glam::DMat3;
+
+    fn seen() -> SeenFeature {
+        let ends = [DVec3::ZERO, DVec3::Z * 2.0];
+        SeenFeature {
+            feature: Feature {
+                id: 9,
+                name: Some("door".into()),
+                object: None,
+                shape: FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO },
+                existence: Existence::default(),
+                properties: Properties::default(),
+            },
+            points_world: ends.to_vec(),
+            normal_world: None,
+            visible_fraction: 0.25,
+            visible: vec![VisibleInterval { t: [0.0, 0.25], pixels: [DVec2::new(1.0, 2.0), DVec2::new(1.5, 4.0)] }],
+            hidden: vec![HiddenInterval { t: [0.25, 1.0], reason: Reason::BehindSensor, by: None }],
+            range: Some(f64::NAN),
+            cos_incidence: None,
+            existence: 0.5,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+        }
+    }
+
+    #[test]
+    fn fields_bear_the_names_that_others_read() {
+        let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
+        let header = Header { sensor: "video-camera".into(), ..Header::default() };
+        let text = to_string(&header, &prediction, &Environment::new()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        let mut top = ["format", "sensor", "world_from_sensor", "pose_covariance", "confidence", "features"];
+        let mut of_feature = [
+            "id",
+            "kind",
+            "name",
+            "points_world",
+            "visible_fraction",
+            "visible",
+            "hidden",
+            "range",
+            "cos_incidence",
+            "roi",
+            "roi_flag",
+            "image_covariance",
+            "properties",
+            "history",
+        ];
+        top.sort_unstable();
+        of_feature.sort_unstable();
+        let sorted = |mut keys: Vec<String>| {
+            keys.sort_unstable();
+            keys
+        };
+        assert_eq!(sorted(keys(&json)), top);
+        let feature = &json["features"][0];
+        assert_eq!(sorted(keys(feature)), of_feature);
+        assert_eq!(feature["range"], serde_json::Value::Null);
+        assert_eq!(feature["visible"][0]["pixels"][1][1], 4.0);
+        assert_eq!(feature["hidden"][0]["reason"], "behind_sensor");
+        assert_eq!(feature["properties"]["direction"][2], 1.0);
+        assert_eq!(feature["properties"]["existence"], 0.5);
+    }
+}
