@@ -1,0 +1,1 @@
+//! Unit scenes with counts that follow from their geometry.
