@@ -16,6 +16,32 @@ pub struct FeatureLayer {
     pub pose_covariances: Vec<(String, [[f64; 6]; 6])>,
 }
 
+impl FeatureLayer {
+    /// The newest confirmation of all features, UTC seconds (0 without features): the time that existence is told for
+    /// unless one is asked for. Never the clock's: the same input gives the same prediction.
+    ///
+    /// ```
+    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use glam::{DMat3, DVec3};
+    /// let confirmed = |id: u32, confirmed: f64| Feature {
+    ///     id,
+    ///     name: None,
+    ///     object: None,
+    ///     shape: FeatureShape::Point { at: DVec3::ZERO, covariance: DMat3::ZERO },
+    ///     existence: Existence { p0: 1.0, confirmed, rate: 0.1 },
+    ///     properties: Properties::default(),
+    /// };
+    /// let features = vec![confirmed(1, 90.0), confirmed(2, 100.0)];
+    /// let layer = FeatureLayer { features, ..FeatureLayer::default() };
+    /// let time = layer.newest_confirmation();
+    /// assert_eq!(time, 100.0);
+    /// assert_eq!(layer.features[0].existence.at(time), (-1f64).exp());
+    /// ```
+    pub fn newest_confirmation(&self) -> f64 {
+        self.features.iter().map(|f| f.existence.confirmed).reduce(f64::max).unwrap_or(0.0)
+    }
+}
+
 /// How far a feature may be off its polygons where the layer does not say, metres.
 pub const DEFAULT_TOLERANCE: f64 = 1e-3;
 

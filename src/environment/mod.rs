@@ -1,6 +1,7 @@
 //! The environment: objects, meshes and materials; the thing that is stored and kept true (paper section 2.1).
 
 mod feature;
+mod feature_check;
 mod material;
 mod mesh;
 

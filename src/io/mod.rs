@@ -4,6 +4,7 @@ pub mod atomic;
 pub mod camera_info;
 pub mod exr;
 pub mod gltf;
+pub mod layer;
 mod load;
 pub mod materials;
 pub mod pcd;

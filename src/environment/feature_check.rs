@@ -1,0 +1,393 @@
+//! What must hold of features before anything is computed from them.
+
+use super::{Feature, FeatureLayer, FeatureShape};
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, plane_of_polygon};
+use crate::limits;
+use glam::{DMat3, DVec3};
+
+/// How far a covariance's entries may be off a positive semidefinite one, relative to the standard deviations they
+/// belong to: half a unit of the sixth significant digit, the shortest that programs print by default.
+const WRITTEN: f64 = 5e-6;
+/// How far a normal's squared length may be off 1.
+const UNIT: f64 = 1e-9;
+/// How far a fiducial's corners may be off a square, relative to its side.
+const SQUARE: f64 = 0.05;
+/// Cosine of the angle by which a surface's normal may disagree with its corners, 8 degrees.
+const AGREE: f64 = 0.99;
+/// How far a patch's corner may lie inside the hull of the others, relative to its size: as for polygons.
+const CONVEX: f64 = 4e-6;
+/// Most corners of a patch.
+const MAX_PATCH_CORNERS: usize = 1024;
+
+/// Codes in OpenCV's dictionaries.
+const FAMILIES: [(&str, u32); 22] = [
+    ("DICT_4X4_50", 50),
+    ("DICT_4X4_100", 100),
+    ("DICT_4X4_250", 250),
+    ("DICT_4X4_1000", 1000),
+    ("DICT_5X5_50", 50),
+    ("DICT_5X5_100", 100),
+    ("DICT_5X5_250", 250),
+    ("DICT_5X5_1000", 1000),
+    ("DICT_6X6_50", 50),
+    ("DICT_6X6_100", 100),
+    ("DICT_6X6_250", 250),
+    ("DICT_6X6_1000", 1000),
+    ("DICT_7X7_50", 50),
+    ("DICT_7X7_100", 100),
+    ("DICT_7X7_250", 250),
+    ("DICT_7X7_1000", 1000),
+    ("DICT_ARUCO_ORIGINAL", 1024),
+    ("DICT_APRILTAG_16h5", 30),
+    ("DICT_APRILTAG_25h9", 35),
+    ("DICT_APRILTAG_36h10", 2320),
+    ("DICT_APRILTAG_36h11", 587),
+    ("DICT_ARUCO_MIP_36h12", 250),
+];
+
+impl FeatureLayer {
+    /// Checks everything that needs no world: each feature, rising ids, the tolerance, the covariances of poses.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the feature.
+    pub fn check(&self) -> Result<()> {
+        self.check_header()?;
+        for (i, feature) in self.features.iter().enumerate() {
+            feature.check(self.tolerance).map_err(|e| e.at(format!("feature {} (features[{i}])", feature.id)))?;
+        }
+        match self.features.windows(2).find(|pair| pair[0].id >= pair[1].id) {
+            None => Ok(()),
+            Some(pair) => Err(Error::invalid(
+                format!("id {} comes after id {}", pair[1].id, pair[0].id),
+                "sort the features, and give each an id of its own",
+            )),
+        }
+    }
+
+    /// Checks all but the features.
+    pub(crate) fn check_header(&self) -> Result<()> {
+        if self.class.is_empty() {
+            return Err(Error::invalid("the sensor class is empty", "name one, such as \"video\""));
+        }
+        if !(self.tolerance > 0.0 && self.tolerance <= limits::MAX_COORDINATE) {
+            return Err(Error::invalid(
+                format!("the tolerance {} is no length in metres", self.tolerance),
+                "give a small one above 0, such as 0.001",
+            ));
+        }
+        for (i, (object, covariance)) in self.pose_covariances.iter().enumerate() {
+            let place = || format!("pose covariance of object {object:?}");
+            if self.pose_covariances[..i].iter().any(|(other, _)| other == object) {
+                return Err(Error::invalid("it is given twice", "keep one of them").at(place()));
+            }
+            check_covariance(covariance).map_err(|e| e.at(place()))?;
+        }
+        Ok(())
+    }
+}
+
+impl Feature {
+    /// Checks everything that needs no world, for a layer of that tolerance (metres).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming what is wrong.
+    pub fn check(&self, tolerance: f64) -> Result<()> {
+        if self.id == 0 {
+            return Err(Error::invalid("id 0 is nothing", "count from 1"));
+        }
+        let sound = |p: &DVec3| p.is_finite() && p.abs().max_element() <= limits::MAX_COORDINATE;
+        if let Some((k, p)) = self.shape.points().iter().enumerate().find(|(_, p)| !sound(p)) {
+            return Err(Error::invalid(
+                format!("point {k} is {p}, not a finite position"),
+                format!("give metres, at most {:e}", limits::MAX_COORDINATE),
+            ));
+        }
+        self.check_existence()?;
+        self.check_properties()?;
+        self.shape.check(tolerance)?;
+        self.check_normal()
+    }
+
+    fn check_existence(&self) -> Result<()> {
+        let e = &self.existence;
+        check_share("existence probability", e.p0)?;
+        if !e.confirmed.is_finite() {
+            return Err(Error::invalid(
+                format!("the time of confirmation {} is not finite", e.confirmed),
+                "give UTC seconds since 1970",
+            ));
+        }
+        if !(e.rate.is_finite() && e.rate >= 0.0) {
+            return Err(Error::invalid(
+                format!("the decay rate {} is negative or not finite", e.rate),
+                "give 1 / s, 0 for what lasts",
+            ));
+        }
+        Ok(())
+    }
+
+    fn check_properties(&self) -> Result<()> {
+        for (name, value) in [("strength", self.properties.strength), ("contrast", self.properties.contrast)] {
+            value.map_or(Ok(()), |v| check_share(name, v))?;
+        }
+        match self.properties.normal {
+            Some(n) if !((n.length_squared() - 1.0).abs() <= UNIT) => Err(Error::invalid(
+                format!("the normal {n} has length {}, not 1", n.length()),
+                "divide it by its length",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// A surface's normal and corners tell the same.
+    fn check_normal(&self) -> Result<()> {
+        let Some(normal) = self.properties.normal else { return Ok(()) };
+        let plane = match &self.shape {
+            FeatureShape::Patch { corners, .. } => plane_of_polygon(corners),
+            // Clockwise from the front.
+            FeatureShape::Fiducial { corners, .. } => {
+                plane_of_polygon(&[corners[3], corners[2], corners[1], corners[0]])
+            }
+            _ => None,
+        };
+        let Some(plane) = plane else { return Ok(()) };
+        let cosine = plane.normal.dot(normal);
+        let sided = matches!(self.shape, FeatureShape::Fiducial { .. });
+        if cosine >= AGREE || (!sided && cosine <= -AGREE) {
+            return Ok(());
+        }
+        let remedy = if sided {
+            "list the corners clockwise from the top left as seen from the front, or leave the normal out"
+        } else {
+            "correct it, or leave it out"
+        };
+        let off = cosine.clamp(-1.0, 1.0).acos().to_degrees();
+        Err(Error::invalid(format!("the normal is {off:.1} degrees off that of the corners"), remedy))
+    }
+}
+
+impl FeatureShape {
+    fn check(&self, tolerance: f64) -> Result<()> {
+        match self {
+            Self::Point { covariance, .. } | Self::Reflector { covariance, .. } => check_covariance(&rows(covariance)),
+            Self::Segment { ends, covariances, cross } => {
+                if ends[0] == ends[1] {
+                    return Err(Error::invalid("the segment has no length", "give two ends, or make it a point"));
+                }
+                for (k, covariance) in covariances.iter().enumerate() {
+                    check_covariance(&rows(covariance)).map_err(|e| e.at(format!("end {k}")))?;
+                }
+                check_covariance(&joint(covariances, cross)).map_err(|e| e.at("both ends with their cross-covariance"))
+            }
+            Self::Patch { corners, covariance } => {
+                check_patch(corners, tolerance)?;
+                check_covariance(&rows(covariance))
+            }
+            Self::Fiducial { corners, covariance, family, code } => {
+                check_fiducial(corners)?;
+                check_family(family, *code)?;
+                check_covariance(&rows(covariance))
+            }
+        }
+    }
+}
+
+fn check_share(name: &str, value: f64) -> Result<()> {
+    if (0.0..=1.0).contains(&value) {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("the {name} {value} is outside 0..=1"), "give a share of 1"))
+}
+
+fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
+    let n = corners.len();
+    if !(3..=MAX_PATCH_CORNERS).contains(&n) {
+        let remedy = if n < 3 { "give at least 3" } else { "split the patch" };
+        return Err(Error::invalid(format!("a patch of {n} corners"), remedy));
+    }
+    let plane = plane_of_polygon(corners)
+        .ok_or_else(|| Error::invalid("the patch has no area", "give corners that are not on one line"))?;
+    let size = Aabb::of(corners.iter().copied()).size();
+    let dent = CONVEX * size;
+    // About the first corner: at world coordinates the plane's offset would be rounded.
+    let offset = plane.normal.dot(corners.iter().map(|c| *c - corners[0]).sum::<DVec3>() / n as f64);
+    let mut turned = 0.0;
+    for k in 0..n {
+        let off = plane.normal.dot(corners[k] - corners[0]) - offset;
+        if off.abs() > tolerance {
+            return Err(Error::invalid(
+                format!("corner {k} is {:.3e} m off the patch's plane, {tolerance:e} is allowed", off.abs()),
+                "split the patch into plane ones",
+            ));
+        }
+        let before = corners[k] - corners[(k + n - 1) % n];
+        let after = corners[(k + 1) % n] - corners[k];
+        if before == DVec3::ZERO {
+            return Err(Error::invalid(format!("corner {k} repeats the one before"), "drop one of them"));
+        }
+        let turn = before.cross(after).dot(plane.normal);
+        if turn < -dent * before.length().max(after.length()) {
+            return Err(Error::invalid(
+                format!("corner {k} turns inwards: the patch is not convex"),
+                "split it into convex ones",
+            ));
+        }
+        turned += turn.atan2(before.dot(after));
+    }
+    if (turned - std::f64::consts::TAU).abs() > 1.0 {
+        return Err(Error::invalid("the outline winds more than once", "list each corner once, in order"));
+    }
+    Ok(())
+}
+
+fn check_fiducial(corners: &[DVec3; 4]) -> Result<()> {
+    let [a, b, c, d] = *corners;
+    let (right, down) = (0.5 * ((b - a) + (c - d)), 0.5 * ((d - a) + (c - b)));
+    let side = 0.5 * (right.length() + down.length());
+    // The parallelogram that fits best leaves each corner off by this much.
+    let left_over = 0.25 * ((a - b) + (c - d)).length();
+    let square = side > 0.0
+        && left_over <= SQUARE * side
+        && (right.length() - down.length()).abs() <= SQUARE * side
+        && right.dot(down).abs() <= SQUARE * side * side;
+    if square {
+        return Ok(());
+    }
+    Err(Error::invalid(
+        format!("the corners {a}, {b}, {c}, {d} are no square"),
+        "give the marker's four corners clockwise from the top left, seen from the front",
+    ))
+}
+
+fn check_family(family: &str, code: u32) -> Result<()> {
+    let most = FAMILIES.iter().find(|(name, _)| *name == family).map(|(_, count)| *count);
+    let place = || format!("family {family:?}");
+    match most {
+        Some(count) if code >= count => {
+            let remedy = "give its number in the dictionary";
+            Err(Error::invalid(format!("code {code} is not among its {count}"), remedy).at(place()))
+        }
+        // Other libraries' families are free names.
+        None if family.is_empty() || family.starts_with("DICT_") => Err(Error::invalid(
+            "OpenCV has no such dictionary",
+            "write it as OpenCV does, such as \"DICT_APRILTAG_36h11\"",
+        )
+        .at(place())),
+        _ => Ok(()),
+    }
+}
+
+fn rows(m: &DMat3) -> [[f64; 3]; 3] {
+    m.transpose().to_cols_array_2d()
+}
+
+fn joint(covariances: &[DMat3; 2], cross: &DMat3) -> [[f64; 6]; 6] {
+    let (first, second, cross, back) =
+        (rows(&covariances[0]), rows(&covariances[1]), rows(cross), rows(&cross.transpose()));
+    std::array::from_fn(|i| {
+        std::array::from_fn(|j| match (i / 3, j / 3) {
+            (0, 0) => first[i][j],
+            (0, _) => cross[i][j - 3],
+            (_, 0) => back[i - 3][j],
+            _ => second[i - 3][j - 3],
+        })
+    })
+}
+
+/// Finite, symmetric and positive semidefinite, as far as numbers written with six digits can be.
+///
+/// Entries are judged relative to the standard deviations they belong to, so that metres beside radians, or a
+/// nanometre beside a kilometre, lose nothing. Entries wrong by [`WRITTEN`] then move no eigenvalue by more than
+/// 2 n [`WRITTEN`]; with that much added to the diagonal a Cholesky decomposition must succeed.
+fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()> {
+    let wrong = |what: String| Err(Error::invalid(what, "give a covariance: symmetric, no eigenvalue below 0"));
+    let most = limits::MAX_COORDINATE * limits::MAX_COORDINATE;
+    if let Some(x) = covariance.as_flattened().iter().find(|x| !(x.abs() <= most)) {
+        return wrong(format!("the covariance holds {x}, which is not finite or too large"));
+    }
+    if let Some(i) = (0..N).find(|&i| covariance[i][i] < 0.0) {
+        return wrong(format!("the variance at [{i}][{i}] is negative: {}", covariance[i][i]));
+    }
+    let sigma: [f64; N] = std::array::from_fn(|i| covariance[i][i].sqrt());
+    let mut scaled = [[0.0; N]; N];
+    for i in 0..N {
+        for j in 0..N {
+            let (a, b) = (covariance[i][j], covariance[j][i]);
+            let scale = sigma[i] * sigma[j];
+            if (a - b).abs() > 2.0 * WRITTEN * scale {
+                return wrong(format!("the covariance is not symmetric: [{i}][{j}] is {a}, [{j}][{i}] is {b}"));
+            }
+            if scale == 0.0 && a != 0.0 {
+                return wrong(format!("the covariance is indefinite: [{i}][{j}] is {a} beside a variance of 0"));
+            }
+            scaled[i][j] = if scale == 0.0 { 0.0 } else { 0.5 * (a + b) / scale };
+        }
+    }
+    if is_positive(&mut scaled, 2.0 * N as f64 * WRITTEN) {
+        return Ok(());
+    }
+    wrong("the covariance is indefinite: it has an eigenvalue below 0".to_owned())
+}
+
+/// Cholesky's decomposition of `a + slack`, in place; false at a pivot that is not above 0.
+fn is_positive<const N: usize>(a: &mut [[f64; N]; N], slack: f64) -> bool {
+    for k in 0..N {
+        let pivot = a[k][k] + slack - (0..k).map(|j| a[k][j] * a[k][j]).sum::<f64>();
+        if !(pivot > 0.0) {
+            return false;
+        }
+        a[k][k] = pivot.sqrt();
+        for i in k + 1..N {
+            a[i][k] = (a[i][k] - (0..k).map(|j| a[i][j] * a[k][j]).sum::<f64>()) / a[k][k];
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn singular_covariances_pass_and_indefinite_ones_do_not() {
+        let check = |a: [[f64; 3]; 3]| check_covariance(&a);
+        assert!(check([[0.0; 3]; 3]).is_ok());
+        assert!(check([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1e-18]]).is_ok());
+        // Singular, written with six digits.
+        assert!(check([[0.333333, 0.57735, 0.0], [0.57735, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
+        assert!(check([[1.0, 1.0005, 0.0], [1.0005, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
+        // Indefinite in a block that is small beside the rest.
+        assert!(check([[1e6, 0.0, 0.0], [0.0, 1e-18, 1.001e-18], [0.0, 1.001e-18, 1e-18]]).is_err());
+        assert!(check([[1.0, 0.0, 0.0], [0.0, -1e-30, 0.0], [0.0, 0.0, 1.0]]).is_err());
+        assert!(check([[1.0, 0.1, 0.0], [0.1001, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
+        assert!(check([[0.0, 1e-12, 0.0], [1e-12, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
+    }
+
+    proptest! {
+        /// J S J^T in f64, of any rank, with standard deviations from a nanometre to a kilometre.
+        #[test]
+        fn products_are_accepted_and_with_an_axis_turned_negative_they_are_not(
+            factors in prop::collection::vec((-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64, -9.0..3.0f64), 1..5),
+        ) {
+            let mut sum = [[0.0; 3]; 3];
+            for (x, y, z, power) in &factors {
+                let v = [x, y, z].map(|c| c * 10f64.powf(*power));
+                for i in 0..3 {
+                    for j in 0..3 {
+                        sum[i][j] += v[i] * v[j];
+                    }
+                }
+            }
+            prop_assert!(check_covariance(&sum).is_ok(), "{sum:?}");
+            // Less than nothing along x.
+            let mut less = sum;
+            less[0][0] = less[0][0] * 0.999 - 1.0;
+            let det2 = less[0][0] * less[1][1] - less[0][1] * less[1][0];
+            if less[0][0] < 0.0 || det2 < -1e-3 * (less[0][0] * less[1][1]).abs() {
+                prop_assert!(check_covariance(&less).is_err(), "{less:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! The keys of a layer file as serde reads and writes them; what they mean together is checked after.
+
+use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::fmt;
+
+/// A whole file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LayerFields {
+    #[serde(rename = "$schema")]
+    _schema: Option<String>,
+    #[serde(rename = "format")]
+    _format: i64,
+    pub class: String,
+    pub tolerance: Option<f64>,
+    #[serde(default)]
+    pub pose_covariances: PoseCovariances,
+    pub features: Vec<FeatureFields>,
+}
+
+/// A feature of any kind, or the removal of one.
+#[derive(Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FeatureFields {
+    pub id: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<Kind>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub object: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub points: Option<Vec<[f64; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<Sigma>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub covariance: Option<[f64; 9]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub covariances: Option<[[f64; 9]; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cross_covariance: Option<[f64; 9]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub existence: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub confirmed: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub properties: Option<PropertyFields>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remove: Option<bool>,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Kind {
+    Point,
+    Segment,
+    Patch,
+    Reflector,
+    Fiducial,
+}
+
+#[derive(Default, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PropertyFields {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub strength: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contrast: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub family: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub code: Option<u32>,
+}
+
+/// One standard deviation, or three; kept as three. An untagged enum would lose the line of errors.
+#[derive(Clone, Copy, Serialize)]
+#[serde(transparent)]
+pub(super) struct Sigma(pub [f64; 3]);
+
+impl<'de> Deserialize<'de> for Sigma {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct OneOrThree;
+        impl<'de> Visitor<'de> for OneOrThree {
+            type Value = Sigma;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a standard deviation in metres, or three")
+            }
+
+            fn visit_f64<E>(self, v: f64) -> Result<Sigma, E> {
+                Ok(Sigma([v; 3]))
+            }
+
+            fn visit_u64<E>(self, v: u64) -> Result<Sigma, E> {
+                Ok(Sigma([v as f64; 3]))
+            }
+
+            fn visit_i64<E>(self, v: i64) -> Result<Sigma, E> {
+                Ok(Sigma([v as f64; 3]))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Sigma, A::Error> {
+                Deserialize::deserialize(serde::de::value::SeqAccessDeserializer::new(seq)).map(Sigma)
+            }
+        }
+        deserializer.deserialize_any(OneOrThree)
+    }
+}
+
+/// Object paths with 36 numbers each, in the order of the file.
+#[derive(Default)]
+pub(super) struct PoseCovariances(pub Vec<(String, [[f64; 6]; 6])>);
+
+impl<'de> Deserialize<'de> for PoseCovariances {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct ByPath;
+        impl<'de> Visitor<'de> for ByPath {
+            type Value = PoseCovariances;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("36 numbers for each object path")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<PoseCovariances, A::Error> {
+                let mut found: Vec<(String, [[f64; 6]; 6])> = Vec::new();
+                let mut seen = std::collections::HashSet::new();
+                while let Some((path, numbers)) = map.next_entry::<String, Vec<f64>>()? {
+                    let mut covariance = [[0.0; 6]; 6];
+                    if numbers.len() != 36 {
+                        let what = format!("{} numbers for object {path:?}, where 36 are needed", numbers.len());
+                        return Err(A::Error::custom(what));
+                    }
+                    if !seen.insert(path.clone()) {
+                        return Err(A::Error::custom(format!("object {path:?} is given twice")));
+                    }
+                    covariance.as_flattened_mut().copy_from_slice(&numbers);
+                    found.push((path, covariance));
+                }
+                Ok(PoseCovariances(found))
+            }
+        }
+        deserializer.deserialize_map(ByPath)
+    }
+}

@@ -1,0 +1,69 @@
+//! Layer files: the features of one sensor class, JSON, `format = 1`; unknown keys are errors.
+//!
+//! ```json
+//! {
+//!   "format": 1,
+//!   "class": "video",
+//!   "tolerance": 0.001,
+//!   "pose_covariances": {"hall/door": [1e-4, 0, 0, 0, 0, 0,  0, 1e-4, 0, 0, 0, 0,  0, 0, 0, 0, 0, 0,
+//!                                      0, 0, 0, 0, 0, 0,     0, 0, 0, 0, 0, 0,     0, 0, 0, 0, 0, 1e-6]},
+//!   "features": [
+//!     {"id": 1, "kind": "segment", "name": "door, left edge", "object": "hall/door",
+//!      "points": [[0, 0, 0], [0, 0, 2]], "sigma": 0.005, "properties": {"contrast": 0.8}},
+//!     {"id": 2, "kind": "reflector", "points": [[4.2, -1.0, 1.5]], "sigma": [0.002, 0.002, 0.01],
+//!      "existence": 0.95, "confirmed": 1790000000, "rate": 1e-7,
+//!      "properties": {"strength": 1, "normal": [0, 1, 0]}},
+//!     {"id": 3, "kind": "fiducial", "points": [[1, 0, 2], [1.2, 0, 2], [1.2, 0, 1.8], [1, 0, 1.8]],
+//!      "properties": {"family": "DICT_APRILTAG_36h11", "code": 17}},
+//!     {"id": 4, "remove": true}
+//!   ]
+//! }
+//! ```
+//!
+//! | key of a feature | meaning |
+//! |---|---|
+//! | `id` | stable number, 1 and up, never used again |
+//! | `kind` | `point`, `segment`, `patch`, `reflector`, `fiducial` |
+//! | `object` | path of the object in whose frame it is given and with which it moves; absent: the world |
+//! | `points` | metres: 1 for points and reflectors, 2 ends, 3 or more corners of a convex patch, 4 corners of a fiducial, clockwise from the top left seen from the front |
+//! | `sigma` | standard deviation of each point, metres: one for all axes, or three |
+//! | `covariance` | instead: 9 numbers, row-major, of each point |
+//! | `covariances` | segments: one for each end |
+//! | `cross_covariance` | segments: of the first end with the second |
+//! | `existence`, `confirmed`, `rate` | p(t) = existence exp(-rate (t - confirmed)); 1, 0 and 0 if absent; UTC seconds |
+//! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit, of the surface), `family` and `code` of a fiducial |
+//! | `remove` | `true`: of layers read before, the feature of this id is dropped; nothing else is given then |
+//!
+//! Absent covariances are zero. `tolerance` (metres, default 0.001) is how far a feature may be off the polygons it lies
+//! on; they are found by geometry when the layer is used ([`crate::features::place`]). `pose_covariances` are 6 x 6,
+//! row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A `$schema` key is allowed, for
+//! editors; [`schema`] is what it should point to.
+//!
+//! ```
+//! use presight::io::layer;
+//! let base = r#"{"format": 1, "class": "video", "features": [
+//!     {"id": 1, "kind": "point", "points": [[1, 2, 3]], "sigma": 0.01},
+//!     {"id": 2, "kind": "point", "points": [[4, 5, 6]]}]}"#;
+//! let later = r#"{"format": 1, "class": "video", "features": [{"id": 2, "remove": true}]}"#;
+//! let merged = layer::merge([layer::parse(base)?, layer::parse(later)?])?;
+//! assert_eq!(merged.features.len(), 1);
+//! // What is written reads back with the same bits.
+//! assert_eq!(layer::parse(&layer::to_string(&merged)?)?.layer, merged);
+//! # Ok::<(), presight::Error>(())
+//! ```
+
+mod fields;
+mod merge;
+mod read;
+mod schema;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub use merge::{Loaded, load, merge};
+pub use read::{LayerFile, parse, read};
+pub use schema::schema;
+pub use write::{entry, to_string, write};
+
+/// The newest version that this build reads; there is no older one.
+const FORMAT: i64 = 1;

@@ -1,0 +1,213 @@
+//! From text to features.
+
+use super::FORMAT;
+use super::fields::{FeatureFields, Kind, LayerFields, PropertyFields};
+use crate::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use crate::error::{Error, ErrorKind, Result};
+use crate::io::text::read_text;
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// What a layer file says: a layer, or changes to those read before it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LayerFile {
+    /// The features it gives, ids rising.
+    pub layer: FeatureLayer,
+    /// Ids of the features it removes, rising; none of them is in the layer.
+    pub removed: Vec<u32>,
+    /// Where it was read.
+    pub path: Option<PathBuf>,
+}
+
+/// Reads a layer file.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] with the line, or the feature's index and id, [`ErrorKind::Unsupported`] if it is of a newer
+/// format, [`ErrorKind::System`] if the system refuses.
+pub fn read(path: &Path) -> Result<LayerFile> {
+    let file = parse(&read_text(path)?).map_err(|e| e.in_file(path))?;
+    Ok(LayerFile { path: Some(path.to_owned()), ..file })
+}
+
+/// Reads the text of a layer file.
+///
+/// # Errors
+/// As [`read`], without the file.
+pub fn parse(text: &str) -> Result<LayerFile> {
+    check_format(text)?;
+    let fields: LayerFields = from_json(text)?;
+    let mut layer = FeatureLayer {
+        class: fields.class,
+        tolerance: fields.tolerance.unwrap_or(DEFAULT_TOLERANCE),
+        features: Vec::with_capacity(fields.features.len()),
+        pose_covariances: fields.pose_covariances.0,
+    };
+    layer.check_header()?;
+    let mut removed = Vec::new();
+    let mut first_use: HashMap<u32, usize> = HashMap::with_capacity(fields.features.len());
+    for (i, entry) in fields.features.into_iter().enumerate() {
+        let id = entry.id;
+        let place = || format!("features[{i}] (id {id})");
+        if let Some(first) = first_use.insert(id, i) {
+            let what = format!("features[{first}] has this id already");
+            return Err(Error::invalid(what, "give each feature an id that was never used").at(place()));
+        }
+        match entry.feature(layer.tolerance).map_err(|e| e.at(place()))? {
+            Some(feature) => layer.features.push(feature),
+            None => removed.push(id),
+        }
+    }
+    layer.features.sort_by_key(|f| f.id);
+    removed.sort_unstable();
+    Ok(LayerFile { layer, removed, path: None })
+}
+
+fn from_json<T: DeserializeOwned>(text: &str) -> Result<T> {
+    serde_json::from_str(text).map_err(|e| {
+        let remedy = "correct the file; presight features schema prints what it may hold";
+        // serde_json appends the position to its message.
+        let what = e.to_string();
+        let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
+        Error::invalid(what, remedy).at(format!("line {}, column {}", e.line(), e.column())).caused_by(e)
+    })
+}
+
+/// Before anything else is looked at: a newer file may hold keys that this build cannot know.
+fn check_format(text: &str) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Header {
+        format: Option<i64>,
+    }
+    match from_json::<Header>(text)?.format {
+        Some(FORMAT) => Ok(()),
+        Some(newer) if newer > FORMAT => Err(Error::new(
+            ErrorKind::Unsupported,
+            format!("format {newer} is newer than this presight, which reads format {FORMAT}"),
+            "update presight",
+        )),
+        Some(other) => {
+            Err(Error::invalid(format!("format {other} never existed"), format!("write \"format\": {FORMAT}")))
+        }
+        None => {
+            Err(Error::invalid("the file does not name its format", format!("write \"format\": {FORMAT} at its top")))
+        }
+    }
+}
+
+impl FeatureFields {
+    /// The feature, or `None` if it is to be removed.
+    fn feature(self, tolerance: f64) -> Result<Option<Feature>> {
+        if self.remove == Some(true) {
+            return self.removal().map(|()| None);
+        }
+        let shape = self.shape()?;
+        let default = Existence::default();
+        let existence = Existence {
+            p0: self.existence.unwrap_or(default.p0),
+            confirmed: self.confirmed.unwrap_or(default.confirmed),
+            rate: self.rate.unwrap_or(default.rate),
+        };
+        let properties = self.properties.unwrap_or_default().properties(&shape)?;
+        let feature = Feature { id: self.id, name: self.name, object: self.object, shape, existence, properties };
+        feature.check(tolerance)?;
+        Ok(Some(feature))
+    }
+
+    fn removal(&self) -> Result<()> {
+        // Whatever else is given would be lost.
+        let alone = Self { id: self.id, remove: self.remove, ..Self::default() };
+        if self.id == 0 {
+            return Err(Error::invalid("id 0 is nothing", "name the feature to remove"));
+        }
+        match (serde_json::to_string(self), serde_json::to_string(&alone)) {
+            (Ok(given), Ok(alone)) if given == alone => Ok(()),
+            _ => Err(Error::invalid("\"remove\": true stands beside other keys", "leave only id and remove")),
+        }
+    }
+
+    fn shape(&self) -> Result<FeatureShape> {
+        let Some(kind) = self.kind else {
+            return Err(Error::invalid("kind is missing", "give point, segment, patch, reflector or fiducial"));
+        };
+        let points: Vec<DVec3> = self.points.iter().flatten().map(|p| DVec3::from_array(*p)).collect();
+        if kind != Kind::Segment && (self.covariances.is_some() || self.cross_covariance.is_some()) {
+            return Err(Error::invalid("covariances and cross_covariance are for segments", "give covariance"));
+        }
+        let covariance = self.covariance()?;
+        let properties = self.properties.as_ref();
+        match kind {
+            Kind::Point | Kind::Reflector => {
+                let [at] = exactly(&points)?;
+                Ok(match kind {
+                    Kind::Point => FeatureShape::Point { at, covariance },
+                    _ => FeatureShape::Reflector { at, covariance },
+                })
+            }
+            Kind::Segment => {
+                let covariances = self.covariances.as_ref().map(|both| both.each_ref().map(from_rows));
+                let cross = self.cross_covariance.as_ref().map_or(DMat3::ZERO, from_rows);
+                let covariances = covariances.unwrap_or([covariance; 2]);
+                Ok(FeatureShape::Segment { ends: exactly(&points)?, covariances, cross })
+            }
+            Kind::Patch => Ok(FeatureShape::Patch { corners: points, covariance }),
+            Kind::Fiducial => {
+                let given = properties.and_then(|p| p.family.clone().zip(p.code));
+                let (family, code) = given.ok_or_else(|| {
+                    Error::invalid("a fiducial needs its family and code", "give both under properties")
+                })?;
+                Ok(FeatureShape::Fiducial { corners: exactly(&points)?, covariance, family, code })
+            }
+        }
+    }
+
+    /// That of each point.
+    fn covariance(&self) -> Result<DMat3> {
+        match (self.sigma, &self.covariance, &self.covariances) {
+            (None, None, _) => Ok(DMat3::ZERO),
+            (Some(sigma), None, None) => {
+                if let Some(s) = sigma.0.iter().find(|s| !(**s >= 0.0)) {
+                    return Err(Error::invalid(format!("sigma {s} is negative"), "give metres, 0 or more"));
+                }
+                Ok(DMat3::from_diagonal(DVec3::from_array(sigma.0.map(|s| s * s))))
+            }
+            (None, Some(rows), None) => Ok(from_rows(rows)),
+            _ => Err(Error::invalid("the covariance is given twice", "give one of sigma, covariance and covariances")),
+        }
+    }
+}
+
+impl PropertyFields {
+    fn properties(self, shape: &FeatureShape) -> Result<Properties> {
+        let of_fiducials = self.family.is_some() || self.code.is_some();
+        if of_fiducials && !matches!(shape, FeatureShape::Fiducial { .. }) {
+            return Err(Error::invalid("family and code are for fiducials", "leave them out"));
+        }
+        let normal = self.normal.map(|n| unit(DVec3::from_array(n))).transpose()?;
+        Ok(Properties { strength: self.strength, contrast: self.contrast, normal })
+    }
+}
+
+/// A normal as people write it, made exact; one that is a unit vector already keeps its bits, so that what we wrote
+/// reads back equal.
+fn unit(n: DVec3) -> Result<DVec3> {
+    /// Three digits.
+    const WRITTEN: f64 = 1e-3;
+    let length = n.length();
+    if !((length - 1.0).abs() <= WRITTEN) {
+        return Err(Error::invalid(format!("the normal {n} has length {length}, not 1"), "divide it by its length"));
+    }
+    Ok(if (n.length_squared() - 1.0).abs() <= 1e-9 { n } else { n / length })
+}
+
+fn exactly<const N: usize>(points: &[DVec3]) -> Result<[DVec3; N]> {
+    points.try_into().map_err(|_| {
+        Error::invalid(format!("{} points, where this kind has {N}", points.len()), "give points as [[x, y, z], ..]")
+    })
+}
+
+fn from_rows(rows: &[f64; 9]) -> DMat3 {
+    DMat3::from_cols_array(rows).transpose()
+}
