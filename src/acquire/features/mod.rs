@@ -17,8 +17,6 @@ mod lines;
 mod patches;
 mod solids;
 mod soup;
-#[cfg(test)]
-mod tests;
 mod wings;
 
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties};

@@ -8,6 +8,7 @@ use crate::acquire::features::{GenerateOptions, Generated, Kind, generate};
 use crate::error::{Error, Result};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
+use crate::io::layer;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -19,7 +20,10 @@ const EXAMPLES: &str = "Examples:
     presight features hall.glb --class radar --kinds crease,border --min-length 0.5
 
   What is at a pixel, with an entry to paste into a layer:
-    presight features pick hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --pixel 320,240";
+    presight features pick hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --pixel 320,240
+
+  The JSON schema of layer files, for editors and tools:
+    presight features schema > layer.schema.json";
 
 /// Generate a layer of features from a model
 ///
@@ -50,6 +54,8 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     Pick(Box<pick::Args>),
+    /// Print the JSON schema of layer files
+    Schema,
 }
 
 /// The flags that say what is generated.
@@ -98,6 +104,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if let Some(command) = &args.command {
         return match command {
             Command::Pick(args) => pick::run(args),
+            Command::Schema => print::data(layer::schema()).map(|()| Verdict::Done),
         };
     }
     // Clap asks for both where there is no subcommand.
@@ -108,6 +115,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let scene = load::scene(scene, &ImportOptions::default(), Scheme::None)?;
     let start = Instant::now();
     let generated = generate(scene.world.environment(), class, &options)?;
+    if let Some(path) = &args.out {
+        layer::write(path, &generated.layer)?;
+    }
     print::data(&in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
     Ok(Verdict::Done)
 }

@@ -5,16 +5,16 @@ use super::super::pose::PoseArgs;
 use super::super::{Verdict, print};
 use super::OptionArgs;
 use crate::acquire::features::{GenerateOptions, generate};
-use crate::environment::{Feature, FeatureShape};
+use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, plane_of_polygon};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
-use crate::io::load_sensor;
+use crate::io::{layer, load_sensor};
 use crate::plan::{Output, Outputs, Request};
 use crate::predict::{Backend, Options, Predictor};
 use crate::sensor::Sensor;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use std::path::PathBuf;
 
 /// Show what a pixel sees: polygon, point, edges nearby, and a layer entry to paste
@@ -145,7 +145,28 @@ fn describe(scene: &Scene, sensor: &Sensor, hit: &Hit, args: &Args, options: &Ge
         let (name, object) = (f.name.as_deref().unwrap_or_default(), f.object.as_deref().unwrap_or_default());
         lines.push(format!("  {d:.4} m  {name:<12}  {}  {object}", points.join(" to ")));
     }
+    // What is nearest may be meant, or the point itself.
+    let entry = near
+        .first()
+        .map_or_else(|| point_at(hit, &object.name, p_in_object, normal_in_object, options), |(_, f)| (*f).clone());
+    lines.push("\nan entry for a layer; give it an id that the layer never used".into());
+    lines.push(layer::entry(&entry)?);
+    if !near.is_empty() {
+        lines.push("\nor the point itself".into());
+        lines.push(layer::entry(&point_at(hit, &object.name, p_in_object, normal_in_object, options))?);
+    }
     Ok(lines.join("\n") + "\n")
+}
+
+fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &GenerateOptions) -> Feature {
+    Feature {
+        id: 1,
+        name: Some(format!("point on polygon {}", hit.slot + 1)),
+        object: Some(object.to_owned()),
+        shape: FeatureShape::Point { at, covariance: DMat3::IDENTITY * (options.sigma * options.sigma) },
+        existence: Existence::default(),
+        properties: Properties { normal: Some(normal.normalize()), ..Properties::default() },
+    }
 }
 
 /// Metres from a point to a point or segment; `None` for patches.

@@ -1,8 +1,8 @@
 //! Unit scenes with counts that follow from their geometry.
 
-use super::*;
-use crate::environment::{Appearance, Material, Mesh, NewObject, Polygon, PolygonOrder};
-use glam::{DAffine3, Vec3};
+use glam::{DAffine3, DVec3, Vec3};
+use presight::acquire::features::{GenerateOptions, Kind, generate};
+use presight::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
 use std::sync::Arc;
 
 /// A loop of corners in a material.
@@ -233,7 +233,7 @@ fn options_are_checked_and_kinds_kept_to() {
         GenerateOptions { crease: 0.0, ..default() },
         GenerateOptions { sigma: -1.0, ..default() },
     ] {
-        assert_eq!(generate(&environment, "video", &wrong).unwrap_err().kind(), crate::ErrorKind::Usage);
+        assert_eq!(generate(&environment, "video", &wrong).unwrap_err().kind(), presight::ErrorKind::Usage);
     }
     for kind in Kind::ALL {
         let only = generate(&environment, "video", &GenerateOptions { kinds: vec![kind], ..default() }).unwrap();

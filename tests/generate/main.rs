@@ -2,7 +2,9 @@
 
 #![allow(clippy::print_stderr)] // Skips and what was found are said.
 
+#[path = "../common/mod.rs"]
 mod common;
+mod scenes;
 
 use common::{Random, data};
 use glam::DVec3;
