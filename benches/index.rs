@@ -10,6 +10,7 @@ use presight::index::{Found, Params, Rect, Region, Scheme, Sector, SpatialIndex,
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Aabb, Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use rstar::{AABB, RTree, RTreeObject, SelectionFunction};
+use std::f64::consts::TAU;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -58,7 +59,7 @@ fn factory(polygons: usize, own: bool) -> Environment {
     environment.add_material(Material::named("steel")).expect("one material");
     for i in 0..polygons.div_ceil(500) {
         let at = DVec3::new(random.unit() * side, random.unit() * side, 0.0);
-        let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.unit() * 6.28);
+        let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.unit() * TAU);
         let mesh = if own { machine(&mut random, (polygons - 500 * i).min(500)) } else { kinds[i % 20].clone() };
         environment.insert(NewObject::new(format!("machine {i}"), pose, mesh)).expect("it fits");
     }
@@ -126,7 +127,7 @@ fn queries(side: f64, radius: f64, count: usize) -> Vec<Query> {
     let inside = (side - 2.0 * radius).max(0.0);
     let query = |_| {
         let apex = DVec2::new(random.unit(), random.unit()) * inside + (side - inside) / 2.0;
-        let heading = 6.28 * random.unit();
+        let heading = TAU * random.unit();
         Query {
             apex,
             sector: Sector::new(heading, opening, radius),
@@ -181,9 +182,9 @@ fn query_bench() {
     println!("## The paper's sector in {} polygons\n", boxes.len());
     let queries = queries(side_of(&boxes), 10.0, 200);
     let indexes: Vec<_> = [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d]
-        .map(|s| (s.name(), build(s, Params::default(), &boxes).expect("it is over polygons")))
+        .map(|s| (s.name(), build(s, Params::tuned(s), &boxes).expect("it is over polygons")))
         .into();
-    let two_level = WorldIndex::new(&environment, Scheme::TwoLevel, Params::default());
+    let two_level = WorldIndex::new(&environment, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel));
     let wide = Params { cell_polygons: 1 << 16, ..Params::default() };
     let all_in_one = build(Scheme::S2d, wide, &boxes).expect("it is over polygons");
     let rects: Vec<Flat> = boxes.iter().map(flat).collect();
@@ -230,7 +231,7 @@ fn query_bench() {
     println!("\nbytes a polygon:");
     println!("- two-level {:.1} (meshes shared)", two_level.bytes() as f64 / boxes.len() as f64);
     let own = factory(50_000, true);
-    let alone = WorldIndex::new(&own, Scheme::TwoLevel, Params::default());
+    let alone = WorldIndex::new(&own, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel));
     println!("- two-level {:.1} (no mesh shared)", alone.bytes() as f64 / own.slot_count() as f64);
     for (name, index) in &indexes {
         println!("- {name} {:.1}", index.bytes() as f64 / boxes.len() as f64);
@@ -251,7 +252,7 @@ fn segments<'a>(
         .map(|q| {
             let pose = Pose { translation: q.apex.extend(1.0), ..Pose::IDENTITY };
             // The same headings come again from the same seed.
-            let (_, _, heading) = (random.unit(), random.unit(), 6.28 * random.unit());
+            let (_, _, heading) = (random.unit(), random.unit(), TAU * random.unit());
             let region = Region::segment(&pose, heading, 60f64.to_radians(), (-0.1745, 0.1745), 10.0);
             Query { region, ..*q }
         })
@@ -296,9 +297,12 @@ fn build_bench() {
     row("parry BVH, PLOC", ploc);
     row("rstar, bulk load", rstar);
     for scheme in [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d] {
-        row(scheme.name(), fastest(3, || build(scheme, Params::default(), &boxes)));
+        row(scheme.name(), fastest(3, || build(scheme, Params::tuned(scheme), &boxes)));
     }
-    row("two-level, no mesh shared", fastest(3, || WorldIndex::new(&environment, Scheme::TwoLevel, Params::default())));
+    row(
+        "two-level, no mesh shared",
+        fastest(3, || WorldIndex::new(&environment, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel))),
+    );
 }
 
 fn data(name: &str) -> PathBuf {
@@ -317,14 +321,14 @@ fn move_bench() {
     println!("| index | us a move, median of 2,000 |\n|---|---|");
     for scheme in Scheme::ALL {
         let imported = import(&path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}"));
-        let mut world = World::with_index(imported.environment, scheme, Params::default());
+        let mut world = World::with_index(imported.environment, scheme, Params::tuned(scheme));
         let mesh = machine(&mut Random(1), 500);
         world.apply(Change::InsertObject(NewObject::new("machine", Pose::IDENTITY, mesh))).expect("it fits");
         let mut random = Random(5);
         let mut times: Vec<f64> = (0..2000)
             .map(|_| {
                 let at = DVec3::new(random.unit() * 40.0 - 20.0, random.unit() * 40.0 - 20.0, 0.0);
-                let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.unit() * 6.28);
+                let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.unit() * TAU);
                 let start = Instant::now();
                 world
                     .apply(Change::MoveObject { name: "machine".into(), world_from_object: pose })
@@ -351,7 +355,7 @@ fn size_bench(out: Option<&Path>) {
         let mut found = 0;
         for (curve, scheme) in curves.iter_mut().zip(schemes) {
             // One at a time: ten million polygons have room once.
-            let index = WorldIndex::new(&environment, scheme, Params::default());
+            let index = WorldIndex::new(&environment, scheme, Params::tuned(scheme));
             let mut contenders: Vec<Contender<'_>> = vec![(scheme.name(), Box::new(by_world(&index, &environment)))];
             let (us, n) = race(&mut contenders, &queries, 10)[0];
             curve.push((size as f64, us));
@@ -380,7 +384,14 @@ fn plot(names: &[&str], curves: &[Vec<(f64, f64)>]) -> String {
             .y_label_area_size(64)
             .build_cartesian_2d((1e3..1e7f64).log_scale(), 0.0..1.1 * highest)
             .expect("the area is large enough");
-        chart.configure_mesh().x_desc("polygons").y_desc("us").draw().expect("text can be drawn to");
+        chart
+            .configure_mesh()
+            .x_desc("polygons")
+            .x_label_formatter(&|n| format!("{n}"))
+            .y_desc("us")
+            .max_light_lines(0)
+            .draw()
+            .expect("text can be drawn to");
         let colors = [(230, 159, 0), (86, 180, 233), (0, 158, 115), (213, 94, 0), (0, 114, 178)];
         for ((name, curve), (r, g, b)) in names.iter().zip(curves).zip(colors) {
             let color = RGBColor(r, g, b);

@@ -47,7 +47,7 @@ pub enum Change {
 impl World {
     /// The first version of a world, with the default index.
     pub fn new(environment: Environment) -> Self {
-        Self::with_index(environment, Scheme::default(), Params::default())
+        Self::with_index(environment, Scheme::default(), Params::tuned(Scheme::default()))
     }
 
     /// The first version of a world, with an index of that scheme.

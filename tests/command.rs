@@ -273,6 +273,38 @@ fn inspection_counts_in_words_and_json() {
 }
 
 #[test]
+fn indexes_are_measured() {
+    let place = Place::new();
+    place.write("poses.tum", b"# t x y z qx qy qz qw\n0 0 0 1 0 0 0 1\n1 5 0 1 0 0 0 1\n");
+    let words = place.done("index wall.glb --poses poses.tum --repeat 1 --sensor laser-range-camera --out study");
+    assert!(words.starts_with("1 polygons, 2 poses"), "{words}");
+    let csv = fs::read_to_string(place.path("study/index.csv")).unwrap();
+    let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
+    let columns = "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms";
+    assert_eq!(lines[0][..11].join(","), columns);
+    let schemes: Vec<&str> = lines[1..].iter().step_by(2).map(|l| l[0]).collect();
+    assert_eq!(schemes, ["none", "grid", "plop", "s2d", "s3d", "two-level"]);
+    for line in &lines[1..] {
+        // In view from the first pose, behind the second: the median of 1 and 0; nothing needless is returned.
+        assert_eq!((line[2], line[3], line[7], line[8], line[9]), ("2", "", "0.5", "0.5", "1.0000"), "{line:?}");
+        assert_eq!(line[10].is_empty(), line[1] == "sector", "{line:?}");
+    }
+    if cfg!(feature = "report") {
+        assert!(fs::read_to_string(place.path("study/index.svg")).unwrap().contains("</svg>"));
+    }
+}
+
+#[test]
+fn any_index_predicts_the_same() {
+    let place = Place::new();
+    let line = |index: &str| format!("predict wall.glb {VIEW} --index {index} --out {index}.exr");
+    for index in ["none", "grid", "plop", "s2d", "s3d", "two-level"] {
+        place.done(&line(index));
+        place.done(&format!("compare none.exr {index}.exr"));
+    }
+}
+
+#[test]
 fn help_has_examples_and_a_reader_may_leave() {
     let place = Place::new();
     for command in ["", "predict", "inspect", "sensors", "compare"] {
@@ -430,6 +462,10 @@ fn wrong_usage() {
                 2,
                 &["cuda", "auto, cpu, gpu", "; see"],
             ),
+            bad(posed("--index r-tree"), 2, &["r-tree", "choose from none, grid", "; see"]),
+            bad("index wall.glb --count 0", 2, &["--count", "; see presight index --help"]),
+            bad("index wall.glb --count 3", 1, &["free poses", "; give poses"]),
+            bad("index wall.glb --poses none.tum", 1, &["none.tum", "; "]),
             bad(posed("--repeat 0"), 2, &["--repeat", "; see"]),
             bad("predikt wall.glb", 2, &["predikt", "; see"]),
         ],

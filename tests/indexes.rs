@@ -33,7 +33,7 @@ fn difference(a: &Images, b: &Images) -> Option<String> {
 /// The schemes with what they are tuned to: as they come, and in very small cells.
 fn variants() -> Vec<(Scheme, Params)> {
     let small = Params { cell_polygons: 1, ..Params::default() };
-    let mut all: Vec<_> = Scheme::ALL.into_iter().skip(1).map(|s| (s, Params::default())).collect();
+    let mut all: Vec<_> = Scheme::ALL.into_iter().skip(1).map(|s| (s, Params::tuned(s))).collect();
     all.extend([Scheme::S3d, Scheme::Plop].map(|s| (s, small)));
     all
 }

@@ -2,6 +2,7 @@
 //! on the way.
 
 mod edges;
+pub mod features;
 mod merge;
 mod quality;
 mod report;

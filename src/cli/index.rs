@@ -100,7 +100,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         }
     };
     let rows = study.run(&world, &args.variants(), progress)?;
-    print::data(&table(&rows, count, world.environment().slot_count()))?;
+    print::data(&table(&rows, count, world.environment().slot_count(), args.sweep))?;
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "make the folder", e))?;
         let csv = index_study::to_csv(&rows, count, seed);
@@ -119,7 +119,7 @@ impl Args {
     fn variants(&self) -> Vec<(Scheme, Params)> {
         let mut variants = match self.sweep {
             true => index_study::sweep(),
-            false => Scheme::ALL.map(|s| (s, Params::default())).to_vec(),
+            false => Scheme::ALL.map(|s| (s, Params::tuned(s))).to_vec(),
         };
         variants.retain(|(scheme, _)| self.only.is_empty() || self.only.contains(scheme));
         for (_, params) in &mut variants {
@@ -129,9 +129,8 @@ impl Args {
     }
 }
 
-fn table(rows: &[Row], poses: usize, polygons: u32) -> String {
+fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> String {
     let mut text = format!("{polygons} polygons, {poses} poses, medians; selectivity = needed / returned\n");
-    let swept = rows.iter().any(|r| r.params.cell_polygons != rows[0].params.cell_polygons);
     let wide = rows.iter().map(|r| r.query.len()).max().unwrap_or(0).max(5);
     text += &format!(
         "{:9}  {:wide$}  {:>9}  {:>11}  {:>9}  {:>8}  {:>8}  {:>11}  {:>13}{}\n",

@@ -28,7 +28,7 @@ pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Sce
     let imported = import(path, options)?;
     let z_up_from_y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
     Ok(Scene {
-        world: World::with_index(imported.environment, scheme, Params::default()),
+        world: World::with_index(imported.environment, scheme, Params::tuned(scheme)),
         world_from_gltf: Sidecar::beside(path)?.world_from_scene.then(&z_up_from_y_up),
         report: imported.report,
     })

@@ -1,6 +1,7 @@
 //! The command: parse first, then touch the world. The only place that prints.
 
 mod compare;
+mod features;
 mod index;
 mod inspect;
 mod load;
@@ -41,6 +42,7 @@ enum Command {
     Sensors(sensors::Args),
     Index(index::Args),
     Compare(compare::Args),
+    Features(Box<features::Args>),
 }
 
 /// Runs the command on the process's arguments.
@@ -55,6 +57,7 @@ pub fn main() -> ExitCode {
         Command::Sensors(args) => sensors::run(&args),
         Command::Index(args) => index::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Features(args) => features::run(&args),
     };
     conclude(done)
 }

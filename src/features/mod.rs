@@ -1,9 +1,13 @@
 //! Features in a world: which polygons they lie on, how much of each a sensor sees, and where.
 
+mod boxes;
+mod normal;
 mod prediction;
+pub mod roi;
 mod sample;
 mod visible;
 
+pub use boxes::{BoxOptions, add_boxes, sensor_covariance};
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use visible::{FeatureOptions, Visibility, predict_features};

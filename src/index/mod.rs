@@ -91,7 +91,8 @@ pub enum SplitAxis {
     Alternating,
 }
 
-/// What can be tuned. The defaults are those that `presight index --sweep` favoured, see benches/RESULTS.md.
+/// What can be tuned. The default is for trees; [`Params::tuned`] has what `presight index --sweep` favoured for each
+/// scheme (benches/RESULTS.md).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
     /// Cells are no smaller than this, metres.
@@ -106,7 +107,18 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Self { least_cell: 0.0, cell_polygons: 32, split_axis: SplitAxis::Longest, filter: true }
+        Self { least_cell: 0.0, cell_polygons: 64, split_axis: SplitAxis::Longest, filter: true }
+    }
+}
+
+impl Params {
+    /// What suits a scheme.
+    pub fn tuned(scheme: Scheme) -> Self {
+        let cell_polygons = match scheme {
+            Scheme::Grid | Scheme::Plop => 32,
+            Scheme::None | Scheme::S2d | Scheme::S3d | Scheme::TwoLevel => 64,
+        };
+        Self { cell_polygons, ..Self::default() }
     }
 }
 

@@ -174,7 +174,7 @@ proptest! {
         let region = at(&region, far);
         let items: Vec<(u32, Aabb)> = (0..).zip(boxes).collect();
         for scheme in FLAT {
-            let index = build(scheme, Params::default(), &items).unwrap();
+            let index = build(scheme, Params::tuned(scheme), &items).unwrap();
             let (mut last, mut seen) = (0.0, Vec::new());
             index.nearest_first(&region, &mut |node| {
                 assert!(node.distance >= last, "{}: not nearest first", scheme.name());
@@ -324,7 +324,7 @@ fn a_floor_with_screws_stays_cheap() {
     let floor = Aabb { min: DVec3::splat(-1.0), max: DVec3::new(200.0, 200.0, 0.0) };
     let items: Vec<(u32, Aabb)> = screws.chain([(100_000, floor)]).collect();
     for scheme in FLAT {
-        let index = build(scheme, Params::default(), &items).unwrap();
+        let index = build(scheme, Params::tuned(scheme), &items).unwrap();
         index.assert_well_formed();
         let mut found = Found::default();
         index.query(&Region::sector(DVec2::new(50.0, 50.0), 0.0, PI / 3.0, 10.0), &mut found);
@@ -351,7 +351,7 @@ fn trees_stay_balanced() {
     };
     let mut held: Vec<(u32, Aabb)> = (0..20_000).map(|i| (i, place())).collect();
     for scheme in FLAT {
-        let mut index = build(scheme, Params::default(), &held).unwrap();
+        let mut index = build(scheme, Params::tuned(scheme), &held).unwrap();
         for i in 0..100_000u32 {
             let id = i.wrapping_mul(7919) % 20_000;
             let b = place();
@@ -363,7 +363,7 @@ fn trees_stay_balanced() {
             held[id as usize].1 = b;
         }
         index.assert_well_formed();
-        let fresh = build(scheme, Params::default(), &held).unwrap();
+        let fresh = build(scheme, Params::tuned(scheme), &held).unwrap();
         let work = |index: &dyn SpatialIndex| {
             let mut found = Found::default();
             for i in 0..200 {

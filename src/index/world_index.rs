@@ -35,7 +35,7 @@ enum Kind {
     Flat(Box<dyn SpatialIndex>),
     /// Over objects, and the tree of each object's mesh.
     TwoLevel {
-        objects: Skd<3>,
+        objects: Box<Skd<3>>,
         trees: Vec<Arc<MeshTree>>,
     },
 }
@@ -245,7 +245,7 @@ fn two_level(environment: &Environment, params: Params) -> Kind {
         .filter(|(_, o)| o.mesh.polygon_count() > 0)
         .map(|(i, o)| (i, o.world_bounds()))
         .collect();
-    Kind::TwoLevel { objects: Skd::build(params, &boxes), trees }
+    Kind::TwoLevel { objects: Box::new(Skd::build(params, &boxes)), trees }
 }
 
 /// The tree of a mesh, shared with an object that has it already.

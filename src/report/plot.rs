@@ -65,7 +65,14 @@ fn draw(rows: &[Row], title: &str, svg: &mut String) -> std::result::Result<(), 
             let v = if log { low * (y * (high / low).ln()).exp() } else { y * high };
             format!("{v:.*}", if v < 1.0 { 2 } else { usize::from(v < 100.0) })
         };
-        chart.configure_mesh().disable_x_mesh().disable_x_axis().y_labels(6).y_label_formatter(&label).draw()?;
+        chart
+            .configure_mesh()
+            .disable_x_mesh()
+            .disable_x_axis()
+            .max_light_lines(0)
+            .y_labels(6)
+            .y_label_formatter(&label)
+            .draw()?;
         for (q, query) in queries.iter().enumerate() {
             for (s, scheme) in schemes.iter().enumerate() {
                 let Some(row) = rows.iter().find(|r| r.query == *query && r.scheme == *scheme) else { continue };
@@ -75,9 +82,14 @@ fn draw(rows: &[Row], title: &str, svg: &mut String) -> std::result::Result<(), 
                 let bar = [(x, 0.0), (x + 0.9 * wide, scale(v).clamp(0.0, 1.0))];
                 chart.draw_series([Rectangle::new(bar, color(*scheme).filled())])?;
             }
+            // Neighbours' names keep out of each other's way.
             let (x, y) = chart.backend_coord(&(q as f64 + 0.08, 0.0));
             let (left, top) = panel.get_base_pixel();
-            panel.draw(&Text::new((*query).to_owned(), (x - left, y - top + 8), ("sans-serif", 14)))?;
+            panel.draw(&Text::new(
+                (*query).to_owned(),
+                (x - left, y - top + 6 + 13 * (q % 2) as i32),
+                ("sans-serif", 13),
+            ))?;
         }
     }
     area.present()?;

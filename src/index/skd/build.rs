@@ -26,21 +26,28 @@ impl<const K: usize> Skd<K> {
             self.buckets.reserve_exact(leaves);
             self.boxes.reserve_exact(leaves * self.width);
             self.ids.reserve_exact(leaves * self.capacity());
-            (self.root, self.reach) = self.subtree(entries, NOWHERE);
+            (self.root, self.reach) = self.subtree(entries, NOWHERE, self.capacity());
         }
     }
 
-    /// Builds a subtree of entries; the answer is its reference and its box.
-    pub(super) fn subtree(&mut self, entries: &mut [Entry], parent: u32) -> (u32, Box32) {
-        let levels = (usize::BITS - entries.len().div_ceil(self.capacity()).leading_zeros() + 1) as usize;
+    /// Builds a subtree of entries, at most `capacity` in a bucket; the answer is its reference and its box.
+    pub(super) fn subtree(&mut self, entries: &mut [Entry], parent: u32, capacity: usize) -> (u32, Box32) {
+        let levels = (usize::BITS - entries.len().div_ceil(capacity).leading_zeros() + 1) as usize;
         let axes: Vec<AtomicU8> = (0..1usize << levels).map(|_| AtomicU8::new(0)).collect();
-        order::<K>(entries, self.capacity(), 1, self.params.split_axis, &axes);
-        self.link(entries, parent, 1, &axes)
+        order::<K>(entries, capacity, 1, self.params.split_axis, &axes);
+        self.link(entries, parent, 1, capacity, &axes)
     }
 
     /// Makes nodes and buckets of ordered entries.
-    fn link(&mut self, entries: &[Entry], parent: u32, place: usize, axes: &[AtomicU8]) -> (u32, Box32) {
-        if entries.len() <= self.capacity() {
+    fn link(
+        &mut self,
+        entries: &[Entry],
+        parent: u32,
+        place: usize,
+        capacity: usize,
+        axes: &[AtomicU8],
+    ) -> (u32, Box32) {
+        if entries.len() <= capacity {
             return self.new_bucket(entries, parent);
         }
         let axis = axes[place].load(Ordering::Relaxed);
@@ -68,8 +75,8 @@ impl<const K: usize> Skd<K> {
                 self.nodes.len() as u32 - 1
             }
         };
-        let (low, low_box) = self.link(low, index, 2 * place, axes);
-        let (high, high_box) = self.link(high, index, 2 * place + 1, axes);
+        let (low, low_box) = self.link(low, index, 2 * place, capacity, axes);
+        let (high, high_box) = self.link(high, index, 2 * place + 1, capacity, axes);
         let whole = low_box.union(&high_box);
         let node = &mut self.nodes[index as usize];
         (node.low, node.high) = (low, high);
@@ -101,13 +108,7 @@ impl<const K: usize> Skd<K> {
 
 /// Sorts entries into halves of halves until they fit a bucket, and notes the axis of each split at its place (1 is the
 /// root, 2 and 3 its halves, ..).
-pub(super) fn order<const K: usize>(
-    entries: &mut [Entry],
-    capacity: usize,
-    place: usize,
-    split: SplitAxis,
-    axes: &[AtomicU8],
-) {
+fn order<const K: usize>(entries: &mut [Entry], capacity: usize, place: usize, split: SplitAxis, axes: &[AtomicU8]) {
     if entries.len() <= capacity {
         // Rising ids: neighbours of a mesh stay together.
         entries.sort_unstable_by_key(|e| e.id);
@@ -149,7 +150,7 @@ fn leaves_of(count: usize, capacity: usize) -> usize {
     }
     let half = count / 2;
     // Both halves differ by at most one: the same depth but at a boundary.
-    if count % 2 == 0 {
+    if count.is_multiple_of(2) {
         2 * leaves_of(half, capacity)
     } else {
         leaves_of(half, capacity) + leaves_of(half + 1, capacity)

@@ -8,7 +8,6 @@ use super::boxes::{Box32, Boxes8, LANES};
 use super::{Found, NodeView, Params, Region, SpatialIndex, ask};
 use crate::geometry::Aabb;
 use glam::DVec3;
-use std::sync::atomic::{AtomicU8, Ordering};
 
 /// A spatial-kD tree over the first `K` axes.
 ///
@@ -184,7 +183,7 @@ impl<const K: usize> Skd<K> {
             self.drop_child(parent, at);
             return;
         }
-        let (new, bounds) = self.subtree(&mut entries, parent);
+        let (new, bounds) = self.subtree(&mut entries, parent, self.capacity());
         let node = &mut self.nodes[parent as usize];
         let axis = usize::from(node.axis);
         if node.low == at {
@@ -241,40 +240,17 @@ impl<const K: usize> Skd<K> {
         let mut entries: Vec<Entry> = (first..first + self.capacity()).map(|i| self.entry(i)).collect();
         self.buckets[bucket as usize].count = 0;
         self.free_buckets.push(bucket);
-        let axes = [const { AtomicU8::new(0) }; 4];
-        // As if there were one too many: two halves.
-        build::order::<K>(&mut entries, self.capacity() - 1, 1, self.params.split_axis, &axes);
-        let axis = axes[1].load(Ordering::Relaxed);
-        let (low, high) = entries.split_at(entries.len() / 2);
-        let node = Node {
-            split: high[0].b.middle(usize::from(axis)),
-            low_max: 0.0,
-            high_min: 0.0,
-            low: NOWHERE,
-            high: NOWHERE,
-            parent,
-            built: entries.len() as u32,
-            changes: 0,
-            axis,
-            small: false,
-        };
-        let index = self.free_nodes.pop().unwrap_or_else(|| {
-            self.nodes.push(node);
-            self.nodes.len() as u32 - 1
-        });
-        let (low, low_box) = self.new_bucket(low, index);
-        let (high, high_box) = self.new_bucket(high, index);
-        let k = usize::from(axis);
-        self.nodes[index as usize] = Node { low, high, low_max: low_box.max[k], high_min: high_box.min[k], ..node };
+        // As if a bucket held one less: two halves.
+        let (new, _) = self.subtree(&mut entries, parent, self.capacity() - 1);
         if parent == NOWHERE {
-            self.root = index;
+            self.root = new;
+            return;
+        }
+        let up = &mut self.nodes[parent as usize];
+        if up.low == bucket | LEAF {
+            up.low = new;
         } else {
-            let up = &mut self.nodes[parent as usize];
-            if up.low == bucket | LEAF {
-                up.low = index;
-            } else {
-                up.high = index;
-            }
+            up.high = new;
         }
     }
 }

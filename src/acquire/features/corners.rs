@@ -1,0 +1,44 @@
+//! Points where edges meet that are not in one line.
+
+use super::lines::{index_of, query};
+use super::soup::grown;
+use super::wings::Line;
+use crate::geometry::Aabb;
+use crate::index::Found;
+use glam::DVec3;
+
+/// Ends of lines at which another line leaves at an angle of at least `turn` (radians) from straight on or back, with
+/// the object of the first line there. Ends within `touch` of each other are one corner.
+pub(super) fn corners(lines: &[Line], touch: f64, turn: f64) -> Vec<(DVec3, u32)> {
+    let index = index_of(lines);
+    let (mut found, mut corners) = (Found::default(), Vec::new());
+    let straight = turn.cos();
+    for (i, line) in lines.iter().enumerate() {
+        for (k, p) in [line.start, line.end].into_iter().enumerate() {
+            query(&index, &grown(&Aabb::of([p]), touch), &mut found);
+            let mut directions: Vec<DVec3> = Vec::new();
+            let mut first = true;
+            for &j in &found.ids {
+                let other = &lines[j as usize];
+                // The first end at this place stands for all.
+                let ends = [other.start, other.end];
+                let earlier = |n: usize| ((j as usize), n) < (i, k) && ends[n].distance(p) <= touch;
+                first &= !earlier(0) && !earlier(1);
+                if distance(other, p) <= touch {
+                    directions.push(other.direction());
+                }
+            }
+            let meet =
+                directions.iter().enumerate().any(|(n, a)| directions[..n].iter().any(|b| a.dot(*b).abs() < straight));
+            if first && meet {
+                corners.push((p, line.object));
+            }
+        }
+    }
+    corners
+}
+
+fn distance(line: &Line, p: DVec3) -> f64 {
+    let t = (p - line.start).dot(line.direction()).clamp(0.0, line.length());
+    (line.start + line.direction() * t).distance(p)
+}

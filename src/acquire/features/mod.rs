@@ -1,0 +1,351 @@
+//! Features from the CAD model: the edges, corners and planes that a sensor can be expected to find.
+//!
+//! Candidates are the sides of polygons that are not plainly smooth and the lines where polygons cross. Every candidate
+//! is looked at in the world, among all polygons that touch it, of whatever object: what the cut across the line shows
+//! decides ([`Kind`]). So windings do not matter, doubled faces count once, a T-junction or a merged neighbour is no
+//! border, flush tiles have no seam, and a box on a floor has an edge where it stands.
+//!
+//! Known limits. Which side of a surface can be seen is known only for closed parts thinner than a room, wound outward:
+//! the edges of a sunk box are kept below the floor too, and flush boxes that are not closed show a seam. Rims of curves
+//! whose facets are shorter than the least length give nothing. Where materials of one plane overlap, the border of
+//! either counts. An edge through another's middle gives a corner only where one of them ends. Patches are not cut where
+//! something stands on them.
+
+mod candidates;
+mod corners;
+mod lines;
+mod patches;
+mod solids;
+mod soup;
+mod wings;
+
+use crate::environment::{DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, Pose};
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use wings::{Judge, Line, Scratch, Verdict};
+
+/// What a generated feature is. It becomes the feature's name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Surfaces that meet at an angle.
+    Crease,
+    /// A surface that ends.
+    Border,
+    /// A surface that goes on in another material.
+    Material,
+    /// Polygons that cross, away from the sides of both.
+    Intersection,
+    /// Edges that meet in a point and are not in one line.
+    Corner,
+    /// A vertical plane patch.
+    Vertical,
+    /// A horizontal plane patch.
+    Horizontal,
+}
+
+impl Kind {
+    /// Every kind.
+    pub const ALL: [Self; 7] = [
+        Self::Crease,
+        Self::Border,
+        Self::Material,
+        Self::Intersection,
+        Self::Corner,
+        Self::Vertical,
+        Self::Horizontal,
+    ];
+
+    /// As in flags and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Crease => "crease",
+            Self::Border => "border",
+            Self::Material => "material",
+            Self::Intersection => "intersection",
+            Self::Corner => "corner",
+            Self::Vertical => "vertical",
+            Self::Horizontal => "horizontal",
+        }
+    }
+}
+
+impl std::str::FromStr for Kind {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let names = Self::ALL.map(Self::name).join(", ");
+        let found = Self::ALL.into_iter().find(|k| k.name() == name);
+        found.ok_or_else(|| Error::usage(format!("unknown kind {name:?}"), format!("choose from {names}")))
+    }
+}
+
+/// What [`generate`] makes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GenerateOptions {
+    /// Which kinds.
+    pub kinds: Vec<Kind>,
+    /// Shortest edge, metres.
+    pub min_length: f64,
+    /// Smallest patch, square metres.
+    pub min_area: f64,
+    /// Least deviation from flat of a crease, radians.
+    pub crease: f64,
+    /// How far from vertical or horizontal a patch may be, radians.
+    pub tilt: f64,
+    /// Standard deviation of positions, metres, the same along all axes.
+    pub sigma: f64,
+    /// Only candidates that come near this box (world); what is found there is what would be found in the whole, but
+    /// numbered from 1.
+    pub region: Option<Aabb>,
+}
+
+impl Default for GenerateOptions {
+    fn default() -> Self {
+        Self {
+            kinds: Kind::ALL.to_vec(),
+            min_length: 0.05,
+            min_area: 0.25,
+            crease: 30f64.to_radians(),
+            tilt: 1f64.to_radians(),
+            sigma: 0.01,
+            region: None,
+        }
+    }
+}
+
+/// What was made, and what became of the rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Features by kind, as in [`Kind::ALL`].
+    pub made: [usize; 7],
+    /// Polygons looked at.
+    pub polygons: usize,
+    /// Polygons left out: invisible to the class.
+    pub invisible: usize,
+    /// Lines judged, after joining what is collinear.
+    pub candidates: usize,
+    /// Lines shorter than the least length, before they were judged.
+    pub short: usize,
+    /// Lines no part of which shows an edge: smooth, or a seam.
+    pub flat: usize,
+    /// Lines that lie wholly inside matter.
+    pub buried: usize,
+}
+
+impl Counts {
+    /// Features of a kind.
+    pub fn of(&self, kind: Kind) -> usize {
+        self.made[kind as usize]
+    }
+}
+
+/// The answer of [`generate`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Generated {
+    /// The features, in the frames of their objects, ids from 1; by object, kind and place.
+    pub layer: FeatureLayer,
+    /// What was made.
+    pub counts: Counts,
+}
+
+/// Makes the feature layer of a sensor class from the polygons of an environment. Materials invisible to the class give
+/// no features, transparent ones do. The same environment and options give the same layer.
+///
+/// ```
+/// use presight::acquire::features::{GenerateOptions, Kind, generate};
+/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+/// use glam::Vec3;
+///
+/// // A square tile: four open borders, which meet in four corners.
+/// let mut environment = Environment::new();
+/// let clay = environment.add_material(Material::named("clay"))?;
+/// let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+/// let mesh = Mesh::new("tile", corners, vec![Polygon::new(vec![0, 1, 2, 3], clay)], PolygonOrder::Given)?;
+/// environment.insert(NewObject::new("tile", Pose::IDENTITY, mesh.into()))?;
+///
+/// let generated = generate(&environment, "video", &GenerateOptions::default())?;
+/// assert_eq!(generated.counts.of(Kind::Border), 4);
+/// assert_eq!(generated.counts.of(Kind::Corner), 4);
+/// assert_eq!(generated.counts.of(Kind::Horizontal), 1);
+/// assert_eq!(generated.layer.features.len(), 9);
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range.
+pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+    options.check()?;
+    let touch = options.touch();
+    let near = options.region.map(|r| soup::grown(&r, 10.0 * touch));
+    let soup = soup::Soup::new(environment, class, near.as_ref());
+    let mut counts = Counts { polygons: soup.faces.len(), invisible: soup.invisible, ..Counts::default() };
+    let wants = |kinds: &[Kind]| options.kinds.iter().any(|k| kinds.contains(k));
+    let mut drafts: Vec<Draft> = Vec::new();
+    if wants(&Kind::ALL[..5]) {
+        let edges = edges(environment, &soup, options, near.as_ref(), &mut counts);
+        if wants(&[Kind::Corner]) {
+            let corners = corners::corners(&edges, 4.0 * touch, options.crease);
+            drafts.extend(corners.into_iter().map(|(p, object)| Draft::new(Kind::Corner, object, vec![p])));
+        }
+        let wanted = edges.iter().filter(|e| wants(&[e.kind]));
+        drafts.extend(wanted.map(|e| Draft::new(e.kind, e.object, ordered(e.start, e.end))));
+    }
+    if wants(&Kind::ALL[5..]) {
+        let patches = patches::patches(&soup, options.tilt, options.min_area, touch);
+        let wanted = patches.into_iter().filter(|p| {
+            wants(&[p.kind]) && near.is_none_or(|n| candidates::meet(&n, &Aabb::of(p.corners.iter().copied())))
+        });
+        drafts.extend(wanted.map(|p| Draft { normal: Some(p.normal), ..Draft::new(p.kind, p.object, p.corners) }));
+    }
+    Ok(Generated { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
+}
+
+impl GenerateOptions {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] naming the one that is not finite or out of its range.
+    pub fn check(&self) -> Result<()> {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let checks = [
+            ("the least length", self.min_length, 1e-4..=1e6, "give 0.0001 m .. 1000 km"),
+            ("the least area", self.min_area, 0.0..=1e12, "give square metres from 0"),
+            ("the crease angle", self.crease, 0.01..=quarter, "give 0.6 to 90 degrees"),
+            ("the tilt", self.tilt, 0.0..=0.5, "give 0 to 28 degrees"),
+            ("the standard deviation", self.sigma, 0.0..=1e6, "give metres from 0"),
+        ];
+        for (what, value, range, remedy) in checks {
+            if !range.contains(&value) {
+                return Err(Error::usage(format!("{what} {value} is out of its range"), remedy));
+            }
+        }
+        Ok(())
+    }
+
+    /// How far apart things that touch may be, metres: half a millimetre, less if short edges are asked for.
+    fn touch(&self) -> f64 {
+        (0.02 * self.min_length).min(5e-4)
+    }
+}
+
+/// All edges in the world: each once, joined where they are collinear, at least as long as asked.
+fn edges(
+    environment: &Environment,
+    soup: &soup::Soup,
+    options: &GenerateOptions,
+    near: Option<&Aabb>,
+    counts: &mut Counts,
+) -> Vec<Line> {
+    let touch = options.touch();
+    let objects = environment.objects();
+    let sizes: Vec<f64> = objects.iter().map(|o| o.world_bounds().size()).collect();
+    let mirrored = |o: u32| objects[o as usize].object_from_mesh.matrix3.determinant() < 0.0;
+    let solids = solids::Solids::new(soup, mirrored);
+    let mut candidates = candidates::sides_of_polygons(soup, options.crease);
+    candidates.extend(candidates::crossings(soup, touch, &sizes, near));
+    candidates.retain(|line| near.is_none_or(|n| candidates::meet(n, &line.bounds())));
+    let joined = lines::merged(&candidates, touch, true);
+    let (long, short): (Vec<Line>, Vec<Line>) = joined.into_iter().partition(|l| l.length() >= options.min_length);
+    (counts.candidates, counts.short) = (long.len(), short.len());
+    let judge = Judge { soup, solids: &solids, touch, crease: options.crease };
+    let judged: Vec<Vec<(f64, f64, Verdict)>> = long
+        .par_iter()
+        .map_init(Scratch::default, |scratch, line| {
+            let mut parts = Vec::new();
+            judge.judge(line, scratch, &mut parts);
+            parts
+        })
+        .collect();
+    let mut shown = Vec::new();
+    for (line, parts) in long.iter().zip(judged) {
+        let before = shown.len();
+        for (from, to, verdict) in &parts {
+            if let Verdict::Shows(kind) = verdict {
+                shown.push(Line { kind: *kind, ..line.part(*from, *to) });
+            }
+        }
+        if shown.len() == before {
+            let buried = parts.iter().all(|p| p.2 == Verdict::Buried);
+            if buried { counts.buried += 1 } else { counts.flat += 1 }
+        }
+    }
+    let mut edges = lines::merged(&shown, touch, false);
+    edges.retain(|l| l.length() >= options.min_length);
+    edges.sort_by_key(|l| (l.kind == Kind::Intersection, l.object));
+    lines::once(&edges, touch, options.min_length)
+}
+
+/// A feature without its number, in the world.
+struct Draft {
+    kind: Kind,
+    object: u32,
+    points: Vec<DVec3>,
+    normal: Option<DVec3>,
+}
+
+impl Draft {
+    fn new(kind: Kind, object: u32, points: Vec<DVec3>) -> Self {
+        Self { kind, object, points, normal: None }
+    }
+
+    /// Into the frame of its object, with a key that orders by place.
+    fn placed(mut self, world_from_object: &Pose) -> Self {
+        let turn = world_from_object.rotation_matrix().transpose();
+        for p in &mut self.points {
+            *p = turn * (*p - world_from_object.translation);
+        }
+        self.normal = self.normal.map(|n| (turn * n).normalize());
+        self
+    }
+}
+
+fn ordered(a: DVec3, b: DVec3) -> Vec<DVec3> {
+    if by_place(&a, &b).is_gt() { vec![b, a] } else { vec![a, b] }
+}
+
+fn by_place(a: &DVec3, b: &DVec3) -> std::cmp::Ordering {
+    a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z))
+}
+
+fn layer_of(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    drafts: Vec<Draft>,
+    counts: &mut Counts,
+) -> FeatureLayer {
+    let objects = environment.objects();
+    let mut drafts: Vec<Draft> = drafts
+        .into_iter()
+        .map(|d| {
+            let o = d.object as usize;
+            d.placed(&objects[o].world_from_object)
+        })
+        .collect();
+    let places = |a: &Draft, b: &Draft| {
+        let unequal = a.points.iter().zip(&b.points).map(|(p, q)| by_place(p, q)).find(|o| o.is_ne());
+        unequal.unwrap_or_else(|| a.points.len().cmp(&b.points.len()))
+    };
+    drafts.sort_by(|a, b| (a.object, a.kind).cmp(&(b.object, b.kind)).then_with(|| places(a, b)));
+    let covariance = DMat3::IDENTITY * (options.sigma * options.sigma);
+    let feature = |(id, draft): (u32, Draft)| {
+        counts.made[draft.kind as usize] += 1;
+        let shape = match draft.points[..] {
+            [at] => FeatureShape::Point { at, covariance },
+            [a, b] => FeatureShape::Segment { ends: [a, b], covariances: [covariance; 2], cross: DMat3::ZERO },
+            _ => FeatureShape::Patch { corners: draft.points, covariance },
+        };
+        Feature {
+            id,
+            name: Some(draft.kind.name().to_owned()),
+            object: Some(objects[draft.object as usize].name.clone()),
+            shape,
+            existence: Existence::default(),
+            properties: Properties { normal: draft.normal, ..Properties::default() },
+        }
+    };
+    let features = (1..).zip(drafts).map(feature).collect();
+    FeatureLayer { class: class.to_owned(), tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() }
+}

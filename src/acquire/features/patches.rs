@@ -1,0 +1,159 @@
+//! Vertical and horizontal plane patches: coplanar polygons of an object, joined where their union is convex.
+
+use super::Kind;
+use super::soup::Soup;
+use crate::geometry::Plane;
+use crate::limits;
+use glam::{DVec2, DVec3};
+use std::collections::BTreeMap;
+
+/// A convex patch in the world.
+#[derive(Clone, Debug)]
+pub(super) struct Patch {
+    pub corners: Vec<DVec3>,
+    pub object: u32,
+    pub kind: Kind,
+    pub normal: DVec3,
+}
+
+/// A convex piece of one plane, counter-clockwise in the plane's coordinates.
+#[derive(Clone, Debug)]
+struct Piece {
+    corners: Vec<DVec2>,
+    area: f64,
+    low: DVec2,
+    high: DVec2,
+}
+
+/// All patches of at least `least` m^2 whose planes are vertical or horizontal within `tilt` (radians). Doubled faces
+/// give one patch.
+pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64) -> Vec<Patch> {
+    let mut planes: BTreeMap<(u32, bool), Vec<(Plane, u32)>> = BTreeMap::new();
+    for (i, f) in soup.faces.iter().enumerate() {
+        let up = f.plane.normal.z.abs();
+        let horizontal = up >= tilt.cos();
+        if horizontal || up <= tilt.sin() {
+            planes.entry((f.object, horizontal)).or_default().push((f.plane, i as u32));
+        }
+    }
+    let mut all = Vec::new();
+    for ((object, horizontal), faces) in planes {
+        let kind = if horizontal { Kind::Horizontal } else { Kind::Vertical };
+        for group in coplanar(soup, faces, touch) {
+            let plane = group.0;
+            let (u, v) = plane.normal.any_orthonormal_pair();
+            let origin = soup.corners(group.1[0])[0];
+            let flat = |p: DVec3| DVec2::new((p - origin).dot(u), (p - origin).dot(v));
+            let pieces =
+                group.1.iter().filter_map(|&f| Piece::around(soup.corners(f).iter().map(|p| flat(*p)).collect()));
+            for piece in joined(pieces.collect(), touch).into_iter().filter(|p| p.area >= least) {
+                let corners: Vec<DVec3> = piece.corners.iter().map(|c| origin + u * c.x + v * c.y).collect();
+                all.push(Patch { corners, object, kind, normal: plane.normal });
+            }
+        }
+    }
+    all
+}
+
+/// Faces by plane, whichever way they are wound; the plane of the first is the group's.
+fn coplanar(soup: &Soup, faces: Vec<(Plane, u32)>, touch: f64) -> Vec<(Plane, Vec<u32>)> {
+    // By rounded normal; what falls apart at a cell's border stays apart, which costs a merge and no truth.
+    let mut groups: Vec<(Plane, Vec<u32>)> = Vec::new();
+    let mut cells: BTreeMap<[i64; 3], Vec<usize>> = BTreeMap::new();
+    for (plane, face) in faces {
+        let n = plane.normal;
+        let flip = [n.z, n.y, n.x].into_iter().find(|c| c.abs() > 1e-6).is_some_and(|c| c < 0.0);
+        let side = if flip { -n } else { n };
+        let cell = (side * 64.0).round().to_array().map(|c| c as i64);
+        let known = cells.entry(cell).or_default();
+        let fits = |g: &&usize| {
+            let p = &groups[**g].0;
+            soup.corners(face).iter().all(|c| (p.normal.dot(*c) - p.offset).abs() <= touch)
+                && p.normal.dot(n).abs() > 0.999_99
+        };
+        match known.iter().find(fits) {
+            Some(&g) => groups[g].1.push(face),
+            None => {
+                known.push(groups.len());
+                groups.push((plane, vec![face]));
+            }
+        }
+    }
+    groups
+}
+
+impl Piece {
+    /// The convex hull of points; `None` without area.
+    fn around(mut points: Vec<DVec2>) -> Option<Self> {
+        points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+        points.dedup();
+        let mut hull: Vec<DVec2> = Vec::with_capacity(points.len() + 1);
+        // Andrew's monotone chain, lower side then upper one.
+        for pass in 0..2 {
+            let base = hull.len();
+            let mut add = |p: DVec2| {
+                while hull.len() >= base + 2 && turns_right(hull[hull.len() - 2], hull[hull.len() - 1], p) {
+                    hull.pop();
+                }
+                hull.push(p);
+            };
+            if pass == 0 {
+                points.iter().for_each(|p| add(*p))
+            } else {
+                points.iter().rev().for_each(|p| add(*p))
+            }
+            hull.pop();
+        }
+        let area = 0.5 * (0..hull.len()).map(|k| hull[k].perp_dot(hull[(k + 1) % hull.len()])).sum::<f64>();
+        let (low, high) = hull.iter().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
+        (hull.len() >= 3 && area > 0.0).then_some(Self { corners: hull, area, low, high })
+    }
+
+    /// The union with another piece, if that is convex (or one holds the other).
+    fn with(&self, other: &Self, touch: f64) -> Option<Self> {
+        let apart = self.low.cmpgt(other.high + touch).any() || other.low.cmpgt(self.high + touch).any();
+        if apart {
+            return None;
+        }
+        let hull = Self::around(self.corners.iter().chain(&other.corners).copied().collect())?;
+        // A strip of the tolerance along the perimeter is what rounding of vertices may add.
+        let slack = 1e-6 * hull.area + 0.05 * touch * (hull.high - hull.low).length();
+        let fits = hull.area <= self.area + other.area + slack || hull.area <= self.area.max(other.area) + slack;
+        // Two that overlap in part have no more area than their hull has, and leave a gap all the same.
+        let overlapping = self.area + other.area > hull.area + slack && hull.area > self.area.max(other.area) + slack;
+        (fits && !overlapping && hull.corners.len() <= limits::MAX_CORNERS).then_some(hull)
+    }
+}
+
+/// True unless the way a, b, c turns left by more than rounding.
+fn turns_right(a: DVec2, b: DVec2, c: DVec2) -> bool {
+    let (ab, bc) = (b - a, c - b);
+    ab.perp_dot(bc) <= 1e-7 * ab.length() * bc.length()
+}
+
+/// Joins pieces until no two have a convex union, nearest in order of their low x first.
+fn joined(mut pieces: Vec<Piece>, touch: f64) -> Vec<Piece> {
+    loop {
+        pieces.sort_by(|a, b| {
+            a.low.x.total_cmp(&b.low.x).then(a.low.y.total_cmp(&b.low.y)).then(a.area.total_cmp(&b.area))
+        });
+        let before = pieces.len();
+        let mut i = 0;
+        while i < pieces.len() {
+            let mut j = i + 1;
+            while j < pieces.len() && pieces[j].low.x <= pieces[i].high.x + touch {
+                match pieces[i].with(&pieces[j], touch) {
+                    Some(union) => {
+                        pieces[i] = union;
+                        pieces.remove(j);
+                    }
+                    None => j += 1,
+                }
+            }
+            i += 1;
+        }
+        if pieces.len() == before {
+            return pieces;
+        }
+    }
+}

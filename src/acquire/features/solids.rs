@@ -1,0 +1,144 @@
+//! Which places lie inside matter, where no sensor can be.
+//!
+//! A *solid* is a connected part of an object that is closed (its vector area vanishes, which T-junctions do not
+//! disturb), wound outward, and so thin (3 V / A below [`ROOM`]) that it is no room which a sensor could stand in.
+
+use super::soup::Soup;
+use crate::geometry::Aabb;
+use crate::index::Found;
+use glam::DVec3;
+
+/// Largest mean thickness of a solid, three times the volume by the area, metres: a cube of 2 m, a slab of 0.67 m of
+/// any extent. Anything thicker may be a room.
+const ROOM: f64 = 1.0;
+
+/// Not part of a solid.
+const NONE: u32 = u32::MAX;
+
+/// For each face the solid it bounds.
+#[derive(Debug)]
+pub(super) struct Solids {
+    of_face: Vec<u32>,
+    /// Boxes by solid.
+    boxes: Vec<Aabb>,
+    /// -1 where the object mirrors its mesh: outward windings turn inward.
+    signs: Vec<i32>,
+    low: f64,
+    high: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Sum {
+    origin: DVec3,
+    vector: DVec3,
+    area: f64,
+    volume: f64,
+    bounds: Aabb,
+}
+
+impl Solids {
+    /// Finds the solids; `mirrored` says which objects mirror their meshes.
+    pub fn new(soup: &Soup, mirrored: impl Fn(u32) -> bool) -> Self {
+        let mut parent: Vec<u32> = (0..soup.vertex_count).collect();
+        for face in 0..soup.faces.len() as u32 {
+            for pair in soup.vertices(face).windows(2) {
+                let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
+                parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+        let mut sums: Vec<Option<Sum>> = vec![None; parent.len()];
+        for face in 0..soup.faces.len() as u32 {
+            let part = root(&mut parent, soup.vertices(face)[0]);
+            let corners = soup.corners(face);
+            let start = Sum { origin: corners[0], vector: DVec3::ZERO, area: 0.0, volume: 0.0, bounds: Aabb::EMPTY };
+            let sum = sums[part as usize].get_or_insert(start);
+            let a = corners[0] - sum.origin;
+            for pair in corners[1..].windows(2) {
+                let (b, c) = (pair[0] - sum.origin, pair[1] - sum.origin);
+                let half = 0.5 * (b - a).cross(c - a);
+                (sum.vector, sum.area) = (sum.vector + half, sum.area + half.length());
+                sum.volume += a.dot(half) / 3.0;
+            }
+            sum.bounds = sum.bounds.union(soup.faces[face as usize].bounds);
+        }
+        let mut solids = Self {
+            of_face: Vec::new(),
+            boxes: Vec::new(),
+            signs: Vec::new(),
+            low: f64::INFINITY,
+            high: -f64::INFINITY,
+        };
+        let mut number = vec![NONE; parent.len()];
+        for face in 0..soup.faces.len() as u32 {
+            let part = root(&mut parent, soup.vertices(face)[0]) as usize;
+            let sign = if mirrored(soup.faces[face as usize].object) { -1 } else { 1 };
+            if let Some(sum) = sums[part].take().filter(|s| is_solid(s, f64::from(sign))) {
+                number[part] = solids.boxes.len() as u32;
+                solids.boxes.push(sum.bounds);
+                solids.signs.push(sign);
+                (solids.low, solids.high) = (solids.low.min(sum.bounds.min.z), solids.high.max(sum.bounds.max.z));
+            }
+            solids.of_face.push(number[part]);
+        }
+        solids
+    }
+
+    /// True if the point (world) lies in a solid, found by counting faces above and below it.
+    pub fn hold(&self, soup: &Soup, p: DVec3, found: &mut Found) -> bool {
+        if !(self.low < p.z && p.z < self.high) {
+            return false;
+        }
+        let column = Aabb { min: p.truncate().extend(self.low), max: p.truncate().extend(self.high) };
+        // Solid, exits above, exits below.
+        let mut counts: Vec<(u32, i32, i32)> = Vec::new();
+        for &face in soup.near(&column, found) {
+            let solid = self.of_face[face as usize];
+            if solid == NONE || self.boxes[solid as usize].distance_squared(p) > 0.0 {
+                continue;
+            }
+            let turns = turns_around(soup.corners(face), p) * self.signs[solid as usize];
+            if turns == 0 {
+                continue;
+            }
+            let plane = soup.faces[face as usize].plane;
+            let above = (plane.offset - plane.normal.dot(p)) / plane.normal.z > 0.0;
+            let at = counts.iter().position(|c| c.0 == solid).unwrap_or_else(|| {
+                counts.push((solid, 0, 0));
+                counts.len() - 1
+            });
+            if above { counts[at].1 += turns } else { counts[at].2 -= turns }
+        }
+        counts.iter().any(|c| c.1 > 0 && c.2 > 0)
+    }
+}
+
+fn is_solid(sum: &Sum, sign: f64) -> bool {
+    let volume = sum.volume * sign;
+    sum.vector.length() <= 1e-5 * sum.area && volume > 0.0 && 3.0 * volume < ROOM * sum.area
+}
+
+fn root(parent: &mut [u32], mut v: u32) -> u32 {
+    while parent[v as usize] != v {
+        let up = parent[parent[v as usize] as usize];
+        parent[v as usize] = up;
+        v = up;
+    }
+    v
+}
+
+/// How often a loop turns about a point, seen from above: by half-open crossings, so that of faces that share an edge
+/// exactly one is crossed.
+fn turns_around(corners: &[DVec3], p: DVec3) -> i32 {
+    let mut turns = 0;
+    for k in 0..corners.len() {
+        let (a, b) = (corners[k], corners[(k + 1) % corners.len()]);
+        // The same sum whichever way the edge runs: its lower end comes first.
+        let left = |a: DVec3, b: DVec3| (b.x - a.x) * (p.y - a.y) - (b.y - a.y) * (p.x - a.x) > 0.0;
+        if a.y <= p.y && b.y > p.y && left(a, b) {
+            turns += 1;
+        } else if b.y <= p.y && a.y > p.y && left(b, a) {
+            turns -= 1;
+        }
+    }
+    turns
+}

@@ -1,0 +1,190 @@
+//! `presight features pick`: what is at a pixel.
+
+use super::super::load::{self, Scene};
+use super::super::pose::PoseArgs;
+use super::super::{Verdict, print};
+use super::OptionArgs;
+use crate::acquire::features::{GenerateOptions, generate};
+use crate::environment::{Existence, Feature, FeatureShape, Properties};
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, plane_of_polygon};
+use crate::index::Scheme;
+use crate::io::gltf::ImportOptions;
+use crate::io::{layer, load_sensor};
+use crate::plan::{Output, Outputs, Request};
+use crate::predict::{Backend, Options, Predictor};
+use crate::sensor::Sensor;
+use glam::{DMat3, DVec3};
+use std::path::PathBuf;
+
+/// Show what a pixel sees: polygon, point, edges nearby, and a layer entry to paste
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The model: a .glb or .gltf file
+    scene: PathBuf,
+
+    /// A preset (see `presight sensors`) or a sensor file
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: String,
+
+    #[command(flatten)]
+    pose: PoseArgs,
+
+    /// Column and row; the top left pixel is 0,0
+    #[arg(long, value_name = "U,V", value_parser = parse_pixel)]
+    pixel: (u32, u32),
+
+    /// How far from the point edges are listed, metres
+    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    reach: f64,
+
+    #[command(flatten)]
+    options: OptionArgs,
+}
+
+fn parse_pixel(text: &str) -> Result<(u32, u32)> {
+    let number = |word: &str| word.trim().parse::<f64>().ok().filter(|x| (-0.5..1e6).contains(x));
+    let both = text.split_once(',').and_then(|(u, v)| Some((number(u)?, number(v)?)));
+    // Pixel i spans i - 0.5 .. i + 0.5.
+    both.map(|(u, v)| ((u + 0.5).floor() as u32, (v + 0.5).floor() as u32))
+        .ok_or_else(|| Error::usage(format!("{text:?} is no pixel"), "give column,row"))
+}
+
+/// What a pixel sees.
+struct Hit {
+    /// Slot of the polygon.
+    slot: u32,
+    object: u32,
+    polygon: u32,
+    p_in_world: DVec3,
+    normal: DVec3,
+    range: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Wrong usage, those of scene and sensor and of the engine. A pixel that sees nothing is no error: the check found
+/// nothing, exit status 1.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let pose = args.pose.parse()?;
+    let mut options = args.options.options();
+    if !(args.reach >= 0.0 && args.reach <= 1e6) {
+        return Err(Error::usage(format!("--reach {} is out of range", args.reach), "give metres from 0"));
+    }
+    options.check()?;
+    let (sensor, notices) = load_sensor(&args.sensor)?;
+    print::notices(&notices);
+    let (column, row) = args.pixel;
+    if column >= sensor.width() || row >= sensor.height() {
+        let what = format!("--pixel {column},{row}: the image is {} x {}", sensor.width(), sensor.height());
+        return Err(Error::usage(what, "give column,row inside it"));
+    }
+    let scene = load::scene(&args.scene, &ImportOptions::default(), Scheme::default())?;
+    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
+    let Some(hit) = cast(&scene, &sensor, &world_from_sensor, args.pixel)? else {
+        print::data(&format!("pixel {column},{row} sees nothing\n"))?;
+        return Ok(Verdict::Found);
+    };
+    options.region = Some(Aabb { min: hit.p_in_world - args.reach, max: hit.p_in_world + args.reach });
+    print::data(&describe(&scene, &sensor, &hit, args, &options)?)?;
+    Ok(Verdict::Done)
+}
+
+fn cast(scene: &Scene, sensor: &Sensor, pose: &crate::Pose, (column, row): (u32, u32)) -> Result<Option<Hit>> {
+    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, ..Options::default() })?;
+    let request = Request { outputs: Outputs::of(&[Output::Range, Output::PolygonId]), ..Request::default() };
+    let images = predictor.predict(&scene.world, sensor, pose, &request)?.images;
+    let at = row as usize * images.width as usize + column as usize;
+    let environment = scene.world.environment();
+    let slot = images.polygon_id[at].checked_sub(1);
+    let found = slot.and_then(|slot| Some((slot, environment.locate(slot)?, environment.polygon_in_world(slot)?)));
+    let Some((slot, (object, polygon), corners)) = found else { return Ok(None) };
+    let Some((plane, ray)) = plane_of_polygon(&corners).zip(sensor.ray(column, row)) else { return Ok(None) };
+    let direction = pose.rotation * (sensor.body_from_image() * ray);
+    // On the polygon's plane in f64 rather than at the range, which is f32.
+    let range = (plane.offset - plane.normal.dot(pose.translation)) / plane.normal.dot(direction);
+    let toward = if plane.normal.dot(direction) > 0.0 { -plane.normal } else { plane.normal };
+    let p_in_world = pose.translation + direction * range;
+    Ok(p_in_world.is_finite().then_some(Hit { slot, object, polygon, p_in_world, normal: toward, range }))
+}
+
+fn describe(scene: &Scene, sensor: &Sensor, hit: &Hit, args: &Args, options: &GenerateOptions) -> Result<String> {
+    let environment = scene.world.environment();
+    let object = &environment.objects()[hit.object as usize];
+    let object_from_world = object.world_from_object.inverse();
+    let p_in_object = object_from_world.transform_point(hit.p_in_world);
+    let normal_in_object = object_from_world.rotation * hit.normal;
+    let material = &environment.materials()[usize::from(object.mesh.material(hit.polygon))];
+    let class = &sensor.spec().class;
+    let mut lines = vec![
+        format!("pixel            {},{} of {}", args.pixel.0, args.pixel.1, sensor.spec().name),
+        format!("polygon          id {}, {} of the object", hit.slot + 1, hit.polygon),
+        format!("object           {}", object.name),
+        format!("material         {}", material.name),
+        format!("range            {:.6} m", hit.range),
+        format!("point in world   {}", vector(hit.p_in_world)),
+        format!("point in object  {}", vector(p_in_object)),
+        format!("normal in world  {}", vector(hit.normal)),
+        format!("normal in object {}", vector(normal_in_object)),
+    ];
+    let layer = generate(environment, class, options)?.layer;
+    let mut near: Vec<(f64, &Feature)> =
+        layer.features.iter().filter_map(|f| distance(scene, f, hit.p_in_world).map(|d| (d, f))).collect();
+    near.retain(|(d, _)| *d <= args.reach);
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.id.cmp(&b.1.id)));
+    lines.push(format!(
+        "\nedges and corners within {} m of it, nearest first (distance, kind, points in the object, object)",
+        args.reach
+    ));
+    if near.is_empty() {
+        lines.push("  none".into());
+    }
+    for (d, f) in &near {
+        let points: Vec<String> = f.shape.points().iter().map(|p| vector(*p)).collect();
+        let (name, object) = (f.name.as_deref().unwrap_or_default(), f.object.as_deref().unwrap_or_default());
+        lines.push(format!("  {d:.4} m  {name:<12}  {}  {object}", points.join(" to ")));
+    }
+    // What is nearest may be meant, or the point itself.
+    let entry = near
+        .first()
+        .map_or_else(|| point_at(hit, &object.name, p_in_object, normal_in_object, options), |(_, f)| (*f).clone());
+    lines.push("\nan entry for a layer; give it an id that the layer never used".into());
+    lines.push(layer::entry(&entry)?);
+    if !near.is_empty() {
+        lines.push("\nor the point itself".into());
+        lines.push(layer::entry(&point_at(hit, &object.name, p_in_object, normal_in_object, options))?);
+    }
+    Ok(lines.join("\n") + "\n")
+}
+
+fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &GenerateOptions) -> Feature {
+    Feature {
+        id: 1,
+        name: Some(format!("point on polygon {}", hit.slot + 1)),
+        object: Some(object.to_owned()),
+        shape: FeatureShape::Point { at, covariance: DMat3::IDENTITY * (options.sigma * options.sigma) },
+        existence: Existence::default(),
+        properties: Properties { normal: Some(normal.normalize()), ..Properties::default() },
+    }
+}
+
+/// Metres from a point to a point or segment; `None` for patches.
+fn distance(scene: &Scene, feature: &Feature, p_in_world: DVec3) -> Option<f64> {
+    let object = scene.world.environment().object(feature.object.as_deref()?)?;
+    let p = object.world_from_object.inverse().transform_point(p_in_world);
+    match &feature.shape {
+        FeatureShape::Point { at, .. } => Some(at.distance(p)),
+        FeatureShape::Segment { ends: [a, b], .. } => {
+            let t = ((p - *a).dot(*b - *a) / (*b - *a).length_squared()).clamp(0.0, 1.0);
+            Some(a.lerp(*b, t).distance(p))
+        }
+        _ => None,
+    }
+}
+
+fn vector(v: DVec3) -> String {
+    // Adding 0 makes -0 plain.
+    let [x, y, z] = v.to_array().map(|c| (c * 1e6).round() / 1e6 + 0.0);
+    format!("[{x}, {y}, {z}]")
+}

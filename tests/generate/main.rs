@@ -1,0 +1,165 @@
+//! Features generated from real models: known counts, and edges confirmed by rays of another library.
+
+#![allow(clippy::print_stderr)] // Skips and what was found are said.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod scenes;
+
+use common::{Random, data};
+use glam::DVec3;
+use parry3d_f64::math::Vector;
+use parry3d_f64::query::Ray;
+use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
+use presight::acquire::features::{Counts, GenerateOptions, Kind, generate};
+use presight::environment::FeatureShape;
+use presight::{Environment, World};
+use std::time::Instant;
+
+fn counts_of(name: &str) -> Option<Counts> {
+    let world = data::scene(name, true)?;
+    Some(generate(world.environment(), "video", &GenerateOptions::default()).expect("features").counts)
+}
+
+/// Creases, borders, material borders, intersections, corners, vertical and horizontal patches.
+#[test]
+fn rooms_have_the_counts_that_their_geometry_says() {
+    let rooms = [
+        // A closed box: 12 edges, 8 corners, 4 walls, floor and ceiling.
+        ("room_cube", [12, 0, 0, 0, 8, 4, 2]),
+        // A ball of 32 x 16 facets: neighbours turn by 11.25 degrees, the steepest leans 5.6 degrees.
+        ("room_sphere", [0, 0, 0, 0, 0, 0, 0]),
+        // 124 triangles are 32 facets (2 each) and two ends (30 each): rims of 32 straight sides each, which turn by 11.25
+        // degrees and make no corners; 32 walls, floor and ceiling.
+        ("room_cylinder", [64, 0, 0, 0, 0, 32, 2]),
+        // A box without lid: 4 edges below and 4 upright ones, 4 borders above, 8 corners, 4 walls, a floor.
+        ("room_tray", [8, 4, 0, 0, 8, 4, 1]),
+        // Nine of them, a metre apart.
+        ("room_trays", [72, 36, 0, 0, 72, 36, 9]),
+        // A tube of 4 faces, open at both ends: 4 long edges, 2 x 4 borders, 8 corners, 2 walls, floor and ceiling.
+        ("room_corridor", [4, 8, 0, 0, 8, 2, 2]),
+    ];
+    for (name, expected) in rooms {
+        let Some(counts) = counts_of(name) else { return };
+        assert_eq!(counts.made, expected, "{name}");
+    }
+}
+
+/// All polygons as triangles, with their normal and material.
+struct Probe {
+    mesh: TriMesh,
+    of_triangle: Vec<(DVec3, u16)>,
+}
+
+fn vector(v: DVec3) -> Vector {
+    Vector::new(v.x, v.y, v.z)
+}
+
+impl Probe {
+    fn new(environment: &Environment) -> Self {
+        let (mut vertices, mut triangles, mut of_triangle) = (Vec::new(), Vec::new(), Vec::new());
+        for slot in 0..environment.slot_count() {
+            let Some((corners, (object, polygon))) = environment.polygon_in_world(slot).zip(environment.locate(slot))
+            else {
+                continue;
+            };
+            let first = vertices.len() as u32;
+            vertices.extend(corners.iter().map(|p| vector(*p)));
+            let normal: DVec3 =
+                (1..corners.len() - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+            for k in 1..corners.len() as u32 - 1 {
+                triangles.push([first, first + k, first + k + 1]);
+                of_triangle.push((normal.normalize(), environment.objects()[object as usize].mesh.material(polygon)));
+            }
+        }
+        Self { mesh: TriMesh::new(vertices, triangles).expect("triangles"), of_triangle }
+    }
+
+    fn cast(&self, from: DVec3, to: DVec3) -> Option<(DVec3, DVec3, u16)> {
+        let d = (to - from).normalize();
+        let (triangle, t) =
+            CompositeShapeRef(&self.mesh).cast_local_ray(&Ray::new(vector(from), vector(d)), 1e3, false)?;
+        let (normal, material) = self.of_triangle[triangle as usize];
+        Some((from + d * t, normal, material))
+    }
+
+    /// True if, from some direction, two rays that pass `p` on both sides of the line along `d` find something there and
+    /// not one smooth surface of one material.
+    fn confirms(&self, p: DVec3, d: DVec3, random: &mut Random) -> bool {
+        const BESIDE: f64 = 0.004;
+        (0..96).any(|k| {
+            let w = DVec3::from([0; 3].map(|_| random.uniform(-1.0, 1.0))).normalize_or_zero();
+            let s = d.cross(w);
+            if s.length() < 0.4 {
+                return false;
+            }
+            let (eye, s) = (p + w * [0.4, 0.05][k % 2], s.normalize() * BESIDE);
+            let hits = [s, -s].map(|s| self.cast(eye + s, p + s));
+            let near = hits.map(|h| h.is_some_and(|h| h.0.distance(p) < 0.012));
+            match hits {
+                _ if !near[0] && !near[1] => false,
+                [Some((a, n, x)), Some((b, m, y))] => {
+                    n.dot(b - a).abs() > 0.001
+                        || n.dot(m).abs() < 25f64.to_radians().cos()
+                        || (x != y && near[0] && near[1])
+                }
+                _ => true,
+            }
+        })
+    }
+}
+
+/// Shares confirmed: of edges, and of the same shifted by 5 cm across.
+fn shares(world: &World, edges: &[[DVec3; 2]], n: usize, seed: u64) -> (f64, f64) {
+    let probe = Probe::new(world.environment());
+    let mut random = Random(seed);
+    let (mut right, mut shifted) = (0, 0);
+    for _ in 0..n {
+        let [a, b] = edges[random.below(edges.len())];
+        let d = (b - a).normalize();
+        let p = a.lerp(b, random.uniform(0.1, 0.9));
+        right += usize::from(probe.confirms(p, d, &mut random));
+        let w = DVec3::from([0; 3].map(|_| random.uniform(-1.0, 1.0)));
+        let across = d.cross(w).try_normalize().unwrap_or(d.any_orthonormal_vector());
+        shifted += usize::from(probe.confirms(p + across * 0.05, d, &mut random));
+    }
+    (right as f64 / n as f64, shifted as f64 / n as f64)
+}
+
+#[test]
+fn rays_confirm_the_edges_of_real_models() {
+    // Shares measured with the seed below, less two of three standard errors (0.01 each): edges between surfaces that
+    // no ray reaches (inside walls, under floors nearer than the eye) cannot be confirmed.
+    for (name, least) in [("office_willowgarage", 0.9), ("factory_hall", 0.9), ("hospital", 0.9)] {
+        let Some(world) = data::scene(name, true) else { return };
+        let environment = world.environment();
+        let start = Instant::now();
+        let generated = generate(environment, "video", &GenerateOptions::default()).expect("features");
+        let seconds = start.elapsed().as_secs_f64();
+        let edges: Vec<[DVec3; 2]> = generated
+            .layer
+            .features
+            .iter()
+            .filter_map(|f| {
+                let FeatureShape::Segment { ends, .. } = &f.shape else { return None };
+                let object = environment.object(f.object.as_deref()?)?;
+                Some(ends.map(|p| object.world_from_object.transform_point(p)))
+            })
+            .collect();
+        assert_eq!(edges.len(), Kind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
+        let (right, shifted) = shares(&world, &edges, 1000, 7);
+        eprintln!(
+            "{name}: {:?} in {seconds:.2} s, confirmed {right:.3}, shifted by 5 cm {shifted:.3}",
+            generated.counts
+        );
+        assert!(right >= least, "{name}: {right} of the edges are confirmed");
+        assert!(shifted <= 0.35, "{name}: {shifted} of the shifted edges are confirmed");
+    }
+}
+
+#[test]
+fn the_layer_is_the_same_each_time() {
+    let Some(world) = data::scene("factory_hall", true) else { return };
+    let layer = || generate(world.environment(), "video", &GenerateOptions::default()).expect("features").layer;
+    assert!(layer() == layer());
+}
