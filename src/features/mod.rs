@@ -1,5 +1,9 @@
 //! Features in a world: which polygons they lie on, how much of each a sensor sees, and where.
 
+mod place;
+
+pub use place::place;
+
 use crate::environment::Feature;
 
 /// A feature with its place in a version of the world.
