@@ -1,6 +1,8 @@
 //! Poses as the command line gives them.
 
 use crate::error::{Error, Result};
+use crate::features::roi::PoseCovariance;
+use crate::features::sensor_covariance;
 use crate::geometry::Pose;
 use crate::sensor::{SensorSpec, body_from_optical_rotation};
 use clap::ValueEnum;
@@ -94,6 +96,30 @@ impl GivenPose {
             pose = world_from_gltf.then(&pose);
         }
         pose
+    }
+
+    /// The covariance of the sensor's pose along the axes of presight's world, from that of the pose as given.
+    pub fn covariance_of_sensor(
+        &self,
+        covariance: &PoseCovariance,
+        sensor: &SensorSpec,
+        world_from_sensor: &Pose,
+        world_from_gltf: &Pose,
+    ) -> PoseCovariance {
+        let mut moved = *covariance;
+        if self.world == WorldFrame::Gltf {
+            let turn = world_from_gltf.rotation_matrix().transpose().to_cols_array_2d();
+            let turn = |i: usize, k: usize| if i / 3 == k / 3 { turn[i % 3][k % 3] } else { 0.0 };
+            let cell = |i: usize, j: usize| {
+                (0..36).map(|kl| turn(i, kl / 6) * covariance[kl / 6][kl % 6] * turn(j, kl % 6)).sum()
+            };
+            moved = std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j)));
+        }
+        if self.of == PoseOf::Robot {
+            let world_from_robot = world_from_sensor.rotation * sensor.mount.rotation.conjugate();
+            moved = sensor_covariance(&moved, world_from_robot * sensor.mount.translation);
+        }
+        moved
     }
 }
 

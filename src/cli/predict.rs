@@ -1,10 +1,12 @@
 //! `presight predict`: what a sensor at a pose sees.
 
+use super::layers::{LayerArgs, Layers};
 use super::load::{self, Scene};
 use super::pose::{GivenPose, PoseArgs};
 use super::statistics::{Statistics, Subject};
 use super::{Verdict, print};
 use crate::error::{Error, Result};
+use crate::features::FeaturePrediction;
 use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
@@ -55,7 +57,7 @@ pub struct Args {
     #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
     index: Scheme,
 
-    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence
+    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence, feature_id
     #[arg(long, value_name = "LIST", default_value = "range,polygon_id,object_id,cos_incidence")]
     outputs: Outputs,
 
@@ -70,6 +72,9 @@ pub struct Args {
     /// What the preview shows
     #[arg(long, value_name = "OUTPUT", default_value = "range", value_parser = parse_output, requires = "png")]
     png_of: Output,
+
+    #[command(flatten)]
+    layers: LayerArgs,
 
     /// Write a 16-bit depth image in millimetres, 0 = no value (a camera's depth_z, otherwise range)
     #[arg(long, value_name = "FILE.png")]
@@ -135,8 +140,8 @@ enum PointsFrameArg {
 }
 
 fn parse_output(name: &str) -> Result<Output> {
-    let names = Output::ALL.map(Output::name).join(", ");
-    let found = Output::ALL.into_iter().find(|o| o.name() == name);
+    let names = Output::WITH_FEATURES.map(Output::name).join(", ");
+    let found = Output::WITH_FEATURES.into_iter().find(|o| o.name() == name);
     found.ok_or_else(|| Error::usage("unknown output", format!("choose from {names}")))
 }
 
@@ -156,6 +161,7 @@ struct Job {
 
 impl Args {
     fn check(&self) -> Result<Job> {
+        self.layers.check(self.asked())?;
         let points_format = self.points.as_deref().map(points_format).transpose()?;
         Ok(Job {
             pose: self.pose.parse()?,
@@ -179,12 +185,19 @@ impl Args {
         }
     }
 
+    /// Everything asked for by name.
+    fn asked(&self) -> Outputs {
+        let of_preview = self.png.as_ref().map(|_| self.png_of);
+        Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>())
+    }
+
     /// The images to predict: what was asked for, and what the other files are drawn from.
     fn request(&self, sensor: &Sensor) -> Result<Request> {
         let mut wanted: Vec<Output> = self.outputs.iter().collect();
         if self.png.is_some() {
             wanted.extend(png::preview_needs(sensor, self.png_of).iter());
         }
+        wanted.extend(self.layers.needs());
         if self.points.is_some() {
             wanted.extend([Output::Range, Output::PolygonId]);
         }
@@ -195,13 +208,16 @@ impl Args {
         if self.depth_png.is_some() {
             wanted.push(png::depth_output(sensor));
         }
-        let ids = if self.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model };
-        Ok(Request { outputs: Outputs::of(&wanted), ids })
+        Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme() })
+    }
+
+    fn scheme(&self) -> IdScheme {
+        if self.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model }
     }
 
     fn writes_something(&self) -> bool {
         let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
-        self.explain || files.iter().any(|f| f.is_some())
+        self.explain || self.layers.writes_something() || files.iter().any(|f| f.is_some())
     }
 }
 
@@ -236,18 +252,20 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut predictor = Predictor::new(job.options)?;
     let scene = load::scene(&args.scene, &job.import, args.index)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
+    let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.scheme(), args.asked())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
+    let mut features = of_layers(layers.as_ref(), &scene, &mut prediction)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
     let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
     for _ in 0..repeat {
         let start = Instant::now();
         let images = &mut prediction.images;
-        let stats = predictor.predict_into(&scene.world, &sensor, &world_from_sensor, &request, images)?;
+        prediction.stats = predictor.predict_into(&scene.world, &sensor, &world_from_sensor, &request, images)?;
+        features = of_layers(layers.as_ref(), &scene, &mut prediction)?;
         times_ms.push(start.elapsed().as_secs_f64() * 1e3);
-        runs.push(stats.clone());
-        prediction.stats = stats;
+        runs.push(prediction.stats.clone());
     }
     if repeat == 0 {
         times_ms.push(first_ms);
@@ -261,7 +279,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         outputs: request.outputs.iter().map(Output::name).collect(),
     };
     let statistics = Statistics::of(subject, &times_ms, &runs);
-    write_files(args, job.points_format, &scene, &prediction)?;
+    write_files(args, job.points_format, &scene, &prediction, layers.as_ref().zip(features.as_ref()))?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
             .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
@@ -275,14 +293,38 @@ pub fn run(args: &Args) -> Result<Verdict> {
     Ok(Verdict::Done)
 }
 
-fn write_files(args: &Args, points_format: Option<PointsFormat>, scene: &Scene, prediction: &Prediction) -> Result<()> {
+/// What is seen of the features of layers, if there are layers.
+fn of_layers(layers: Option<&Layers>, scene: &Scene, prediction: &mut Prediction) -> Result<Option<FeaturePrediction>> {
+    let Some(layers) = layers else { return Ok(None) };
+    let (mut images, mut stats) = (std::mem::take(&mut prediction.images), std::mem::take(&mut prediction.stats));
+    let features = layers.predict(scene, prediction, &mut images, &mut stats);
+    (prediction.images, prediction.stats) = (images, stats);
+    features.map(Some)
+}
+
+fn write_files(
+    args: &Args,
+    points_format: Option<PointsFormat>,
+    scene: &Scene,
+    prediction: &Prediction,
+    features: Option<(&Layers, &FeaturePrediction)>,
+) -> Result<()> {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let Some(path) = &args.out {
         let attributes = attributes(args, scene, prediction)?;
         exr::write(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &args.png {
-        png::write_preview(path, images, sensor, args.png_of)?;
+        let overlay = features.map(|(_, features)| png::Overlay {
+            features,
+            sensor,
+            world_from_sensor: &prediction.world_from_sensor,
+            numbers: args.layers.numbers(),
+        });
+        png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref())?;
+    }
+    if let Some((layers, features)) = features {
+        args.layers.write(scene, prediction, layers, features)?;
     }
     if let Some(path) = &args.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
@@ -308,7 +350,7 @@ fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr
         world_from_sensor: Some(prediction.world_from_sensor),
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(load::blake3_of(&args.scene)?),
-        ids: Some(if args.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model }),
+        ids: Some(args.scheme()),
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
 }

@@ -1,0 +1,158 @@
+//! Features in a prediction: layers read and placed, visibility predicted, results written.
+
+use super::load::Scene;
+use super::pose::GivenPose;
+use super::pose_cov;
+use super::print;
+use crate::error::{Error, Result};
+use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature};
+use crate::features::{add_boxes, place, predict_features};
+use crate::geometry::Pose;
+use crate::io::{layer, prediction_json};
+use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
+use crate::predict::Prediction;
+use crate::sensor::Sensor;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Which features are predicted, and where they go.
+#[derive(Debug, clap::Args)]
+pub struct LayerArgs {
+    /// Predict the features of this layer, too; later ones win by id
+    #[arg(long = "layer", value_name = "FILE.json")]
+    layers: Vec<PathBuf>,
+
+    /// Write what is seen of the features
+    #[arg(long, value_name = "OUT.json", requires = "layers")]
+    features: Option<PathBuf>,
+
+    /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
+    #[arg(long, value_name = "T", requires = "layers", allow_negative_numbers = true)]
+    time: Option<f64>,
+
+    /// How uncertain the pose is, for regions of interest: sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, or a file of 36 numbers
+    ///
+    /// Standard deviations, or a covariance as a JSON list, row-major, in metres and radians; along the world's axes.
+    #[arg(long, value_name = "S|FILE.json", requires = "layers")]
+    pose_cov: Option<String>,
+
+    /// Probability with which features are in their regions of interest
+    #[arg(long, value_name = "P", default_value_t = BoxOptions::default().confidence, requires = "layers")]
+    confidence: f64,
+
+    /// Write the numbers of features into the preview
+    #[arg(long, requires = "layers")]
+    feature_numbers: bool,
+}
+
+/// Features placed in a world, ready to be predicted.
+pub struct Layers {
+    placed: Vec<PlacedFeature>,
+    options: FeatureOptions,
+    boxes: BoxOptions,
+}
+
+impl LayerArgs {
+    /// Checks them without touching the world; `asked` are all outputs wanted.
+    pub fn check(&self, asked: Outputs) -> Result<()> {
+        if let Some(time) = self.time.filter(|t| !t.is_finite()) {
+            return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
+        }
+        if !(0.5..1.0).contains(&self.confidence) {
+            let what = format!("--confidence {}", self.confidence);
+            return Err(Error::usage(what, "give a probability from 0.5 to below 1"));
+        }
+        if self.layers.is_empty() && asked.has(Output::FeatureId) {
+            return Err(Error::usage("feature_id without features", "give a --layer"));
+        }
+        Ok(())
+    }
+
+    /// Images that features are predicted from.
+    pub fn needs(&self) -> Option<Output> {
+        (!self.layers.is_empty()).then_some(Output::PolygonId)
+    }
+
+    /// True if a file of their own is asked for.
+    pub fn writes_something(&self) -> bool {
+        self.features.is_some()
+    }
+
+    /// True if features' numbers go into the preview.
+    pub fn numbers(&self) -> bool {
+        self.feature_numbers
+    }
+
+    /// Reads the layers and finds the polygons that their features lie on; `None` without layers.
+    pub fn load(
+        &self,
+        scene: &Scene,
+        sensor: &Sensor,
+        (pose, world_from_sensor): (&GivenPose, &Pose),
+        ids: IdScheme,
+        asked: Outputs,
+    ) -> Result<Option<Layers>> {
+        if self.layers.is_empty() {
+            return Ok(None);
+        }
+        let class = &sensor.spec().class;
+        let loaded = layer::load(&self.layers, class)?;
+        if loaded.other_classes > 0 {
+            let n = loaded.other_classes;
+            print::message(&format!("note: {n} features are for other classes than {class:?} and left out"));
+        }
+        let placed = place(&scene.world, &loaded.layer)?;
+        let feature_id = asked.has(Output::FeatureId);
+        let options = FeatureOptions { time: self.time, ids, feature_id, ..FeatureOptions::default() };
+        let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
+        let of_object = |(path, c): &(String, _)| Ok((scene.world.environment().index_of(path)?, *c));
+        let boxes = BoxOptions {
+            sensor: pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf),
+            objects: loaded.layer.pose_covariances.iter().map(of_object).collect::<Result<_>>()?,
+            confidence: self.confidence,
+        };
+        Ok(Some(Layers { placed, options, boxes }))
+    }
+
+    /// Writes the prediction's file, if one is asked for.
+    pub fn write(
+        &self,
+        scene: &Scene,
+        prediction: &Prediction,
+        layers: &Layers,
+        features: &FeaturePrediction,
+    ) -> Result<()> {
+        let Some(path) = &self.features else { return Ok(()) };
+        let header = prediction_json::Header {
+            sensor: prediction.sensor.spec().name.clone(),
+            world_from_sensor: prediction.world_from_sensor,
+            pose_covariance: Some(layers.boxes.sensor),
+            confidence: Some(layers.boxes.confidence),
+        };
+        prediction_json::write(path, &header, features, scene.world.environment())
+    }
+}
+
+impl Layers {
+    /// Predicts them from images just made, notes what it cost, and puts `feature_id` among the images.
+    pub fn predict(
+        &self,
+        scene: &Scene,
+        prediction: &Prediction,
+        images: &mut Images,
+        stats: &mut Stats,
+    ) -> Result<FeaturePrediction> {
+        let start = Instant::now();
+        let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
+        let mut features = predict_features(&scene.world, sensor, pose, images, &self.placed, &self.options)?;
+        images.feature_id = std::mem::take(&mut features.feature_id);
+        stats.stage("features", start);
+        let start = Instant::now();
+        add_boxes(&mut features, &self.placed, &scene.world, sensor, pose, &self.boxes)?;
+        stats.stage("regions of interest", start);
+        for (name, n) in features.stats.counts() {
+            stats.count(name, n);
+        }
+        Ok(features)
+    }
+}
