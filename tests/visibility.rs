@@ -209,6 +209,8 @@ fn in_both_ways(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFea
 /// Neighbouring pixels may all miss an occluder smaller than a pixel: this share of samples may be wrong, as it was when
 /// the method was tried out.
 const MISSED: f64 = 0.003;
+/// The same in rooms of boxes.
+const MISSED_IN_ROOMS: f64 = 0.0003;
 
 #[derive(Debug, Default)]
 struct Total {
@@ -233,12 +235,12 @@ impl Total {
         );
     }
 
-    fn check(&self, name: &str, least: usize) {
+    fn check(&self, name: &str, left_out: f64) {
         self.say(name);
-        assert!(self.by_pixels.samples >= least && self.by_pixels.excluded_share() < 0.05, "{name}");
+        assert!(self.by_pixels.samples >= 100 && self.by_pixels.excluded_share() < left_out, "{name}");
         let some = |wrong: &[String]| format!("{:#?}", &wrong[..wrong.len().min(10)]);
         assert!(self.by_rays.wrong.is_empty(), "{name}: {}", some(&self.by_rays.wrong));
-        assert!(self.by_pixels.wrong_share() <= MISSED, "{name}: {}", some(&self.by_pixels.wrong));
+        assert!(self.by_pixels.wrong_share() <= MISSED_IN_ROOMS, "{name}: {}", some(&self.by_pixels.wrong));
     }
 
     fn take(
@@ -275,7 +277,8 @@ fn rooms_agree_with_rays_in_space() {
         }
     }
     for (name, sum) in totals {
-        sum.check(&name, 100);
+        // A sixteenth of the fan's pixels is half a degree.
+        sum.check(&name, if name.ends_with("fan") { 0.15 } else { 0.05 });
         assert_eq!(sum.stats.undecided, 0, "{name}");
     }
 }
@@ -305,10 +308,10 @@ fn real_scenes_agree_with_rays_in_space() {
             }
         }
         total.say(scene);
-        // Edges of faces that overlap or interpenetrate lie on more polygons than have them as an edge: what is coplanar
-        // within rounding is not decided alike by anybody.
         assert!(total.by_pixels.samples > 1000, "{scene}");
-        assert!(total.by_pixels.wrong_share() <= 0.01, "{scene}: {:#?}", total.by_pixels.wrong);
+        let some = |a: &Agreement| format!("{scene}: {:#?}", &a.wrong[..a.wrong.len().min(10)]);
+        assert!(total.by_pixels.wrong_share() <= MISSED, "{}", some(&total.by_pixels));
+        assert!(total.by_rays.wrong.is_empty(), "{}", some(&total.by_rays));
     }
 }
 
