@@ -2,12 +2,14 @@
 
 mod boxes;
 mod normal;
+mod place;
 mod prediction;
 pub mod roi;
 mod sample;
 mod visible;
 
 pub use boxes::{BoxOptions, add_boxes, sensor_covariance};
+pub use place::place;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use visible::{FeatureOptions, Visibility, predict_features};

@@ -1,0 +1,241 @@
+//! Where features lie: their objects, and the polygons under them, found by geometry. Layers never name polygons, which
+//! another export of the model numbers anew.
+//!
+//! A polygon counts for a feature if it runs along it: a point lies on every polygon within the layer's tolerance, a
+//! segment on every polygon that holds a stretch of it (both faces of a crease, each of several polygons in line), a
+//! patch or fiducial on the coplanar polygons that it overlaps. A polygon that a segment or a patch only passes through
+//! or touches is none it lies on. A feature must lie on its polygons all along, within the tolerance.
+//!
+//! Everything is computed in the frame of the feature's object, about its first point: at 5,000,000 m from the origin
+//! no digit is lost.
+
+mod local;
+mod patch;
+mod segment;
+#[cfg(test)]
+mod tests;
+
+use super::PlacedFeature;
+use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Object};
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, Pose};
+use crate::index::{Found, Region};
+use crate::world::World;
+use glam::DVec3;
+use local::Local;
+
+/// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
+/// tolerance cannot tell.
+const LYING: f64 = 0.087;
+
+/// What a feature lies on, or where it does not.
+enum Lie {
+    /// Slots of the polygons, in any order.
+    On(Vec<u32>),
+    /// A point of it that is off all polygons, in the feature's frame about its first point.
+    Off(DVec3),
+}
+
+/// Finds each feature's object and polygons in a version of the world, in the order of the layer.
+///
+/// ```
+/// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World, features};
+/// use glam::{DMat3, DVec3, Vec3};
+/// let mut environment = Environment::new();
+/// environment.add_material(Material::named("paint"))?;
+/// // Two squares side by side.
+/// let corners = [[0., 0.], [1., 0.], [2., 0.], [2., 1.], [1., 1.], [0., 1.]].map(|[x, y]| Vec3::new(x, y, 0.0));
+/// let squares = [[0, 1, 4, 5], [1, 2, 3, 4]].map(|corners| Polygon::new(corners.to_vec(), 0));
+/// let mesh = Mesh::new("tiles", corners.to_vec(), squares.to_vec(), PolygonOrder::Given)?;
+/// environment.insert(NewObject::new("floor", Pose::IDENTITY, mesh.into()))?;
+/// let world = World::new(environment);
+///
+/// let ends = [DVec3::new(0.5, 0.5, 0.0), DVec3::new(1.5, 0.5, 0.0)];
+/// let line = Feature {
+///     id: 1,
+///     name: None,
+///     object: Some("floor".into()),
+///     shape: FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO },
+///     existence: Existence::default(),
+///     properties: Properties::default(),
+/// };
+/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line], ..Default::default() };
+/// let placed = features::place(&world, &layer)?;
+/// assert_eq!((placed[0].object, placed[0].slots.as_slice()), (Some(0), [0, 1].as_slice()));
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that is not there, or a
+/// feature that is anywhere off its polygons by more than the layer's tolerance, with the distance.
+pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
+    layer.check()?;
+    let environment = world.environment();
+    for (object, _) in &layer.pose_covariances {
+        environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
+    }
+    let mut finder = Finder { world, environment, tolerance: layer.tolerance, found: Found::default() };
+    layer.features.iter().map(|feature| finder.place(feature).map_err(|e| e.at(name_of(feature)))).collect()
+}
+
+fn name_of(feature: &Feature) -> String {
+    match &feature.name {
+        Some(name) => format!("feature {} {name:?}", feature.id),
+        None => format!("feature {}", feature.id),
+    }
+}
+
+struct Finder<'a> {
+    world: &'a World,
+    environment: &'a Environment,
+    tolerance: f64,
+    found: Found,
+}
+
+/// The frame a feature is given in.
+struct Frame<'a> {
+    /// Its object and the object's index; `None` is the world.
+    object: Option<(&'a Object, u32)>,
+    /// First point of the feature: what distances are computed about.
+    anchor: DVec3,
+}
+
+impl Frame<'_> {
+    fn to_world(&self, p: DVec3) -> DVec3 {
+        self.object.map_or(p, |(o, _)| o.world_from_object.transform_point(p))
+    }
+
+    /// A polygon's corners in this frame about the anchor, and the bound of their rounding, metres.
+    fn corners(&self, other: &Object, index: u32, polygon: u32) -> (Vec<DVec3>, f64) {
+        let in_other = other.mesh.corners_of(polygon).map(|p| other.object_from_mesh.transform_point3(p));
+        let Pose { rotation: _, translation } = other.world_from_object;
+        let turn = other.world_from_object.rotation_matrix();
+        // Origins are subtracted first: they may be far from the world's and near each other.
+        let (corners, apart): (Vec<DVec3>, f64) = match self.object {
+            Some((_, own)) if own == index => (in_other.map(|p| p - self.anchor).collect(), 0.0),
+            Some((own, _)) => {
+                let own = own.world_from_object;
+                let (back, apart) = (own.rotation_matrix().transpose(), translation - own.translation);
+                (in_other.map(|p| back * (turn * p + apart) - self.anchor).collect(), apart.length())
+            }
+            None => {
+                let apart = translation - self.anchor;
+                (in_other.map(|p| turn * p + apart).collect(), apart.length())
+            }
+        };
+        let reach = corners.iter().map(|c| c.length()).fold(apart, f64::max);
+        (corners, 64.0 * f64::EPSILON * (reach + self.anchor.length()))
+    }
+}
+
+impl<'a> Finder<'a> {
+    fn place(&mut self, feature: &Feature) -> Result<PlacedFeature> {
+        let environment = self.environment;
+        let object = match &feature.object {
+            Some(path) => Some(environment.index_of(path)?),
+            None => None,
+        };
+        let points = feature.shape.points();
+        let frame = Frame { object: object.map(|i| (&environment.objects()[i as usize], i)), anchor: points[0] };
+        let boxes = boxes_around(&frame, &feature.shape);
+        let near = self.near(&frame, &boxes);
+        let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
+        let lie = match &feature.shape {
+            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => on_point(&near),
+            FeatureShape::Segment { .. } => segment::lie(&near, about[1]),
+            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => patch::lie(&near, &about)?,
+        };
+        match lie {
+            Lie::On(mut slots) => {
+                slots.sort_unstable();
+                Ok(PlacedFeature { feature: feature.clone(), object, slots })
+            }
+            Lie::Off(at) => Err(self.off(&frame, at, feature)),
+        }
+    }
+
+    /// The polygons that may come within the tolerance of the boxes (world).
+    fn near(&mut self, frame: &Frame<'_>, boxes: &[Aabb]) -> Vec<Local> {
+        self.found.clear();
+        for b in boxes {
+            let reach = b.min.abs().max(b.max.abs()).max_element();
+            let margin = self.tolerance + 64.0 * f64::EPSILON * reach;
+            let grown = Aabb { min: b.min - margin, max: b.max + margin };
+            self.world.index().query(self.environment, &Region::cuboid(&grown), &mut self.found);
+        }
+        let mut slots: Vec<u32> = self.found.all().collect();
+        slots.sort_unstable();
+        slots.dedup();
+        slots.into_iter().filter_map(|slot| self.local(frame, slot)).collect()
+    }
+
+    fn local(&self, frame: &Frame<'_>, slot: u32) -> Option<Local> {
+        let (index, polygon) = self.environment.locate(slot)?;
+        let (corners, rounding) = frame.corners(&self.environment.objects()[index as usize], index, polygon);
+        Some(Local::new(slot, corners, self.tolerance + rounding))
+    }
+
+    fn off(&mut self, frame: &Frame<'_>, at: DVec3, feature: &Feature) -> Error {
+        let p = at + frame.anchor;
+        let whose = match &feature.object {
+            Some(path) => format!("in the frame of object {path:?}"),
+            None => "in the world".to_owned(),
+        };
+        let remedy = "move it onto the model, or raise the layer's tolerance";
+        match self.distance(frame, at) {
+            Some(distance) => Error::invalid(
+                format!(
+                    "the {} is {distance:.6} m off its polygons at ({}, {}, {}) {whose}, {} m is allowed",
+                    feature.shape.kind(),
+                    p.x,
+                    p.y,
+                    p.z,
+                    self.tolerance
+                ),
+                remedy,
+            ),
+            None => Error::invalid("the world has no polygons it could lie on", "check the scene"),
+        }
+    }
+
+    /// From a point about the anchor to the nearest polygon, metres; `None` if there are no polygons.
+    fn distance(&mut self, frame: &Frame<'_>, at: DVec3) -> Option<f64> {
+        let p_in_world = frame.to_world(at + frame.anchor);
+        let everything = self.environment.bounds();
+        if everything.is_empty() {
+            return None;
+        }
+        // Everything lies within this.
+        let enough = everything.with(p_in_world).size();
+        let mut half = 4.0 * self.tolerance;
+        loop {
+            let b = Aabb { min: p_in_world - half, max: p_in_world + half };
+            let nearest = self.near(frame, &[b]).iter().map(|l| l.distance(at)).reduce(f64::min);
+            match nearest {
+                // Nothing outside of the box can be nearer.
+                Some(d) if d <= half || half > enough => return Some(d),
+                None if half > enough => return None,
+                _ => half *= 4.0,
+            }
+        }
+    }
+}
+
+/// Boxes in the world that together hold the feature; several for a slanted segment, whose one box would be large.
+fn boxes_around(frame: &Frame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
+    /// Most boxes along a segment.
+    const MOST: f64 = 16.0;
+    let points: Vec<DVec3> = shape.points().iter().map(|p| frame.to_world(*p)).collect();
+    let FeatureShape::Segment { .. } = shape else { return vec![Aabb::of(points)] };
+    let mut sides = (points[1] - points[0]).abs().to_array();
+    sides.sort_by(f64::total_cmp);
+    let count = (MOST * sides[1] / sides[2]).clamp(1.0, MOST) as usize;
+    let at = |k: usize| points[0].lerp(points[1], k as f64 / count as f64);
+    (0..count).map(|k| Aabb::of([at(k), at(k + 1)])).collect()
+}
+
+fn on_point(near: &[Local]) -> Lie {
+    let on: Vec<u32> = near.iter().filter(|l| l.holds(DVec3::ZERO)).map(|l| l.slot).collect();
+    if on.is_empty() { Lie::Off(DVec3::ZERO) } else { Lie::On(on) }
+}

@@ -1,0 +1,371 @@
+use super::*;
+use crate::environment::{Existence, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties};
+use crate::error::ErrorKind;
+use glam::{DAffine3, DMat3, DQuat, Vec3};
+use parry3d_f64::query::PointQuery;
+use parry3d_f64::shape::Triangle;
+use proptest::prelude::*;
+use std::sync::Arc;
+
+const TOLERANCE: f64 = 1e-3;
+
+/// A box from the origin, each side cut into `cuts` strips along its first axis, so that lines run over several
+/// polygons; in triangles, or in rectangles.
+fn cuboid(size: DVec3, cuts: u32, triangles: bool) -> Arc<Mesh> {
+    let (mut vertices, mut polygons) = (Vec::new(), Vec::new());
+    for axis in 0..3 {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for side in [0.0, 1.0] {
+            for k in 0..cuts {
+                let first = vertices.len() as u32;
+                let at = |a: u32, b: f64| {
+                    let mut p = DVec3::ZERO;
+                    (p[axis], p[u], p[v]) = (side * size[axis], size[u] * f64::from(a) / f64::from(cuts), b * size[v]);
+                    p.as_vec3()
+                };
+                vertices.extend([at(k, 0.0), at(k + 1, 0.0), at(k + 1, 1.0), at(k, 1.0)]);
+                let parts: &[&[u32]] = if triangles { &[&[0, 1, 2], &[0, 2, 3]] } else { &[&[0, 1, 2, 3]] };
+                polygons.extend(parts.iter().map(|p| Polygon::new(p.iter().map(|c| first + c).collect(), 0)));
+            }
+        }
+    }
+    Arc::new(Mesh::new("box", vertices, polygons, PolygonOrder::Given).unwrap())
+}
+
+fn world_of(objects: Vec<NewObject>) -> World {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("m")).unwrap();
+    for object in objects {
+        environment.insert(object).unwrap();
+    }
+    World::new(environment)
+}
+
+fn feature(object: Option<&str>, shape: FeatureShape) -> Feature {
+    Feature {
+        id: 7,
+        name: None,
+        object: object.map(str::to_owned),
+        shape,
+        existence: Existence::default(),
+        properties: Properties::default(),
+    }
+}
+
+fn point(at: DVec3) -> FeatureShape {
+    FeatureShape::Point { at, covariance: DMat3::ZERO }
+}
+
+fn segment(a: DVec3, b: DVec3) -> FeatureShape {
+    FeatureShape::Segment { ends: [a, b], covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO }
+}
+
+fn patch(corners: &[[f64; 3]]) -> FeatureShape {
+    FeatureShape::Patch { corners: corners.iter().map(|c| DVec3::from_array(*c)).collect(), covariance: DMat3::ZERO }
+}
+
+fn place_one(world: &World, object: Option<&str>, shape: FeatureShape) -> Result<PlacedFeature> {
+    let features = vec![feature(object, shape)];
+    let layer = FeatureLayer { class: "video".into(), tolerance: TOLERANCE, features, ..FeatureLayer::default() };
+    place(world, &layer).map(|mut placed| placed.remove(0))
+}
+
+/// Normals of the polygons a feature lies on, in the mesh's frame, signs dropped: x 1, y 2, z 4.
+fn axes(world: &World, slots: &[u32]) -> Vec<u32> {
+    let object = &world.environment().objects()[0];
+    let axis = |s: &u32| object.mesh.plane(*s - object.first_slot).normal.abs().max_position() as u32;
+    let mut axes: Vec<u32> = slots.iter().map(axis).collect();
+    axes.sort_unstable();
+    axes
+}
+
+#[test]
+fn edges_lie_on_both_faces_and_on_all_in_line() {
+    // Far from the origin, turned, and given in the object's frame: no digit is lost.
+    let pose = Pose::from_xyz_rpy(DVec3::new(5e6, -5e6, 512.0), 0.3, -0.2, 1.1);
+    let world = world_of(vec![NewObject::new("box", pose, cuboid(DVec3::new(2.0, 1.0, 3.0), 4, false))]);
+    // Along y: the x faces are cut along y (four strips each), the z faces along x, the y faces along z.
+    let edge = place_one(&world, Some("box"), segment(DVec3::ZERO, DVec3::Y)).unwrap();
+    assert_eq!((edge.object, axes(&world, &edge.slots)), (Some(0), vec![0, 0, 0, 0, 2]));
+    // Inside one face, across its strips; and along one strip.
+    let across = place_one(&world, Some("box"), segment(DVec3::new(0.0, 0.1, 1.0), DVec3::new(0.0, 0.9, 2.0))).unwrap();
+    assert_eq!(axes(&world, &across.slots), [0, 0, 0, 0]);
+    let along = place_one(&world, Some("box"), segment(DVec3::new(0.0, 0.1, 1.0), DVec3::new(0.0, 0.1, 2.0))).unwrap();
+    assert_eq!(axes(&world, &along.slots), [0]);
+    // A corner is on three faces; so is the same point given in the world, within its rounding.
+    let corner = place_one(&world, Some("box"), point(DVec3::ZERO)).unwrap();
+    assert_eq!(axes(&world, &corner.slots), [0, 1, 2]);
+    let in_world = place_one(&world, None, point(pose.translation)).unwrap();
+    assert_eq!((in_world.object, &in_world.slots), (None, &corner.slots));
+    // A hair within the tolerance, a hair beyond.
+    let near = |d: f64| place_one(&world, Some("box"), segment(DVec3::new(-d, 0.1, 0.1), DVec3::new(-d, 0.8, 0.1)));
+    assert_eq!(axes(&world, &near(0.999e-3).unwrap().slots), [0, 0, 0, 0]);
+    let error = near(1.001e-3).unwrap_err();
+    assert_eq!((error.kind(), error.place()), (ErrorKind::Invalid, Some("feature 7")));
+    let said = error.to_string();
+    assert!(said.contains("0.001001 m off its polygons") && said.contains("object \"box\""), "{said}");
+}
+
+#[test]
+fn what_is_off_names_feature_object_and_distance() {
+    let world = world_of(vec![NewObject::new("box", Pose::IDENTITY, cuboid(DVec3::splat(2.0), 1, true))]);
+    let said = |object: Option<&str>, shape: FeatureShape| place_one(&world, object, shape).unwrap_err().to_string();
+    let unknown = said(Some("door"), point(DVec3::ZERO));
+    assert!(unknown.contains("feature 7: there is no object \"door\""), "{unknown}");
+    assert!(said(None, point(DVec3::new(-0.25, 1.0, 1.0))).contains("0.250000 m off its polygons"));
+    assert!(said(None, point(DVec3::splat(1e5))).contains("m off its polygons"));
+    // Both ends on the box, nothing between.
+    let through = said(None, segment(DVec3::new(0.0, 1.0, 1.0), DVec3::new(2.0, 1.0, 1.0)));
+    assert!(through.contains("segment is 1.000000 m off its polygons at (1, 1, 1)"), "{through}");
+    // One end over the edge, by more than the tolerance and by less.
+    let over = |z: f64| segment(DVec3::new(0.0, 1.0, 1.0), DVec3::new(0.0, 1.0, z));
+    assert!(said(None, over(2.0 + 2e-3)).contains("0.002000 m off"));
+    assert!(place_one(&world, None, over(2.0 + 0.9e-3)).is_ok());
+    let nothing = place_one(&world_of(vec![]), None, point(DVec3::ZERO)).unwrap_err();
+    assert!(nothing.to_string().contains("no polygons"), "{nothing}");
+    let layer = FeatureLayer {
+        class: "video".into(),
+        tolerance: TOLERANCE,
+        pose_covariances: vec![("door".into(), [[0.0; 6]; 6])],
+        ..FeatureLayer::default()
+    };
+    assert!(place(&world, &layer).unwrap_err().to_string().contains("pose covariance of object \"door\""));
+    // What no file could hold is refused here too.
+    assert!(said(None, point(DVec3::NAN)).contains("not a finite position"));
+}
+
+#[test]
+fn a_segment_that_ends_on_a_polygon_does_not_lie_on_it() {
+    // A pillar on a floor of its own object.
+    let floor = NewObject::new("floor", Pose::IDENTITY, cuboid(DVec3::new(10.0, 10.0, 1.0), 1, false));
+    let pose = Pose::from_xyz_rpy(DVec3::new(4.0, 4.0, 1.0), 0.0, 0.0, 0.5);
+    let pillar = NewObject::new("pillar", pose, cuboid(DVec3::new(0.5, 0.5, 3.0), 1, false));
+    let world = world_of(vec![floor, pillar]);
+    let first = world.environment().objects()[1].first_slot;
+    let upright = place_one(&world, Some("pillar"), segment(DVec3::ZERO, 3.0 * DVec3::Z)).unwrap();
+    assert!(upright.slots.len() == 2 && upright.slots.iter().all(|s| *s >= first), "{:?}", upright.slots);
+    // Its foot lies on the floor and on the pillar's bottom and side.
+    let foot = place_one(&world, Some("pillar"), segment(DVec3::ZERO, 0.5 * DVec3::X)).unwrap();
+    assert_eq!(foot.slots.iter().filter(|s| **s < first).count(), 1);
+    assert_eq!(foot.slots.len(), 3);
+    // The same when the objects move together, or when only the pillar is lifted off the floor.
+    let mut moved = world.clone();
+    let lifted = Pose { translation: pose.translation + 0.1 * DVec3::Z, ..pose };
+    moved.apply(crate::Change::MoveObject { name: "pillar".into(), world_from_object: lifted }).unwrap();
+    let foot = place_one(&moved, Some("pillar"), segment(DVec3::ZERO, 0.5 * DVec3::X)).unwrap();
+    assert!(foot.slots.len() == 2 && foot.slots.iter().all(|s| *s >= first));
+}
+
+#[test]
+fn patches_lie_on_what_they_overlap_and_nowhere_else() {
+    let far = Pose::from_xyz_rpy(DVec3::new(-5e6, 5e6, 0.0), 0.1, 0.7, -2.0);
+    let world = world_of(vec![NewObject::new("box", far, cuboid(DVec3::new(2.0, 4.0, 3.0), 4, true))]);
+    let on = |corners: &[[f64; 3]]| place_one(&world, Some("box"), patch(corners)).map(|p| p.slots);
+    // The x = 0 face has four strips of 1 m along y, two triangles each.
+    let whole = on(&[[0., 0., 0.], [0., 4., 0.], [0., 4., 3.], [0., 0., 3.]]).unwrap();
+    assert_eq!(axes(&world, &whole), [0; 8]);
+    // Either winding; half of the strips; within one triangle.
+    assert_eq!(on(&[[0., 0., 3.], [0., 4., 3.], [0., 4., 0.], [0., 0., 0.]]).unwrap(), whole);
+    assert_eq!(on(&[[0., 0., 0.], [0., 2., 0.], [0., 2., 3.], [0., 0., 3.]]).unwrap().len(), 4);
+    assert_eq!(on(&[[0., 0.8, 0.1], [0., 0.9, 0.1], [0., 0.9, 0.2]]).unwrap().len(), 1);
+    // Larger by less than the tolerance; by more; floating; tilted.
+    assert_eq!(on(&[[0., -9e-4, 0.], [0., 4., 0.], [0., 4., 3.], [0., -9e-4, 3.]]).unwrap(), whole);
+    let off = |corners: &[[f64; 3]]| on(corners).unwrap_err().to_string();
+    assert!(off(&[[0., -2e-3, 0.], [0., 4., 0.], [0., 4., 3.], [0., -2e-3, 3.]]).contains("0.002000 m off"));
+    assert!(off(&[[-0.5, 1., 1.], [-0.5, 2., 1.], [-0.5, 2., 2.]]).contains("0.500000 m off"));
+    assert!(off(&[[0., 1., 1.], [0., 2., 1.], [-0.01, 2., 2.]]).contains("0.010000 m off"));
+    // A marker on the face is a patch, too.
+    let marker = FeatureShape::Fiducial {
+        corners: [[0., 0.6, 1.], [0., 0.4, 1.], [0., 0.4, 0.8], [0., 0.6, 0.8]].map(DVec3::from_array),
+        covariance: DMat3::ZERO,
+        family: "DICT_4X4_50".into(),
+        code: 1,
+    };
+    let slots = place_one(&world, Some("box"), marker).unwrap().slots;
+    assert!(!slots.is_empty() && slots.iter().all(|s| whole.contains(s)));
+}
+
+/// A square wall of 4 x 4 m at x = 0 with a square hole in it, in eight rectangles.
+fn wall_with_hole(hole: f64) -> World {
+    let cuts = [0.0, 2.0 - 0.5 * hole, 2.0 + 0.5 * hole, 4.0];
+    let vertices: Vec<Vec3> = (0..16).map(|k| DVec3::new(0.0, cuts[k % 4], cuts[k / 4]).as_vec3()).collect();
+    let cells = (0..9u32).filter(|k| *k != 4).map(|k| 4 * (k / 3) + k % 3);
+    let polygons = cells.map(|c| Polygon::new(vec![c, c + 1, c + 5, c + 4], 0)).collect();
+    let mesh = Mesh::new("wall", vertices, polygons, PolygonOrder::Given).unwrap();
+    world_of(vec![NewObject::new("wall", Pose::IDENTITY, Arc::new(mesh))])
+}
+
+#[test]
+fn holes_under_patches_are_found() {
+    let all = patch(&[[0., 0., 0.], [0., 4., 0.], [0., 4., 4.], [0., 0., 4.]]);
+    for hole in [1.0, 0.1, 3e-3] {
+        let error = place_one(&wall_with_hole(hole), None, all.clone()).unwrap_err();
+        assert!(error.to_string().contains("patch is"), "{hole}: {error}");
+    }
+    // Its middle is within the tolerance of its sides.
+    assert_eq!(place_one(&wall_with_hole(1.9e-3), None, all).unwrap().slots.len(), 8);
+    let beside = patch(&[[0., 0., 0.], [0., 1.4, 0.], [0., 1.4, 4.], [0., 0., 4.]]);
+    assert_eq!(place_one(&wall_with_hole(1.0), None, beside).unwrap().slots.len(), 3);
+}
+
+/// From a point to a polygon by another library, in the world.
+fn oracle_distance(corners: &[DVec3], p: DVec3) -> f64 {
+    let v = |p: DVec3| parry3d_f64::math::Vector::new(p.x, p.y, p.z);
+    let fan = corners[1..].windows(2).map(|pair| Triangle::new(v(corners[0]), v(pair[0]), v(pair[1])));
+    fan.map(|t| t.distance_to_local_point(v(p), true)).fold(f64::INFINITY, f64::min)
+}
+
+/// How much of a segment (by samples) is within the tolerance of a polygon, as a share.
+fn oracle_share(corners: &[DVec3], a: DVec3, b: DVec3, tolerance: f64) -> f64 {
+    const SAMPLES: u32 = 2000;
+    let on =
+        (0..=SAMPLES).filter(|k| oracle_distance(corners, a.lerp(b, f64::from(*k) / f64::from(SAMPLES))) <= tolerance);
+    on.count() as f64 / f64::from(SAMPLES + 1)
+}
+
+prop_compose! {
+    fn scene()(
+        boxes in prop::collection::vec(
+            ([0.2..3.0f64, 0.2..3.0f64, 0.2..3.0f64], [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64], -3.1..3.1f64, 1u32..4, any::<bool>(), any::<bool>()),
+            1..5,
+        ),
+        far in any::<bool>(),
+    ) -> World {
+        let origin = if far { DVec3::new(4469320.25, -5333710.5, 512.0) } else { DVec3::ZERO };
+        world_of(boxes.into_iter().map(|(size, at, yaw, cuts, triangles, level)| {
+            let tilt = if level { 0.0 } else { 0.4 };
+            let pose = Pose::from_xyz_rpy(origin + DVec3::from_array(at), tilt, -tilt, yaw);
+            let new = NewObject::new("box", pose, cuboid(DVec3::from_array(size), cuts, triangles));
+            // Some are mirrored and scaled instances.
+            let m = DAffine3::from_scale(DVec3::new(1.0, if level { -1.0 } else { 1.0 }, 1.25));
+            NewObject { object_from_mesh: m, ..new }
+        }).collect())
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    /// Against brute force over all polygons with another library's distances, in the world's frame.
+    #[test]
+    fn segments_and_points_agree_with_brute_force(
+        world in scene(),
+        pick in any::<prop::sample::Index>(),
+        from in (0.0..1.0f64, 0.0..1.0f64),
+        to in (0.0..1.0f64, 0.0..1.0f64),
+        edge in 0..3u32,
+        lift in prop_oneof![Just(0.0), -3e-3..3e-3f64],
+        in_world in any::<bool>(),
+    ) {
+        let environment = world.environment();
+        let slot = pick.index(environment.slot_count() as usize) as u32;
+        let (index, polygon) = environment.locate(slot).unwrap();
+        let object = &environment.objects()[index as usize];
+        let corners: Vec<DVec3> =
+            object.mesh.corners_of(polygon).map(|p| object.object_from_mesh.transform_point3(p)).collect();
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
+        // On a side of the polygon, or anywhere in its parallelogram.
+        let at = |(s, t): (f64, f64)| corners[0] + s * (corners[1] - corners[0]) + if edge == 0 { 0.0 } else { t } * (corners[2] - corners[1]);
+        let [a, b] = [at(from), at(to)].map(|p| p + lift * normal);
+        prop_assume!((b - a).length() > 0.01);
+        let name = object.name.clone();
+        let to_world = |p: DVec3| object.world_from_object.transform_point(p);
+        let (whose, shape) = if in_world {
+            (None, segment(to_world(a), to_world(b)))
+        } else {
+            (Some(name.as_str()), segment(a, b))
+        };
+        let (a, b) = (to_world(a), to_world(b));
+        let placed = place_one(&world, whose, shape);
+        let all: Vec<Vec<DVec3>> = (0..environment.slot_count()).map(|s| environment.polygon_in_world(s).unwrap()).collect();
+        // World coordinates of a far site are rounded to a nanometre.
+        let sample = (b - a).length() / 2000.0;
+        let farthest = (0..=2000).map(|k| {
+            let p = a.lerp(b, f64::from(k) / 2000.0);
+            all.iter().map(|c| oracle_distance(c, p)).fold(f64::INFINITY, f64::min)
+        }).fold(0.0, f64::max);
+        if farthest < TOLERANCE - 1e-7 && edge != 2 {
+            // On the picked polygon's face all along: nothing that it merely passes through is needed.
+            prop_assert!(placed.is_ok(), "{farthest}: {}", placed.unwrap_err());
+        }
+        if farthest > TOLERANCE + 1e-7 {
+            prop_assert!(placed.is_err(), "{farthest}");
+        }
+        let Ok(placed) = placed else { return Ok(()) };
+        for (slot, corners) in (0..).zip(&all) {
+            let share = oracle_share(corners, a, b, TOLERANCE);
+            let (length, has) = ((b - a).length(), placed.slots.contains(&slot));
+            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
+            let rise = normal.dot(b - a).abs() / length;
+            let least = (2.0 * TOLERANCE).min(0.5 * length);
+            if has {
+                prop_assert!(share * length > least - 2.0 * sample - 1e-6, "slot {slot} has only {share} of {length}");
+                prop_assert!(rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6);
+            } else if rise < 0.99 * LYING {
+                prop_assert!(share * length < least + 2.0 * sample + 1e-6, "slot {slot} with {share} of {length} is missing");
+            }
+        }
+        // Its first end alone.
+        let first = place_one(&world, None, point(a));
+        let near = |slack: f64| -> Vec<u32> {
+            (0..).zip(&all).filter(|(_, c)| oracle_distance(c, a) <= TOLERANCE + slack).map(|(s, _)| s).collect()
+        };
+        let (surely, perhaps) = (near(-1e-7), near(1e-7));
+        match first {
+            Ok(p) => prop_assert!(surely.iter().all(|s| p.slots.contains(s)) && p.slots.iter().all(|s| perhaps.contains(s))),
+            Err(_) => prop_assert!(surely.is_empty()),
+        }
+    }
+
+    /// A rectangle inside a face of a box is found on that face, whatever its tessellation; lifted or shifted over the
+    /// rim it is not.
+    #[test]
+    fn patches_agree_with_brute_force(
+        size in [0.5..3.0f64, 0.5..3.0f64, 0.5..3.0f64],
+        cuts in 1u32..20,
+        triangles in any::<bool>(),
+        from in (0.0..1.0f64, 0.0..1.0f64),
+        to in (0.0..1.0f64, 0.0..1.0f64),
+        shift in prop_oneof![Just(0.0), -3e-3..3e-3f64],
+        yaw in -3.1..3.1f64,
+    ) {
+        let size = DVec3::from_array(size);
+        let pose = Pose { rotation: DQuat::from_rotation_z(yaw), translation: DVec3::new(5e6, 5e6, -5e6) };
+        let world = world_of(vec![NewObject::new("box", pose, cuboid(size, cuts, triangles))]);
+        // On z = 0, which is cut along x.
+        let size = DVec3::new(f64::from(size.x as f32), f64::from(size.y as f32), 0.0);
+        let (low, high) = ([from.0.min(to.0), from.1.min(to.1)], [from.0.max(to.0), from.1.max(to.1)]);
+        prop_assume!(high[0] - low[0] > 0.02 && high[1] - low[1] > 0.02);
+        let (x, y) = ([low[0] * size.x + shift, high[0] * size.x + shift], [low[1] * size.y, high[1] * size.y]);
+        let corners = [[x[0], y[0], 0.0], [x[1], y[0], 0.0], [x[1], y[1], 0.0], [x[0], y[1], 0.0]];
+        let over = (-x[0]).max(x[1] - size.x);
+        let placed = place_one(&world, Some("box"), patch(&corners));
+        prop_assert!(over > TOLERANCE - 1e-6 || placed.is_ok(), "{over}: {:?}", placed.err());
+        prop_assert!(over < TOLERANCE + 1e-6 || placed.is_err(), "{over}");
+        let Ok(placed) = placed else { return Ok(()) };
+        let mesh = &world.environment().objects()[0].mesh;
+        for slot in 0..mesh.polygon_count() as u32 {
+            let c: Vec<DVec3> = mesh.corners_of(slot).collect();
+            if c.iter().any(|p| p.z != 0.0) {
+                prop_assert!(!placed.slots.contains(&slot));
+                continue;
+            }
+            // Samples of the patch strictly inside the polygon: it overlaps it; none within its box: it does not.
+            let sample = |k: u32| {
+                let (s, t) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0);
+                DVec3::new(x[0] + s * (x[1] - x[0]), y[0] + t * (y[1] - y[0]), 0.0)
+            };
+            let inside = |p: DVec3| {
+                let turn = |k: usize| (c[(k + 1) % c.len()] - c[k]).cross(p - c[k]).z / (c[(k + 1) % c.len()] - c[k]).length();
+                (0..c.len()).all(|k| turn(k) > 4.0 * TOLERANCE) || (0..c.len()).all(|k| turn(k) < -4.0 * TOLERANCE)
+            };
+            if (0..1600).any(|k| inside(sample(k))) {
+                prop_assert!(placed.slots.contains(&slot), "slot {slot} is missing");
+            }
+            if (0..1600).all(|k| oracle_distance(&c, sample(k)) > 1e-9) && c.iter().all(|p| p.x < x[0] || p.x > x[1]) {
+                let beyond = c.iter().all(|p| p.x <= x[0]) || c.iter().all(|p| p.x >= x[1]);
+                prop_assert!(!beyond || !placed.slots.contains(&slot), "slot {slot} is too much");
+            }
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! The schema against what is read: sound files fit it, files with wrong types and ranges do not.
+
+use super::super::{parse, schema, to_string};
+use super::{SOUND, file_with};
+use serde_json::Value;
+
+/// Does a value fit a schema? Knows the keywords that ours uses, and stops at any other.
+fn fits(root: &Value, schema: &Value, value: &Value) -> bool {
+    let keys = match schema {
+        Value::Bool(all) => return *all,
+        Value::Object(keys) => keys,
+        _ => panic!("no schema: {schema}"),
+    };
+    keys.iter().all(|(key, rule)| match key.as_str() {
+        "$schema" | "title" | "description" | "default" | "$defs" => true,
+        // Judged with `if` and `properties`.
+        "then" | "else" => true,
+        "$ref" => {
+            let pointer = rule.as_str().unwrap().strip_prefix('#').unwrap();
+            fits(root, root.pointer(pointer).unwrap(), value)
+        }
+        "type" => match rule.as_str().unwrap() {
+            "object" => value.is_object(),
+            "array" => value.is_array(),
+            "string" => value.is_string(),
+            "number" => value.is_number(),
+            "integer" => value.is_u64() || value.is_i64(),
+            other => panic!("type {other}"),
+        },
+        "const" => value == rule,
+        "enum" => rule.as_array().unwrap().contains(value),
+        "minimum" => value.as_f64().is_none_or(|x| x >= rule.as_f64().unwrap()),
+        "maximum" => value.as_f64().is_none_or(|x| x <= rule.as_f64().unwrap()),
+        "exclusiveMinimum" => value.as_f64().is_none_or(|x| x > rule.as_f64().unwrap()),
+        "minLength" => value.as_str().is_none_or(|s| s.chars().count() as u64 >= rule.as_u64().unwrap()),
+        "minItems" => value.as_array().is_none_or(|a| a.len() as u64 >= rule.as_u64().unwrap()),
+        "maxItems" => value.as_array().is_none_or(|a| a.len() as u64 <= rule.as_u64().unwrap()),
+        "items" => value.as_array().is_none_or(|a| a.iter().all(|v| fits(root, rule, v))),
+        "required" => value
+            .as_object()
+            .is_none_or(|o| rule.as_array().unwrap().iter().all(|k| o.contains_key(k.as_str().unwrap()))),
+        "properties" => value.as_object().is_none_or(|o| {
+            rule.as_object().unwrap().iter().all(|(k, rule)| o.get(k).is_none_or(|v| fits(root, rule, v)))
+        }),
+        "additionalProperties" => value.as_object().is_none_or(|o| {
+            let named = |k: &String| keys.get("properties").is_some_and(|p| p.get(k).is_some());
+            o.iter().filter(|(k, _)| !named(k)).all(|(_, v)| fits(root, rule, v))
+        }),
+        "anyOf" => rule.as_array().unwrap().iter().any(|s| fits(root, s, value)),
+        "allOf" => rule.as_array().unwrap().iter().all(|s| fits(root, s, value)),
+        "if" => {
+            let branch = if fits(root, rule, value) { "then" } else { "else" };
+            keys.get(branch).is_none_or(|s| fits(root, s, value))
+        }
+        other => panic!("keyword {other}"),
+    })
+}
+
+fn fits_ours(text: &str) -> bool {
+    let root: Value = serde_json::from_str(schema()).unwrap();
+    fits(&root, &root, &serde_json::from_str(text).unwrap())
+}
+
+#[test]
+fn sound_files_fit() {
+    assert!(fits_ours(SOUND));
+    let layer = parse(SOUND).unwrap().layer;
+    assert!(fits_ours(&to_string(&layer).unwrap()));
+}
+
+/// The example in the module's documentation is a sound file.
+#[test]
+fn the_documented_example_fits() {
+    let docs = include_str!("../mod.rs");
+    let lines = docs.lines().skip_while(|l| *l != "//! ```json").skip(1).take_while(|l| *l != "//! ```");
+    let text: Vec<&str> = lines.map(|l| l.trim_start_matches("//!")).collect();
+    let text = text.join("\n");
+    assert!(fits_ours(&text));
+    assert_eq!(parse(&text).unwrap().layer.features.len(), 3);
+}
+
+/// All that a schema can tell is told: each of these is refused by both.
+#[test]
+fn wrong_types_and_ranges_do_not_fit() {
+    let point = |more: &str| format!(r#"{{"id": 1, "kind": "point", "points": [[0, 0, 0]]{more}}}"#);
+    let of_kind = |kind: &str, points: usize| {
+        let points = vec!["[0, 0, 0]"; points].join(", ");
+        format!(r#"{{"id": 1, "kind": "{kind}", "points": [{points}], "properties": {{}}}}"#)
+    };
+    assert!(fits_ours(&file_with(&point(""))));
+    let bad = [
+        r#"{"kind": "point", "points": [[0, 0, 0]]}"#.to_owned(),
+        r#"{"id": 0, "kind": "point", "points": [[0, 0, 0]]}"#.to_owned(),
+        r#"{"id": 4294967296, "kind": "point", "points": [[0, 0, 0]]}"#.to_owned(),
+        r#"{"id": 1, "points": [[0, 0, 0]]}"#.to_owned(),
+        r#"{"id": 1, "kind": "point", "points": [[0, 0]]}"#.to_owned(),
+        r#"{"id": 1, "remove": true, "name": "x"}"#.to_owned(),
+        of_kind("contour", 1),
+        of_kind("point", 2),
+        of_kind("reflector", 0),
+        of_kind("segment", 1),
+        of_kind("patch", 2),
+        of_kind("fiducial", 4),
+        point(r#", "sigma": -1"#),
+        point(r#", "sigma": [1, 1]"#),
+        point(r#", "sigma": null"#).replace("null", "\"1\""),
+        point(r#", "covariance": [1, 0, 0]"#),
+        point(r#", "cross_covariance": [1, 0, 0, 0, 1, 0, 0, 0, 1]"#),
+        point(r#", "existence": 1.5"#),
+        point(r#", "rate": -1"#),
+        point(r#", "confirmed": "now""#),
+        point(r#", "properties": {"strength": 2}"#),
+        point(r#", "properties": {"normal": [1, 0]}"#),
+        point(r#", "properties": {"family": "x", "code": 1}"#),
+        point(r#", "properties": {"direction": 1}"#),
+        point(r#", "colour": "red""#),
+    ];
+    for feature in &bad {
+        let text = file_with(feature);
+        assert!(parse(&text).is_err(), "read: {feature}");
+        assert!(!fits_ours(&text), "fits: {feature}");
+    }
+    for (instead_of, put) in [
+        ("\"format\": 1", "\"format\": 2"),
+        ("\"class\": \"video\",", ""),
+        ("\"video\"", "\"\""),
+        ("\"tolerance\": 0.002", "\"tolerance\": 0"),
+        ("0, 1e-6]", "1e-6]"),
+        ("\"tolerance\"", "\"tolerence\""),
+    ] {
+        let text = SOUND.replacen(instead_of, put, 1);
+        assert!(parse(&text).is_err() && !fits_ours(&text), "{put} for {instead_of}");
+    }
+}
