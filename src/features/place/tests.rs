@@ -215,9 +215,11 @@ fn oracle_distance(corners: &[DVec3], p: DVec3) -> f64 {
     fan.map(|t| t.distance_to_local_point(v(p), true)).fold(f64::INFINITY, f64::min)
 }
 
+/// Along a segment: closer together than the tolerance on all that are tested.
+const SAMPLES: u32 = 6000;
+
 /// How much of a segment (by samples) is within the tolerance of a polygon, as a share.
 fn oracle_share(corners: &[DVec3], a: DVec3, b: DVec3, tolerance: f64) -> f64 {
-    const SAMPLES: u32 = 2000;
     let on =
         (0..=SAMPLES).filter(|k| oracle_distance(corners, a.lerp(b, f64::from(*k) / f64::from(SAMPLES))) <= tolerance);
     on.count() as f64 / f64::from(SAMPLES + 1)
@@ -227,14 +229,14 @@ fn oracle_share(corners: &[DVec3], a: DVec3, b: DVec3, tolerance: f64) -> f64 {
 /// two samples.
 fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option<String> {
     let length = (b - a).length();
-    let margin = 2.0 * length / 2000.0 + 1e-6;
+    let margin = 2.0 * length / f64::from(SAMPLES) + 1e-6;
     let least = (2.0 * TOLERANCE).min(0.5 * length);
     (0..).zip(all).find_map(|(slot, corners)| {
         let stretch = length * oracle_share(corners, a, b, TOLERANCE);
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         let rise = normal.dot(b - a).abs() / length;
         if slots.contains(&slot) {
-            let sound = stretch > least - margin && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
+            let sound = stretch > (least - margin).max(0.0) && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
             (!sound).then(|| format!("slot {slot} holds only {stretch} m of {length} m, rising by {rise}"))
         } else {
             let sound = stretch < least + margin || rise > 0.99 * LYING;
@@ -264,7 +266,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(ProptestConfig::with_cases(64))]
 
     /// Against brute force over all polygons with another library's distances, in the world's frame.
     #[test]
