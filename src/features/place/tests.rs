@@ -301,8 +301,8 @@ proptest! {
         let placed = place_one(&world, whose, shape);
         let all: Vec<Vec<DVec3>> = (0..environment.slot_count()).map(|s| environment.polygon_in_world(s).unwrap()).collect();
         // World coordinates of a far site are rounded to a nanometre.
-        let farthest = (0..=2000).map(|k| {
-            let p = a.lerp(b, f64::from(k) / 2000.0);
+        let farthest = (0..=SAMPLES).map(|k| {
+            let p = a.lerp(b, f64::from(k) / f64::from(SAMPLES));
             all.iter().map(|c| oracle_distance(c, p)).fold(f64::INFINITY, f64::min)
         }).fold(0.0, f64::max);
         if farthest < TOLERANCE - 1e-7 && edge != 2 {
