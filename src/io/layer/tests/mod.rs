@@ -23,7 +23,7 @@ const SOUND: &str = r#"{
   "features": [
     {"id": 9, "kind": "segment", "name": "door, left edge", "object": "hall/door", "points": [[0, 0, 0], [0, 0, 2]],
      "covariances": [[1, 0.5, 0, 0.5, 1, 0, 0, 0, 0], [4, 0, 0, 0, 4, 0, 0, 0, 0]],
-     "cross_covariance": [1, 0.25, 0, 0, 2, 0, 0, 0, 0], "properties": {"contrast": 0.8}},
+     "cross_covariance": [0.5, 0.25, 0, 0, 0.5, 0, 0, 0, 0], "properties": {"contrast": 0.8}},
     {"id": 2, "kind": "reflector", "points": [[4.2, -1.0, 1.5]], "sigma": [0.002, 0.002, 0.01],
      "existence": 0.95, "confirmed": 1790000000, "rate": 1e-7, "properties": {"strength": 1, "normal": [0, 1, 0]}},
     {"id": 3, "kind": "fiducial", "points": [[1, 0, 2], [1.2, 0, 2], [1.2, 0, 1.8], [1, 0, 1.8]], "remove": false,
