@@ -1,0 +1,221 @@
+//! Why features are not seen, reason by reason, in scenes of a wall and a sensor.
+
+mod common;
+
+use common::scenes;
+use glam::{DMat3, DVec3, Vec3};
+use presight::environment::{Existence, Feature, FeatureShape, Properties};
+use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, Reason, SeenFeature, predict_features};
+use presight::{
+    Angles, Appearance, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, RayTable,
+    Scanner, Sensor, SensorSpec, World,
+};
+use std::sync::Arc;
+
+/// A wall at x = 3, from y = -1 to 1 and z = -1 to 1, whose normal looks at the origin.
+fn wall(appearance: Appearance, one_sided: bool) -> World {
+    let mut environment = Environment::new();
+    let mut material = Material::named("glass");
+    material.one_sided = one_sided;
+    material.appearance.insert("video".into(), appearance);
+    let material = environment.add_material(material).unwrap();
+    let corners = [[3.0, -1.0, -1.0], [3.0, -1.0, 1.0], [3.0, 1.0, 1.0], [3.0, 1.0, -1.0]].map(Vec3::from);
+    let face = Polygon::new(vec![0, 1, 2, 3], material);
+    let mesh = Mesh::new("wall", corners.to_vec(), vec![face], PolygonOrder::Given).unwrap();
+    environment.insert(NewObject::new("hall/wall", Pose::IDENTITY, Arc::new(mesh))).unwrap();
+    World::new(environment)
+}
+
+fn placed(id: u32, shape: FeatureShape, slots: &[u32]) -> PlacedFeature {
+    let (existence, properties) = (Existence::default(), Properties::default());
+    let feature = Feature { id, name: None, object: None, shape, existence, properties };
+    PlacedFeature { feature, object: None, slots: slots.to_vec() }
+}
+
+fn point(at: [f64; 3]) -> FeatureShape {
+    FeatureShape::Point { at: at.into(), covariance: DMat3::ZERO }
+}
+
+fn segment(a: [f64; 3], b: [f64; 3]) -> FeatureShape {
+    FeatureShape::Segment { ends: [a.into(), b.into()], covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO }
+}
+
+fn predict(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> FeaturePrediction {
+    let images = common::reference(&common::plan(world, sensor, pose));
+    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    predict_features(world, sensor, pose, &images, placed, &options).unwrap()
+}
+
+fn one(world: &World, sensor: &Sensor, feature: PlacedFeature) -> SeenFeature {
+    predict(world, sensor, &Pose::IDENTITY, &[feature]).features.remove(0)
+}
+
+fn reasons(seen: &SeenFeature) -> Vec<Reason> {
+    seen.hidden.iter().map(|h| h.reason).collect()
+}
+
+fn row(beam_height_deg: f64) -> Sensor {
+    let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 0.5, count: 720 };
+    let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
+    let scanner = Scanner { azimuth, elevation, beam_height_deg: Some(beam_height_deg) };
+    Sensor::new(SensorSpec::new("row", "video", Geometry::Scanner(scanner))).unwrap()
+}
+
+#[test]
+fn outside_and_behind_come_in_order_along_a_segment() {
+    let world = World::new(Environment::new());
+    let seen = one(&world, &scenes::camera(100, 80), placed(1, segment([-2.0, 0.1, 0.0], [2.0, 0.1, 0.0]), &[]));
+    assert_eq!(reasons(&seen), [Reason::BehindSensor, Reason::OutsideImage]);
+    assert!((seen.hidden[0].t[1] - 0.5).abs() < 1e-12 && seen.hidden[0].t[0] == 0.0);
+    // 100 pixels with f = 100: the image ends where y / x = 0.5, at x = 0.2.
+    assert!((seen.hidden[1].t[1] - 0.55).abs() < 1e-12, "{seen:?}");
+    assert_eq!(seen.visible.len(), 1);
+    assert!((seen.visible[0].t[0] - 0.55).abs() < 1e-12 && seen.visible[0].t[1] == 1.0);
+    assert!((seen.visible[0].pixels[0].x + 0.5).abs() < 1e-9, "the left border");
+    assert_eq!(seen.visible_fraction, 1.0);
+}
+
+#[test]
+fn range_limits_are_not_part_of_the_share() {
+    let mut spec = scenes::camera(100, 80).spec().clone();
+    (spec.range_min, spec.range_max) = (2.0, 4.0);
+    let sensor = Sensor::new(spec).unwrap();
+    let world = World::new(Environment::new());
+    let seen = one(&world, &sensor, placed(1, segment([1.0, 0.3, 0.0], [6.0, 0.3, 0.0]), &[]));
+    assert_eq!(reasons(&seen), [Reason::BelowRangeMin, Reason::BeyondRangeMax]);
+    assert!((seen.visible[0].t[0] - 0.2).abs() < 0.02 && (seen.visible[0].t[1] - 0.6).abs() < 0.1, "{seen:?}");
+    assert_eq!(seen.visible_fraction, 1.0);
+    assert!((seen.range.unwrap() - 2.0).abs() < 0.1);
+}
+
+#[test]
+fn materials_hide_or_not() {
+    let camera = scenes::camera(100, 80);
+    let (on, behind) = (|| placed(1, point([3.0, 0.2, 0.2]), &[0]), || placed(2, point([4.0, 0.2, 0.2]), &[]));
+    let opaque = wall(Appearance::Opaque, false);
+    let seen = one(&opaque, &camera, on());
+    assert_eq!((seen.visible_fraction, reasons(&seen)), (1.0, vec![]));
+    assert!((seen.cos_incidence.unwrap() - 3.0 / seen.range.unwrap()).abs() < 1e-12);
+    let hidden = one(&opaque, &camera, behind());
+    assert_eq!(reasons(&hidden), [Reason::Occluded]);
+    let by = hidden.hidden[0].by.unwrap();
+    assert_eq!((by.slot, by.polygon_id, by.object), (0, 1, 0));
+    assert_eq!((hidden.visible_fraction, hidden.range), (0.0, None));
+    let invisible = wall(Appearance::Invisible, false);
+    assert_eq!(reasons(&one(&invisible, &camera, on())), [Reason::Material]);
+    assert_eq!(one(&invisible, &camera, behind()).visible_fraction, 1.0);
+    let transparent = wall(Appearance::Transparent, false);
+    assert_eq!(one(&transparent, &camera, on()).visible_fraction, 1.0);
+    assert_eq!(one(&transparent, &camera, behind()).visible_fraction, 1.0);
+}
+
+#[test]
+fn what_looks_away_is_not_seen() {
+    let camera = scenes::camera(100, 80);
+    let empty = World::new(Environment::new());
+    let reflector = |normal: DVec3| {
+        let mut p = placed(1, FeatureShape::Reflector { at: DVec3::X * 3.0, covariance: DMat3::ZERO }, &[]);
+        p.feature.properties.normal = Some(normal);
+        one(&empty, &camera, p)
+    };
+    assert_eq!(reflector(DVec3::NEG_X).visible_fraction, 1.0);
+    assert_eq!(reasons(&reflector(DVec3::X)), [Reason::FacingAway]);
+    // Clockwise from the top left, seen from the camera: left is +y.
+    let marker = [[3.0, 0.2, 0.2], [3.0, -0.2, 0.2], [3.0, -0.2, -0.2], [3.0, 0.2, -0.2]].map(DVec3::from);
+    let fiducial = |corners: [DVec3; 4]| {
+        let shape = FeatureShape::Fiducial { corners, covariance: DMat3::ZERO, family: "DICT_4X4_50".into(), code: 1 };
+        one(&empty, &camera, placed(1, shape, &[]))
+    };
+    assert_eq!(fiducial(marker).visible_fraction, 1.0);
+    let [a, b, c, d] = marker;
+    assert_eq!(reasons(&fiducial([a, d, c, b])), [Reason::FacingAway]);
+    // A one-sided wall from its back.
+    let world = wall(Appearance::Opaque, true);
+    let back = Pose::from_xyz_rpy(DVec3::X * 6.0, 0.0, 0.0, std::f64::consts::PI);
+    let edge = placed(1, segment([3.0, -0.5, 0.0], [3.0, 0.5, 0.0]), &[0]);
+    let seen = predict(&world, &camera, &back, std::slice::from_ref(&edge)).features.remove(0);
+    assert_eq!(reasons(&seen), [Reason::FacingAway]);
+    assert_eq!(one(&world, &camera, edge).visible_fraction, 1.0);
+}
+
+#[test]
+fn flat_angles_are_oblique() {
+    let mut spec = scenes::camera(100, 80).spec().clone();
+    spec.max_incidence = Some(10f64.to_radians());
+    let sensor = Sensor::new(spec).unwrap();
+    let world = wall(Appearance::Opaque, false);
+    let at = |y: f64| one(&world, &sensor, placed(1, point([3.0, y, 0.0]), &[0]));
+    assert_eq!(at(0.5).visible_fraction, 1.0);
+    assert_eq!(reasons(&at(0.6)), [Reason::Oblique]);
+}
+
+#[test]
+fn a_row_cuts_what_it_crosses() {
+    let world = World::new(Environment::new());
+    let upright = || placed(1, segment([2.0, 0.3, -1.0], [2.0, 0.3, 1.0]), &[]);
+    let seen = one(&world, &row(0.0), upright());
+    assert_eq!(seen.visible.len(), 1);
+    assert!(seen.visible[0].t.iter().all(|t| (t - 0.5).abs() < 1e-12), "{seen:?}");
+    assert_eq!(seen.visible_fraction, 1.0);
+    assert_eq!(reasons(&seen), [Reason::OutsideImage, Reason::OutsideImage]);
+    let seen = one(&world, &row(10.0), upright());
+    let half = 5f64.to_radians().tan() * 2f64.hypot(0.3) / 2.0;
+    assert!((seen.visible[0].t[0] - 0.5 + half).abs() < 1e-9 && (seen.visible[0].t[1] - 0.5 - half).abs() < 1e-9);
+    assert_eq!(seen.visible_fraction, 1.0);
+    // A wall is cut to a line.
+    let corners = [[2.0, -1.0, -1.0], [2.0, 1.0, -1.0], [2.0, 1.0, 1.0], [2.0, -1.0, 1.0]].map(DVec3::from).to_vec();
+    let patch = placed(1, FeatureShape::Patch { corners, covariance: DMat3::ZERO }, &[]);
+    assert_eq!(one(&world, &row(0.0), patch).visible_fraction, 1.0);
+    assert_eq!(reasons(&one(&world, &row(0.0), placed(1, point([2.0, 0.0, 0.1]), &[]))), [Reason::OutsideImage]);
+}
+
+#[test]
+fn the_seam_does_not_cut() {
+    let world = World::new(Environment::new());
+    for sensor in [scenes::scanner(360, 91), row(0.0)] {
+        let across = placed(1, segment([-2.0, -1.0, 0.0], [-2.0, 1.0, 0.0]), &[]);
+        let seen = one(&world, &sensor, across);
+        assert_eq!((seen.visible.len(), seen.visible[0].t), (1, [0.0, 1.0]), "{seen:?}");
+        assert_eq!(seen.visible_fraction, 1.0);
+        let marked =
+            predict(&world, &sensor, &Pose::IDENTITY, &[placed(5, segment([-2.0, -1.0, 0.0], [-2.0, 1.0, 0.0]), &[])]);
+        assert!(marked.feature_id.contains(&5));
+    }
+}
+
+#[test]
+fn points_lie_over_segments_over_patches() {
+    let world = wall(Appearance::Opaque, false);
+    let camera = scenes::camera(101, 81);
+    let corners = [[3.0, -0.5, -0.5], [3.0, -0.5, 0.5], [3.0, 0.5, 0.5], [3.0, 0.5, -0.5]].map(DVec3::from).to_vec();
+    let all = [
+        placed(1, FeatureShape::Patch { corners, covariance: DMat3::ZERO }, &[0]),
+        placed(9, segment([3.0, -0.3, 0.0], [3.0, 0.3, 0.0]), &[0]),
+        placed(4, segment([3.0, 0.0, -0.3], [3.0, 0.0, 0.3]), &[0]),
+        placed(7, point([3.0, 0.09, 0.0]), &[0]),
+    ];
+    let ids = predict(&world, &camera, &Pose::IDENTITY, &all).feature_id;
+    let at = |c: usize, r: usize| ids[r * 101 + c];
+    assert_eq!(at(50, 40), 4, "the lower number of two segments");
+    assert_eq!((at(55, 40), at(47, 40), at(55, 45), at(5, 5)), (9, 7, 1, 0));
+}
+
+#[test]
+fn what_cannot_be_placed_is_refused() {
+    let world = wall(Appearance::Opaque, false);
+    let camera = scenes::camera(20, 10);
+    let images = common::reference(&common::plan(&world, &camera, &Pose::IDENTITY));
+    let options = FeatureOptions::default();
+    let bad = [placed(3, point([3.0, 0.0, 0.0]), &[8])];
+    let e = predict_features(&world, &camera, &Pose::IDENTITY, &images, &bad, &options).unwrap_err();
+    assert!(e.to_string().contains("feature 3"), "{e}");
+    let good = [placed(3, point([3.0, 0.0, 0.0]), &[0])];
+    let none = presight::Images::default();
+    let e = predict_features(&world, &camera, &Pose::IDENTITY, &none, &good, &options).unwrap_err();
+    assert!(e.to_string().contains("polygon_id"), "{e}");
+    let table = RayTable::new(1, 1, vec![DVec3::X]).unwrap();
+    let lone = Sensor::new(SensorSpec::new("lone", "video", Geometry::Rays(table))).unwrap();
+    let images = common::reference(&common::plan(&world, &lone, &Pose::IDENTITY));
+    let e = predict_features(&world, &lone, &Pose::IDENTITY, &images, &good, &options).unwrap_err();
+    assert!(e.to_string().contains("without a nearest ray"), "{e}");
+}
