@@ -30,6 +30,10 @@ const EXAMPLES: &str = "Examples:
     presight predict hall.glb --sensor realsense-d435 --pose 0,0,1,0,0,0 \\
       --points cloud.ply --points-frame world --depth-png depth.png
 
+  Which features are seen, where to look for them, and a picture of them:
+    presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 \\
+      --layer hall.video.layer.json --pose-cov 0.05,0.05,0,0,0,2 --features seen.json --png seen.png
+
   How fast, and what was left out:
     presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
 
