@@ -147,6 +147,9 @@ fn rays_confirm_the_edges_of_real_models() {
             })
             .collect();
         assert_eq!(edges.len(), Kind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
+        // What was made is sound, and its file reads back the same.
+        let text = presight::io::layer::to_string(&generated.layer).expect("a sound layer");
+        assert!(presight::io::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
         let (right, shifted) = shares(&world, &edges, 1000, 7);
         eprintln!(
             "{name}: {:?} in {seconds:.2} s, confirmed {right:.3}, shifted by 5 cm {shifted:.3}",
