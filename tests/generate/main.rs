@@ -128,9 +128,10 @@ fn shares(world: &World, edges: &[[DVec3; 2]], n: usize, seed: u64) -> (f64, f64
 
 #[test]
 fn rays_confirm_the_edges_of_real_models() {
-    // Shares measured with the seed below, less two of three standard errors (0.01 each): edges between surfaces that
-    // no ray reaches (inside walls, under floors nearer than the eye) cannot be confirmed.
-    for (name, least) in [("office_willowgarage", 0.9), ("factory_hall", 0.9), ("hospital", 0.9)] {
+    // Measured with the seed below: 0.976, 1.000 and 1.000, less three standard errors or one in a hundred. Edges that no
+    // ray reaches, as between the doubled walls of the office, cannot be confirmed. Shifted by 5 cm 0.059, 0.122 and
+    // 0.142 are: other edges are near.
+    for (name, least) in [("office_willowgarage", 0.96), ("factory_hall", 0.99), ("hospital", 0.99)] {
         let Some(world) = data::scene(name, true) else { return };
         let environment = world.environment();
         let start = Instant::now();
@@ -147,13 +148,16 @@ fn rays_confirm_the_edges_of_real_models() {
             })
             .collect();
         assert_eq!(edges.len(), Kind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
+        // What was made is sound, and its file reads back the same.
+        let text = presight::io::layer::to_string(&generated.layer).expect("a sound layer");
+        assert!(presight::io::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
         let (right, shifted) = shares(&world, &edges, 1000, 7);
         eprintln!(
             "{name}: {:?} in {seconds:.2} s, confirmed {right:.3}, shifted by 5 cm {shifted:.3}",
             generated.counts
         );
         assert!(right >= least, "{name}: {right} of the edges are confirmed");
-        assert!(shifted <= 0.35, "{name}: {shifted} of the shifted edges are confirmed");
+        assert!(shifted <= 0.2, "{name}: {shifted} of the shifted edges are confirmed");
     }
 }
 

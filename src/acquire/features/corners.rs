@@ -15,10 +15,9 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64) -> Vec<(DVec3, u32)
     let straight = turn.cos();
     for (i, line) in lines.iter().enumerate() {
         for (k, p) in [line.start, line.end].into_iter().enumerate() {
-            query(&index, &grown(&Aabb::of([p]), touch), &mut found);
             let mut directions: Vec<DVec3> = Vec::new();
             let mut first = true;
-            for &j in &found.ids {
+            for &j in query(&index, &grown(&Aabb::of([p]), touch), &mut found) {
                 let other = &lines[j as usize];
                 // The first end at this place stands for all.
                 let ends = [other.start, other.end];

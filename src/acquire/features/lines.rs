@@ -4,56 +4,103 @@ use super::soup::grown;
 use super::wings::Line;
 use crate::geometry::Aabb;
 use crate::index::{Found, Params, Region, Skd, SpatialIndex};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 
-/// Cosine of the largest angle of lines that are one, and of the largest of an angle that is none.
+/// Cosine of one degree, the largest angle between lines that are one.
 const PARALLEL: f64 = 0.999_847_695_156_391_2;
 
 /// Joins collinear lines of one object that overlap or meet within `touch`. The longest give the directions; kinds
-/// must agree if `kinds`.
+/// must agree if `kinds`. By object, then in the order they came.
 pub(super) fn merged(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
+    let mut by_object: BTreeMap<u32, Vec<Line>> = BTreeMap::new();
+    for line in lines {
+        by_object.entry(line.object).or_default().push(*line);
+    }
+    let groups: Vec<Vec<Line>> = by_object.into_values().collect();
+    let merged: Vec<Vec<Line>> = groups.par_iter().map(|group| merged_of_object(group, touch, kinds)).collect();
+    merged.into_iter().flatten().collect()
+}
+
+fn merged_of_object(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
     let index = index_of(lines);
     let mut order: Vec<u32> = (0..lines.len() as u32).collect();
     order.sort_by(|a, b| lines[*b as usize].length().total_cmp(&lines[*a as usize].length()).then(a.cmp(b)));
     let mut taken = vec![false; lines.len()];
-    let (mut found, mut all) = (Found::default(), Vec::new());
+    let (mut found, mut near, mut all) = (Found::default(), Vec::new(), Vec::new());
     for seed in order {
         if std::mem::replace(&mut taken[seed as usize], true) {
             continue;
         }
         let line = &lines[seed as usize];
-        let d = line.direction();
         let (mut from, mut to) = (0.0f64, line.length());
-        // What is new at the ends is looked at, until nothing is.
-        let mut ask = line.bounds();
-        loop {
-            query(&index, &grown(&ask, 2.0 * touch), &mut found);
-            let before = (from, to);
-            // More than once: one that joins at the far side of another one may come first.
+        // Parts not yet asked about: first the whole, then what was added at the ends.
+        let mut parts = vec![(from, to)];
+        near.clear();
+        while let Some((a, b)) = parts.pop() {
+            let (ids, before) = (query_along(&index, &line.part(a, b), 2.0 * touch, &mut found), (from, to));
+            near.extend(ids.iter().filter(|&&o| !taken[o as usize]).filter_map(|&o| {
+                let other = &lines[o as usize];
+                let fits = !kinds || other.kind == line.kind;
+                let (a, b) = fits.then(|| along(line, other, touch)).flatten()?;
+                Some((o, a, b))
+            }));
+            // Again while something joins: one at the far side of another may come first.
             loop {
-                let mut more = false;
-                for &other in &found.ids {
-                    let o = &lines[other as usize];
-                    let fits = !taken[other as usize] && o.object == line.object && (!kinds || o.kind == line.kind);
-                    let Some((a, b)) = fits.then(|| along(line, o, touch)).flatten() else { continue };
-                    if a <= to + touch && b >= from - touch {
-                        taken[other as usize] = true;
-                        (from, to, more) = (from.min(a), to.max(b), true);
+                let count = near.len();
+                near.retain(|&(o, a, b)| {
+                    let joins = a <= to + touch && b >= from - touch;
+                    if joins {
+                        taken[o as usize] = true;
+                        (from, to) = (from.min(a), to.max(b));
                     }
-                }
-                if !more {
+                    !joins
+                });
+                if near.len() == count {
                     break;
                 }
             }
-            if (from, to) == before {
-                break;
+            if from < before.0 {
+                parts.push((from, before.0));
             }
-            ask = Aabb::of([line.start + d * from, line.start + d * to]);
+            if to > before.1 {
+                parts.push((before.1, to));
+            }
         }
         all.push((seed, line.part(from, to)));
     }
-    // In the order they came.
     all.sort_by_key(|(seed, _)| *seed);
     all.into_iter().map(|(_, line)| line).collect()
+}
+
+/// Boxes that together hold a line grown by a margin: several where one would be wide for a slanting line.
+pub(super) fn boxes_along(line: &Line, margin: f64) -> impl Iterator<Item = Aabb> + '_ {
+    let mut extents = (line.end - line.start).abs().to_array();
+    extents.sort_by(f64::total_cmp);
+    // Metres that a box may be wide across its longest side.
+    const WIDE: f64 = 1.0;
+    let count = (extents[1] / WIDE).ceil().clamp(1.0, 256.0);
+    (0..count as u32).map(move |k| {
+        let at = |k: f64| line.start.lerp(line.end, k / count);
+        grown(&Aabb::of([at(f64::from(k)), at(f64::from(k + 1))]), margin)
+    })
+}
+
+/// Ids of the lines near a line, rising, each once.
+fn query_along<'a>(index: &Skd<3>, line: &Line, margin: f64, found: &'a mut Found) -> &'a [u32] {
+    found.clear();
+    for bounds in boxes_along(line, margin) {
+        index.query(&Region::cuboid(&bounds), found);
+    }
+    sorted(found)
+}
+
+fn sorted(found: &mut Found) -> &[u32] {
+    let runs: Vec<u32> = found.runs.drain(..).flatten().collect();
+    found.ids.extend(runs);
+    found.ids.sort_unstable();
+    found.ids.dedup();
+    &found.ids
 }
 
 /// Where a collinear line begins and ends along another.
@@ -72,9 +119,9 @@ pub(super) fn once(lines: &[Line], touch: f64, least: f64) -> Vec<Line> {
     let index = index_of(lines);
     let (mut found, mut all) = (Found::default(), Vec::new());
     for (i, line) in lines.iter().enumerate() {
-        query(&index, &grown(&line.bounds(), 2.0 * touch), &mut found);
+        let near = query_along(&index, line, 2.0 * touch, &mut found);
         let mut left: Vec<(f64, f64)> = vec![(0.0, line.length())];
-        for &earlier in found.ids.iter().filter(|&&j| (j as usize) < i) {
+        for &earlier in near.iter().filter(|&&j| (j as usize) < i) {
             let Some((a, b)) = overlap(line, &lines[earlier as usize], touch) else { continue };
             left = left.into_iter().flat_map(|(from, to)| [(from, to.min(a)), (from.max(b), to)]).collect();
             left.retain(|(from, to)| to > from);
@@ -111,11 +158,9 @@ pub(super) fn index_of(lines: &[Line]) -> Skd<3> {
     Skd::build(Params::default(), &boxes)
 }
 
-/// Ids of what meets a box, rising, into `found.ids`.
-pub(super) fn query(index: &Skd<3>, bounds: &Aabb, found: &mut Found) {
+/// Ids of the lines whose boxes meet a box, rising.
+pub(super) fn query<'a>(index: &Skd<3>, bounds: &Aabb, found: &'a mut Found) -> &'a [u32] {
     found.clear();
     index.query(&Region::cuboid(bounds), found);
-    let runs: Vec<u32> = found.runs.drain(..).flatten().collect();
-    found.ids.extend(runs);
-    found.ids.sort_unstable();
+    sorted(found)
 }

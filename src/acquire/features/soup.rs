@@ -106,11 +106,19 @@ impl Soup {
 
     /// Faces whose box meets a box, rising.
     pub fn near<'a>(&self, bounds: &Aabb, found: &'a mut Found) -> &'a [u32] {
+        self.near_any([*bounds], found)
+    }
+
+    /// Faces whose box meets one of some boxes, rising, each once.
+    pub fn near_any<'a>(&self, boxes: impl IntoIterator<Item = Aabb>, found: &'a mut Found) -> &'a [u32] {
         found.clear();
-        self.index.query(&Region::cuboid(bounds), found);
+        for bounds in boxes {
+            self.index.query(&Region::cuboid(&bounds), found);
+        }
         let runs: Vec<u32> = found.runs.drain(..).flatten().collect();
         found.ids.extend(runs);
         found.ids.sort_unstable();
+        found.ids.dedup();
         &found.ids
     }
 }

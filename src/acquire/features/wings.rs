@@ -6,6 +6,7 @@
 //! (a T-junction) is a wing along that part.
 
 use super::Kind;
+use super::lines::boxes_along;
 use super::soup::{Soup, clip, grown, sides};
 use crate::geometry::Aabb;
 use crate::index::Found;
@@ -177,8 +178,7 @@ impl Judge<'_> {
         scratch.faces.clear();
         scratch.cuts.clear();
         scratch.cuts.push(length);
-        let bounds = grown(&line.bounds(), 2.0 * touch);
-        for &face in self.soup.near(&bounds, &mut scratch.found) {
+        for &face in self.soup.near_any(boxes_along(line, 2.0 * touch), &mut scratch.found) {
             let f = &self.soup.faces[face as usize];
             let (off, rate) = (f.plane.normal.dot(line.start) - f.plane.offset, f.plane.normal.dot(d));
             let mut range = clip(clip((0.0, length), touch - off, -rate), touch + off, rate);
