@@ -5,7 +5,7 @@
 
 use super::soup::Soup;
 use crate::geometry::Aabb;
-use crate::index::Found;
+use crate::index::{Found, Params, Region, Skd, SpatialIndex};
 use glam::DVec3;
 
 /// Largest mean thickness of a solid, three times the volume by the area, metres: a cube of 2 m, a slab of 0.67 m of
@@ -23,8 +23,8 @@ pub(super) struct Solids {
     boxes: Vec<Aabb>,
     /// -1 where the object mirrors its mesh: outward windings turn inward.
     signs: Vec<i32>,
-    low: f64,
-    high: f64,
+    /// Over the boxes.
+    index: Skd<3>,
 }
 
 #[derive(Clone, Copy)]
@@ -61,13 +61,8 @@ impl Solids {
             }
             sum.bounds = sum.bounds.union(soup.faces[face as usize].bounds);
         }
-        let mut solids = Self {
-            of_face: Vec::new(),
-            boxes: Vec::new(),
-            signs: Vec::new(),
-            low: f64::INFINITY,
-            high: -f64::INFINITY,
-        };
+        let index = Skd::build(Params::default(), &[]);
+        let mut solids = Self { of_face: Vec::new(), boxes: Vec::new(), signs: Vec::new(), index };
         let mut number = vec![NONE; parent.len()];
         for face in 0..soup.faces.len() as u32 {
             let part = root(&mut parent, soup.vertices(face)[0]) as usize;
@@ -76,19 +71,27 @@ impl Solids {
                 number[part] = solids.boxes.len() as u32;
                 solids.boxes.push(sum.bounds);
                 solids.signs.push(sign);
-                (solids.low, solids.high) = (solids.low.min(sum.bounds.min.z), solids.high.max(sum.bounds.max.z));
             }
             solids.of_face.push(number[part]);
         }
+        let boxes: Vec<(u32, Aabb)> = (0..).zip(solids.boxes.iter().copied()).collect();
+        solids.index = Skd::build(Params::default(), &boxes);
         solids
     }
 
     /// True if the point (world) lies in a solid, found by counting faces above and below it.
     pub fn hold(&self, soup: &Soup, p: DVec3, found: &mut Found) -> bool {
-        if !(self.low < p.z && p.z < self.high) {
+        // Most points lie in no solid's box; the others need a column no higher than those boxes.
+        found.clear();
+        self.index.query(&Region::cuboid(&Aabb::of([p])), found);
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for b in found.all().map(|solid| &self.boxes[solid as usize]).filter(|b| b.distance_squared(p) == 0.0) {
+            (low, high) = (low.min(b.min.z), high.max(b.max.z));
+        }
+        if low > high {
             return false;
         }
-        let column = Aabb { min: p.truncate().extend(self.low), max: p.truncate().extend(self.high) };
+        let column = Aabb { min: p.truncate().extend(low), max: p.truncate().extend(high) };
         // Solid, exits above, exits below.
         let mut counts: Vec<(u32, i32, i32)> = Vec::new();
         for &face in soup.near(&column, found) {

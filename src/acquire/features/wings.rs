@@ -231,8 +231,8 @@ impl Judge<'_> {
         all.sort_by(|a, b| b.1.total_cmp(&a.1));
         for (middle, span, differ) in all {
             let crease = creased(span, self.crease);
-            let flat = !crease && span >= NARROW;
-            if !crease && !(flat && differ) {
+            let seam = span >= NARROW && differ;
+            if !crease && !seam {
                 buried &= span < NARROW;
                 continue;
             }
