@@ -401,3 +401,26 @@ fn points_and_patches_agree_with_rays_in_space() {
     eprintln!("{points} points and {patches} patches in view, {partly} seen in part");
     assert!(points > 50 && patches > 50 && partly > 20);
 }
+
+/// Layers generated from the model and placed as files are.
+#[test]
+fn generated_layers_agree_with_rays_in_space() {
+    use presight::acquire::features::{GenerateOptions, generate};
+    let wanted = std::env::var("PRESIGHT_FEATURE_SCENES").unwrap_or_else(|_| "factory_hall,hospital".into());
+    for scene in wanted.split(',') {
+        let Some(world) = data::scene(scene, true) else { return };
+        let mut layer = generate(world.environment(), "video", &GenerateOptions::default()).unwrap().layer;
+        layer.features.retain(|f| matches!(f.shape, FeatureShape::Segment { .. }));
+        let placed = presight::features::place(&world, &layer).unwrap();
+        let mut total = Total::default();
+        for pose in data::poses(&world, 2, env_number("PRESIGHT_SEED", 1)) {
+            let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+            total.take(&world, &oracle, &scenes::camera(512, 384), &pose, &placed, SHORT_IN_F32);
+        }
+        total.say(&format!("{scene}, generated"));
+        let some = |a: &Agreement| format!("{scene}: {:#?}", &a.wrong[..a.wrong.len().min(10)]);
+        assert!(total.by_pixels.samples > 1000 && total.by_pixels.excluded_share() < 0.05, "{scene}");
+        assert!(total.by_pixels.wrong_share() <= MISSED, "{}", some(&total.by_pixels));
+        assert!(total.by_rays.wrong_share() <= MISSED_IN_ROOMS, "{}", some(&total.by_rays));
+    }
+}

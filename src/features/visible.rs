@@ -479,7 +479,8 @@ impl<'a> Judge<'a> {
                 if !known.face.holds(ray) {
                     // Its plane passes before the sample: it may be part of something that hides it.
                     let inverse = known.face.inverse_range(ray);
-                    beside |= !lies_on && !(inverse > 0.0 && inverse * range <= 1.0);
+                    let behind = inverse > 0.0 && inverse * range <= 1.0;
+                    beside |= !(*lies_on || behind);
                     continue;
                 }
                 match (*lies_on, nearer(known, ray, range, own)) {

@@ -97,8 +97,9 @@ impl Overlay<'_> {
                 }
             }
             FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => {
-                // An outline is solid where anything of the area is seen.
-                if seen || feature.visible.is_empty() {
+                // What is seen of an area in part does not tell which of its outline is.
+                let whole = feature.visible_fraction > 0.99;
+                if seen == whole {
                     for k in 0..points.len() {
                         pen.curve(canvas, points[k], points[(k + 1) % points.len()], seen);
                     }
