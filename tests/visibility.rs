@@ -110,9 +110,13 @@ impl Agreement {
     }
 }
 
-/// What the prediction says of a place on a segment: seen, or why not.
-fn predicted(seen: &SeenFeature, t: f64) -> Option<Result<(), Reason>> {
-    let holds = |[a, b]: [f64; 2]| a <= t && t <= b;
+/// What the prediction says of a sample on a segment: seen, or why not. A cut that leaves a point has an interval of its own.
+fn predicted(seen: &SeenFeature, [t0, t1]: [f64; 2]) -> Option<Result<(), Reason>> {
+    let t = 0.5 * (t0 + t1);
+    let holds = |[a, b]: [f64; 2]| match t0 == t1 {
+        true => a == b && (a - t).abs() < 1e-9,
+        false => a < b && a <= t && t <= b,
+    };
     let visible = seen.visible.iter().any(|v| holds(v.t));
     let hidden = seen.hidden.iter().find(|h| holds(h.t));
     match (visible, hidden) {
@@ -160,7 +164,7 @@ fn check(
                 return;
             }
             let t = 0.5 * (sample.t[0] + sample.t[1]);
-            let said = predicted(seen, t);
+            let said = predicted(seen, sample.t);
             let right = if truth { said == Some(Err(Reason::Occluded)) } else { said == Some(Ok(())) };
             if !right {
                 wrong += 1;

@@ -6,7 +6,8 @@
 //! derived rounding bound: n . u / d > 1 / |p| + bound. The sample is seen if its own polygon covers the ray, or another
 //! one of the nine does and is not nearer. Where none covers it (fine tessellation, occluders under a pixel, holes), or one
 //! is beside the ray whose plane passes before the sample (the next facet of what it belongs to may cover the ray), the
-//! sample is in doubt, and a ray through the index decides. So it does where pixels are larger than 3 degrees.
+//! sample is in doubt, and a ray through the index decides. So it does where pixels are larger than 3 degrees,
+//! and for a single row whose beam is taller than two of its steps.
 //!
 //! Comparing the point's depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane
 //! says nothing about places that the polygon does not cover.
@@ -233,7 +234,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Pixels so large that what their rays meet says little about what is between them.
+/// Pixels so large, or beams so tall, that what their rays meet says little about what is between them.
 fn is_coarse(sensor: &Sensor) -> bool {
     const COARSE_DEG: f64 = 3.0;
     let step = |angles: &Angles| {
@@ -241,7 +242,11 @@ fn is_coarse(sensor: &Sensor) -> bool {
         if n < 2 { 0.0 } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
     };
     match &sensor.spec().geometry {
-        Geometry::Scanner(s) => step(&s.azimuth).max(step(&s.elevation)) > COARSE_DEG,
+        Geometry::Scanner(s) => {
+            // A lone row's rays say nothing of the height of its beam.
+            let tall = s.elevation.len() == 1 && s.beam_height_deg.unwrap_or(0.0) > 2.0 * step(&s.azimuth);
+            tall || step(&s.azimuth).max(step(&s.elevation)) > COARSE_DEG
+        }
         Geometry::Camera(_) | Geometry::Rays(_) => false,
     }
 }
