@@ -3,8 +3,6 @@
 //!
 //! Between that tolerance and nothing nearer at all neither answer is held to be right.
 
-#![expect(clippy::print_stderr, reason = "what agrees and what does not is worth reading")]
-
 mod common;
 
 use common::data;
