@@ -17,17 +17,21 @@ use presight::features::{
     predict_features,
 };
 use presight::{Angles, Camera, Distortion, Environment, Geometry, Images, Pose, Scanner, Sensor, SensorSpec, World};
+use std::collections::BTreeMap;
 
 /// Hits nearer than the sample by this part of its range hide: what is coplanar within rounding does not. Real scenes hold
 /// faces over each other, planar to f32 only.
 const SHORT: f64 = 1e-9;
 const SHORT_IN_F32: f64 = 3e-6;
 
+/// An edge: its ends, and the slots of all polygons that have it.
+type Edge = ([DVec3; 2], Vec<u32>);
+
 /// Every edge of every polygon as a segment in its object's frame, on all polygons of the object that have both corners.
 fn edges(environment: &Environment, most: usize, random: &mut Random) -> Vec<PlacedFeature> {
     let mut all = Vec::new();
     for (index, object) in environment.objects().iter().enumerate() {
-        let mut of_edge: std::collections::BTreeMap<[[u64; 3]; 2], ([DVec3; 2], Vec<u32>)> = Default::default();
+        let mut of_edge: BTreeMap<[[u64; 3]; 2], Edge> = BTreeMap::new();
         for polygon in 0..object.mesh.polygon_count() as u32 {
             let corners: Vec<DVec3> =
                 object.mesh.corners_of(polygon).map(|p| object.object_from_mesh.transform_point3(p)).collect();
@@ -38,12 +42,12 @@ fn edges(environment: &Environment, most: usize, random: &mut Random) -> Vec<Pla
                 of_edge.entry(key).or_insert((ends, Vec::new())).1.push(object.first_slot + polygon);
             }
         }
-        all.extend(of_edge.into_values().map(|(ends, slots)| (Some(index as u32), ends, slots)));
+        all.extend(of_edge.into_values().map(|edge| (Some(index as u32), edge)));
     }
     while all.len() > most {
         all.swap_remove(random.below(all.len()));
     }
-    let place = |(i, (object, ends, slots)): (usize, (Option<u32>, [DVec3; 2], Vec<u32>))| PlacedFeature {
+    let place = |(i, (object, (ends, slots))): (usize, (Option<u32>, Edge))| PlacedFeature {
         feature: Feature {
             id: i as u32 + 1,
             name: None,
