@@ -270,7 +270,7 @@ impl Total {
 #[test]
 fn rooms_agree_with_rays_in_space() {
     let mut random = Random(env_number("PRESIGHT_SEED", 1));
-    let mut totals: std::collections::BTreeMap<String, Total> = Default::default();
+    let mut totals: BTreeMap<String, Total> = Default::default();
     for scene in 0..4 {
         let world = scenes::room_world(random.bits(), [3, 15, 40, 80][scene]);
         let placed = edges(world.environment(), 150, &mut random);
