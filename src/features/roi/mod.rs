@@ -220,8 +220,12 @@ const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
 /// What is left of a point's lever where it counts as lost.
 const GRAZING: f64 = 0.05;
 
-/// Errors that move a point by more than this share of its lever bend its projection.
+/// Errors that move a point by no more than this share of its lever do not bend its projection.
 const BENT: f64 = 0.02;
+
+/// Where the derivative and the projection differ by more than this share of a side's distance, the derivative is given
+/// up; below, the difference widens the box.
+const SLIGHTLY: f64 = 0.1;
 
 /// The box of a feature's material points (those visible at the nominal pose) that holds all of them with probability
 /// `confidence`; clipped to the image, at least a pixel wide and high. `None` if no point has an image.
@@ -236,14 +240,14 @@ pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Materi
     if seen.iter().any(|s| s.lever - k * s.lever_sigma <= GRAZING * s.lever) {
         return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
     }
-    let bent = seen.iter().map(|s| k * s.spread / s.lever).fold(0.0, f64::max) > BENT;
-    let (bounds, flag) = if bent {
-        match set_bounds(projection, uncertain, &seen, fail, k) {
+    let linear = linear_bounds(&seen, k);
+    let near = seen.iter().map(|s| k * s.spread / s.lever).fold(0.0, f64::max) <= BENT;
+    let (bounds, flag) = match if near { Some(linear) } else { bent_bounds(projection, uncertain, &seen, linear, k) } {
+        Some(bounds) => (bounds, RoiFlag::Linear),
+        None => match set_bounds(projection, uncertain, &seen, fail, k) {
             Some(bounds) => (bounds, RoiFlag::Set),
             None => (whole(projection), RoiFlag::WholeImage),
-        }
-    } else {
-        (linear_bounds(&seen, k), RoiFlag::Linear)
+        },
     };
     Some(clip(projection, bounds, flag))
 }
@@ -316,6 +320,38 @@ fn linear_bounds(seen: &[Seen], k: f64) -> [f64; 4] {
     };
     let [right, left, bottom, top] = SIDES.map(limit);
     [left, top, right, bottom]
+}
+
+/// The linear bounds, widened by what the projection itself says at the errors that the sides stand for; `None` if that
+/// is much.
+fn bent_bounds(
+    projection: &impl Projection,
+    uncertain: &Uncertain,
+    seen: &[Seen],
+    bounds: [f64; 4],
+    k: f64,
+) -> Option<[f64; 4]> {
+    let [left, top, right, bottom] = bounds;
+    let mut widen = [0.0f64; 4];
+    for (c, sign) in SIDES {
+        // The point that makes this side, moved by the error that makes it.
+        let reach = |s: &Seen| sign * s.at[c] + k * s.sigma[c];
+        let s = seen.iter().max_by(|a, b| reach(a).total_cmp(&reach(b)))?;
+        if s.sigma[c] <= 0.0 {
+            continue;
+        }
+        let xi: Vec<f64> = s.slopes[c].iter().map(|x| sign * k * x / s.sigma[c]).collect();
+        let mut at = projection.project(uncertain.place(&s.point, &xi))?;
+        at[0] = unwrapped(projection, at[0], s.at[0]);
+        for (side, (c, sign)) in SIDES.into_iter().enumerate() {
+            let off = sign * (at[c] - s.at[c] - dot(&s.slopes[c], &xi));
+            if off.abs() > SLIGHTLY * k * s.sigma[c] + 0.1 {
+                return None;
+            }
+            widen[side] = widen[side].max(off);
+        }
+    }
+    Some([left - widen[1], top - widen[3], right + widen[0], bottom + widen[2]])
 }
 
 /// The number of standard deviations k at which no side is passed but with probability `fail`.
