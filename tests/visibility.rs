@@ -245,7 +245,7 @@ impl Total {
 
     fn check(&self, name: &str, left_out: f64) {
         self.say(name);
-        assert!(self.by_pixels.samples >= 100 && self.by_pixels.excluded_share() < left_out, "{name}");
+        assert!(self.by_pixels.samples >= 50 && self.by_pixels.excluded_share() < left_out, "{name}");
         let some = |wrong: &[String]| format!("{:#?}", &wrong[..wrong.len().min(10)]);
         assert!(self.by_rays.wrong.is_empty(), "{name}: {}", some(&self.by_rays.wrong));
         assert!(self.by_pixels.wrong_share() <= MISSED_IN_ROOMS, "{name}: {}", some(&self.by_pixels.wrong));
