@@ -58,7 +58,7 @@ pub fn write(path: &Path, header: &Header, prediction: &FeaturePrediction, envir
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
-/// The text of [`write`].
+/// The text of [`write()`].
 ///
 /// # Errors
 /// None in practice: everything that can be predicted is JSON.

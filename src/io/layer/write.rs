@@ -23,7 +23,7 @@ pub fn write(path: &Path, layer: &FeatureLayer) -> Result<()> {
 /// The text of a layer file.
 ///
 /// # Errors
-/// As [`write`], but for the system's.
+/// As [`write()`], but for the system's.
 pub fn to_string(layer: &FeatureLayer) -> Result<String> {
     layer.check()?;
     let mut text = format!(
