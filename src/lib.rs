@@ -33,8 +33,8 @@
 //!
 //! Lengths are metres, angles inside are radians, frames right-handed: x forward, y left, z up; a camera's optical frame
 //! is z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Errors are one type,
-//! [`Error`], that names file, place and remedy. The cargo feature `gpu` (default) brings the wgpu engine; everything
-//! works without it.
+//! [`Error`], that names file, place and remedy. The cargo features `gpu` and `report` (both default) bring the wgpu
+//! engine and plots; everything else works without them.
 
 pub mod acquire;
 #[doc(hidden)]
