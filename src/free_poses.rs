@@ -1,9 +1,10 @@
 //! Poses at which a sensor could stand: what tests, benches and the index's statistics are taken at.
 
 use crate::cpu::Engine;
-use crate::environment::{Environment, Object};
+use crate::environment::Object;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::index::{Found, Region};
 use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
 use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use crate::world::World;
@@ -25,11 +26,11 @@ const TRIES: usize = 2000;
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the world has too little free space among its polygons.
 pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
-    let environment = world.environment();
-    let bounds = environment.bounds();
+    let bounds = world.environment().bounds();
     let sensor = all_round()?;
     let mut engine = Engine::new(0)?;
     let mut random = Random(seed);
+    let mut found = Found::default();
     let mut poses = Vec::with_capacity(n);
     for _ in 0..TRIES * n {
         if poses.len() == n || bounds.is_empty() {
@@ -41,7 +42,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
         let lean = if poses.len() % 2 == 0 { 0.0 } else { 20f64.to_radians() };
         let (roll, pitch) = (lean * (random.unit() - 0.5), lean * (random.unit() - 0.5));
         let pose = Pose::from_xyz_rpy(at, roll, pitch, yaw);
-        if is_clear(environment, at) && hits(&mut engine, world, &sensor, &pose)? >= FREE_HITS {
+        if is_clear(world, at, &mut found) && hits(&mut engine, world, &sensor, &pose)? >= FREE_HITS {
             poses.push(pose);
         }
     }
@@ -91,13 +92,14 @@ fn hits(engine: &mut Engine, world: &World, sensor: &Sensor, pose: &Pose) -> Res
 }
 
 /// True if no polygon is nearer than [`FREE_DISTANCE`].
-fn is_clear(environment: &Environment, at: DVec3) -> bool {
-    let near = |bounds: crate::Aabb| bounds.distance_squared(at) < FREE_DISTANCE * FREE_DISTANCE;
-    environment.objects().iter().filter(|o| near(o.world_bounds())).all(|object| {
-        let world_from_mesh = object.world_from_mesh();
-        let clusters = object.mesh.clusters().iter().filter(|c| near(c.bounds.transformed(&world_from_mesh)));
-        clusters.flat_map(|c| c.first..c.first + c.count).all(|p| distance(object, p, at) >= FREE_DISTANCE)
-    })
+fn is_clear(world: &World, at: DVec3, found: &mut Found) -> bool {
+    let environment = world.environment();
+    found.clear();
+    world.index().query(environment, &Region::ball(at, FREE_DISTANCE), found);
+    found
+        .all()
+        .filter_map(|slot| environment.locate(slot))
+        .all(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, at) >= FREE_DISTANCE)
 }
 
 /// Distance of a point from a polygon, metres.
@@ -121,7 +123,7 @@ fn distance(object: &Object, polygon: u32, at: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Material, Mesh, NewObject, Polygon, PolygonOrder};
+    use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
     use glam::Vec3;
     use std::sync::Arc;
 

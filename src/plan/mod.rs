@@ -172,11 +172,7 @@ impl FramePlan {
 
     /// What `polygon_id` shows for a polygon.
     pub fn polygon_id(&self, object: u32, polygon: u32) -> u32 {
-        let o = &self.world.environment().objects()[object as usize];
-        match self.request.ids {
-            IdScheme::Model => o.first_slot + polygon + 1,
-            IdScheme::Source => o.first_source + o.mesh.source(polygon) + 1,
-        }
+        self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
     fn fill(&mut self) {

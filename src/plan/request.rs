@@ -1,5 +1,6 @@
 //! What a caller asks of a prediction.
 
+use crate::environment::Object;
 use crate::error::{Error, Result};
 
 /// An image that a prediction can deliver.
@@ -108,6 +109,16 @@ pub enum IdScheme {
     Model,
     /// Number of the source triangle + 1; for environments imported without merging.
     Source,
+}
+
+impl IdScheme {
+    /// What `polygon_id` shows for a polygon of an object.
+    pub fn id_of(self, object: &Object, polygon: u32) -> u32 {
+        match self {
+            Self::Model => object.first_slot + polygon + 1,
+            Self::Source => object.first_source + object.mesh.source(polygon) + 1,
+        }
+    }
 }
 
 /// What a caller asks of a prediction.

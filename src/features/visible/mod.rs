@@ -12,23 +12,25 @@
 //! Comparing the point's depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane
 //! says nothing about places that the polygon does not cover.
 
-use super::sample::{Piece, Sample, Sampler};
-use super::{
-    FeaturePrediction, FeatureStats, HiddenInterval, Occluder, PlacedFeature, Reason, SeenFeature, VisibleInterval,
-};
+mod frame;
+mod tally;
+
+use super::sample::{Piece, Sample};
+use super::{FeaturePrediction, FeatureStats, PlacedFeature, Reason, SeenFeature};
 use crate::compare::{FaceBound, Precision};
-use crate::environment::{Appearance, Environment, FeatureShape};
-use crate::error::{Error, Result};
+use crate::environment::{Appearance, FeatureShape};
+use crate::error::Result;
 use crate::geometry::{Pose, plane_of_polygon};
 use crate::index::{Found, Region};
-use crate::plan::{Facing, IdScheme, Images, Instance, facings};
+use crate::plan::{IdScheme, Images};
 use crate::reference::Face;
-use crate::sensor::{Angles, Geometry, Sensor};
+use crate::sensor::Sensor;
 use crate::world::World;
+use frame::Frame;
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::sync::OnceLock;
+use tally::{State, Tally, share};
 
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -122,140 +124,6 @@ fn layer_of(shape: &FeatureShape) -> u32 {
         FeatureShape::Segment { .. } => 1,
         FeatureShape::Patch { .. } => 2,
     }
-}
-
-/// What all features of a prediction share.
-struct Frame<'a> {
-    world: &'a World,
-    environment: &'a Environment,
-    sensor: &'a Sensor,
-    world_from_sensor: Pose,
-    image_from_world: DMat3,
-    images: &'a Images,
-    options: FeatureOptions,
-    time: f64,
-    facings: Vec<Facing>,
-    instances: Vec<OnceLock<Instance>>,
-    /// Slot by `source` id.
-    of_source: HashMap<u32, u32>,
-    sampler: Sampler<'a>,
-    /// Neighbouring pixels are asked first.
-    by_pixels: bool,
-}
-
-impl<'a> Frame<'a> {
-    fn new(
-        world: &'a World,
-        sensor: &'a Sensor,
-        world_from_sensor: &Pose,
-        images: &'a Images,
-        placed: &[PlacedFeature],
-        options: &FeatureOptions,
-    ) -> Result<Self> {
-        let environment: &Environment = world.environment();
-        let pixels = sensor.width() as usize * sensor.height() as usize;
-        if images.polygon_id.len() != pixels || (images.width, images.height) != (sensor.width(), sensor.height()) {
-            let what = format!("there is no polygon_id image of {} x {} pixels", sensor.width(), sensor.height());
-            return Err(Error::invalid(what, "ask for polygon_id"));
-        }
-        sensor.check_projection()?;
-        let objects = environment.objects().len();
-        for p in placed {
-            let slot = p.slots.iter().find(|slot| environment.locate(**slot).is_none());
-            if p.object.is_some_and(|o| o as usize >= objects) || slot.is_some() {
-                let what = format!("object {:?} or slot {slot:?} does not exist", p.object);
-                return Err(
-                    Error::invalid(what, "place the features in this world").at(format!("feature {}", p.feature.id))
-                );
-            }
-        }
-        let newest = placed.iter().map(|p| p.feature.existence.confirmed).fold(f64::NEG_INFINITY, f64::max);
-        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
-        Ok(Self {
-            world,
-            environment,
-            sensor,
-            world_from_sensor: *world_from_sensor,
-            image_from_world: world_from_image.transpose(),
-            images,
-            options: *options,
-            time: options.time.unwrap_or(newest),
-            facings: facings(environment, &sensor.spec().class).collect(),
-            instances: (0..objects).map(|_| OnceLock::new()).collect(),
-            of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
-            by_pixels: options.visibility == Visibility::Image && !is_coarse(sensor),
-            sampler: Sampler::new(sensor),
-        })
-    }
-
-    fn instance(&self, object: u32) -> &Instance {
-        self.instances[object as usize].get_or_init(|| {
-            Instance::new(self.environment, self.sensor, &self.world_from_sensor, &self.facings, object)
-        })
-    }
-
-    fn slot_of_id(&self, id: u32) -> Option<u32> {
-        match self.options.ids {
-            IdScheme::Model => id.checked_sub(1),
-            IdScheme::Source => self.of_source.get(&id).copied(),
-        }
-    }
-
-    fn occluder(&self, slot: u32) -> Option<Occluder> {
-        let (object, polygon) = self.environment.locate(slot)?;
-        let o = &self.environment.objects()[object as usize];
-        let polygon_id = match self.options.ids {
-            IdScheme::Model => slot + 1,
-            IdScheme::Source => o.first_source + o.mesh.source(polygon) + 1,
-        };
-        Some(Occluder { slot, polygon_id, object })
-    }
-
-    /// Positions of a feature's points in the image frame. Differences to the sensor come first.
-    fn in_image(&self, placed: &PlacedFeature) -> (Vec<DVec3>, DMat3, f64) {
-        let points = placed.feature.shape.points();
-        let (image_from_object, shift, size) = match placed.object {
-            None => (self.image_from_world, -self.world_from_sensor.translation, 0.0),
-            Some(object) => {
-                let pose = &self.environment.objects()[object as usize].world_from_object;
-                let shift = pose.translation - self.world_from_sensor.translation;
-                (self.image_from_world * pose.rotation_matrix(), shift, shift.length())
-            }
-        };
-        let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
-        // Roundings of the sums and of the matrices, and of the world positions themselves.
-        let far = self.world_from_sensor.translation.abs().max_element();
-        let rounding = f64::EPSILON * (8.0 * (reach + size) + 2.0 * far);
-        let place = |p: &DVec3| match placed.object {
-            None => self.image_from_world * (*p + shift),
-            Some(_) => image_from_object * *p + self.image_from_world * shift,
-        };
-        (points.iter().map(place).collect(), image_from_object, rounding)
-    }
-}
-
-/// Pixels so large, or beams so tall, that what their rays meet says little about what is between them.
-fn is_coarse(sensor: &Sensor) -> bool {
-    const COARSE_DEG: f64 = 3.0;
-    let step = |angles: &Angles| {
-        let n = angles.len();
-        if n < 2 { 0.0 } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
-    };
-    match &sensor.spec().geometry {
-        Geometry::Scanner(s) => {
-            // A lone row's rays say nothing of the height of its beam.
-            let tall = s.elevation.len() == 1 && s.beam_height_deg.unwrap_or(0.0) > 2.0 * step(&s.azimuth);
-            tall || step(&s.azimuth).max(step(&s.elevation)) > COARSE_DEG
-        }
-        Geometry::Camera(_) | Geometry::Rays(_) => false,
-    }
-}
-
-fn slots_of_sources(environment: &Environment) -> HashMap<u32, u32> {
-    let polygons = environment.objects().iter().flat_map(|o| {
-        (0..o.mesh.polygon_count() as u32).map(|p| (o.first_source + o.mesh.source(p) + 1, o.first_slot + p))
-    });
-    polygons.collect()
 }
 
 /// A polygon in the image frame with its error bound, kept for all samples that come near it.
@@ -609,117 +477,5 @@ impl Own<'_> {
     /// Of the surfaces it lies on, the one seen most directly.
     fn cosine(&self, ray: DVec3) -> Option<f64> {
         self.normals.iter().map(|n| n.dot(ray).abs().min(1.0)).reduce(f64::max)
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Seen,
-    Hidden(Reason, Option<u32>),
-}
-
-/// Intervals and sums of one feature, sample by sample.
-#[derive(Default)]
-struct Tally {
-    visible: Vec<VisibleInterval>,
-    hidden: Vec<HiddenInterval>,
-    last: Option<State>,
-    /// Weights and numbers of samples: all inside image and limits, and those seen.
-    inside: [f64; 2],
-    seen: [f64; 2],
-    by_state: Vec<(State, [f64; 2])>,
-    bounds: Option<[DVec2; 2]>,
-    nearest: Option<(f64, Option<f64>)>,
-    pixels: Vec<u32>,
-}
-
-impl Tally {
-    fn take(&mut self, frame: &Frame<'_>, piece: &Piece, state: State, own: &Own<'_>) {
-        let (t, sample) = match piece {
-            Piece::Inside(sample) => (sample.t, Some(sample)),
-            Piece::Outside { t, .. } => (*t, None),
-        };
-        let more = [sample.map_or(0.0, |s| s.weight), 1.0];
-        let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
-        match self.by_state.iter_mut().find(|s| s.0 == state) {
-            Some((_, sum)) => add(sum),
-            None => self.by_state.push((state, more)),
-        }
-        if !matches!(state, State::Hidden(reason, _) if reason.is_outside()) {
-            add(&mut self.inside);
-        }
-        let goes_on = self.last == Some(state);
-        self.last = Some(state);
-        match (state, sample) {
-            (State::Seen, Some(sample)) => {
-                add(&mut self.seen);
-                self.see(frame, sample, own);
-                match self.visible.last_mut().filter(|_| goes_on) {
-                    Some(v) => (v.t[1], v.pixels[1]) = (t[1], sample.ends[1]),
-                    None => self.visible.push(VisibleInterval { t, pixels: sample.ends }),
-                }
-            }
-            (State::Hidden(reason, slot), _) => match self.hidden.last_mut().filter(|_| goes_on) {
-                Some(h) => h.t[1] = t[1],
-                None => {
-                    let by = slot.and_then(|slot| frame.occluder(slot));
-                    self.hidden.push(HiddenInterval { t, reason, by });
-                }
-            },
-            (State::Seen, None) => {}
-        }
-    }
-
-    fn see(&mut self, frame: &Frame<'_>, sample: &Sample, own: &Own<'_>) {
-        let range = sample.at.length();
-        if self.nearest.is_none_or(|n| range < n.0) {
-            self.nearest = Some((range, own.cosine(sample.at / range)));
-        }
-        let pixel = sample.pixel;
-        let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
-        self.bounds = Some([low.min(pixel), high.max(pixel)]);
-        if frame.options.feature_id {
-            let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
-            let inside = |x: f64, n: i64| (x.round() as i64).clamp(0, n - 1);
-            let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
-            if self.pixels.last() != Some(&at) {
-                self.pixels.push(at);
-            }
-        }
-    }
-
-    /// For patches: shares of the area in place of parts of a length.
-    fn shares(&mut self, frame: &Frame<'_>) -> (Vec<VisibleInterval>, Vec<HiddenInterval>) {
-        let order = |state: &State| match state {
-            State::Seen => (0, 0),
-            State::Hidden(reason, slot) => (1 + *reason as usize, slot.map_or(0, |s| s as usize + 1)),
-        };
-        self.by_state.sort_by_key(|s| order(&s.0));
-        let whole = self.by_state.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
-        let (mut visible, mut hidden, mut from) = (Vec::new(), Vec::new(), 0.0);
-        let last = self.by_state.len().saturating_sub(1);
-        for (i, (state, sum)) in self.by_state.iter().enumerate() {
-            let to = if i == last { 1.0 } else { (from + share(*sum, whole)).min(1.0) };
-            let t = [from, to];
-            match state {
-                State::Seen => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
-                State::Hidden(reason, slot) => {
-                    let by = slot.and_then(|slot| frame.occluder(slot));
-                    hidden.push(HiddenInterval { t, reason: *reason, by });
-                }
-            }
-            from = to;
-        }
-        (visible, hidden)
-    }
-}
-
-/// By weight, or by number where nothing has weight; 0 of nothing.
-fn share(part: [f64; 2], whole: [f64; 2]) -> f64 {
-    let of = |i: usize| (part[i] / whole[i]).min(1.0);
-    match whole {
-        [weight, _] if weight > 0.0 => of(0),
-        [_, count] if count > 0.0 => of(1),
-        _ => 0.0,
     }
 }

@@ -1,0 +1,118 @@
+//! Intervals and shares of one feature, from the verdicts on its samples.
+
+use super::{Frame, Own};
+use crate::features::sample::{Piece, Sample};
+use crate::features::{HiddenInterval, Reason, VisibleInterval};
+use glam::DVec2;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum State {
+    Seen,
+    Hidden(Reason, Option<u32>),
+}
+
+/// Intervals and sums of one feature, sample by sample.
+#[derive(Default)]
+pub(super) struct Tally {
+    pub visible: Vec<VisibleInterval>,
+    pub hidden: Vec<HiddenInterval>,
+    last: Option<State>,
+    /// Weights and numbers of samples: all inside image and limits, and those seen.
+    pub inside: [f64; 2],
+    pub seen: [f64; 2],
+    by_state: Vec<(State, [f64; 2])>,
+    pub bounds: Option<[DVec2; 2]>,
+    pub nearest: Option<(f64, Option<f64>)>,
+    pub pixels: Vec<u32>,
+}
+
+impl Tally {
+    pub fn take(&mut self, frame: &Frame<'_>, piece: &Piece, state: State, own: &Own<'_>) {
+        let (t, sample) = match piece {
+            Piece::Inside(sample) => (sample.t, Some(sample)),
+            Piece::Outside { t, .. } => (*t, None),
+        };
+        let more = [sample.map_or(0.0, |s| s.weight), 1.0];
+        let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
+        match self.by_state.iter_mut().find(|s| s.0 == state) {
+            Some((_, sum)) => add(sum),
+            None => self.by_state.push((state, more)),
+        }
+        if !matches!(state, State::Hidden(reason, _) if reason.is_outside()) {
+            add(&mut self.inside);
+        }
+        let goes_on = self.last == Some(state);
+        self.last = Some(state);
+        match (state, sample) {
+            (State::Seen, Some(sample)) => {
+                add(&mut self.seen);
+                self.see(frame, sample, own);
+                match self.visible.last_mut().filter(|_| goes_on) {
+                    Some(v) => (v.t[1], v.pixels[1]) = (t[1], sample.ends[1]),
+                    None => self.visible.push(VisibleInterval { t, pixels: sample.ends }),
+                }
+            }
+            (State::Hidden(reason, slot), _) => match self.hidden.last_mut().filter(|_| goes_on) {
+                Some(h) => h.t[1] = t[1],
+                None => {
+                    let by = slot.and_then(|slot| frame.occluder(slot));
+                    self.hidden.push(HiddenInterval { t, reason, by });
+                }
+            },
+            (State::Seen, None) => {}
+        }
+    }
+
+    fn see(&mut self, frame: &Frame<'_>, sample: &Sample, own: &Own<'_>) {
+        let range = sample.at.length();
+        if self.nearest.is_none_or(|n| range < n.0) {
+            self.nearest = Some((range, own.cosine(sample.at / range)));
+        }
+        let pixel = sample.pixel;
+        let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
+        self.bounds = Some([low.min(pixel), high.max(pixel)]);
+        if frame.options.feature_id {
+            let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
+            let inside = |x: f64, n: i64| (x.round() as i64).clamp(0, n - 1);
+            let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
+            if self.pixels.last() != Some(&at) {
+                self.pixels.push(at);
+            }
+        }
+    }
+
+    /// For patches: shares of the area in place of parts of a length.
+    pub fn shares(&mut self, frame: &Frame<'_>) -> (Vec<VisibleInterval>, Vec<HiddenInterval>) {
+        let order = |state: &State| match state {
+            State::Seen => (0, 0),
+            State::Hidden(reason, slot) => (1 + *reason as usize, slot.map_or(0, |s| s as usize + 1)),
+        };
+        self.by_state.sort_by_key(|s| order(&s.0));
+        let whole = self.by_state.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
+        let (mut visible, mut hidden, mut from) = (Vec::new(), Vec::new(), 0.0);
+        let last = self.by_state.len().saturating_sub(1);
+        for (i, (state, sum)) in self.by_state.iter().enumerate() {
+            let to = if i == last { 1.0 } else { (from + share(*sum, whole)).min(1.0) };
+            let t = [from, to];
+            match state {
+                State::Seen => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
+                State::Hidden(reason, slot) => {
+                    let by = slot.and_then(|slot| frame.occluder(slot));
+                    hidden.push(HiddenInterval { t, reason: *reason, by });
+                }
+            }
+            from = to;
+        }
+        (visible, hidden)
+    }
+}
+
+/// By weight, or by number where nothing has weight; 0 of nothing.
+pub(super) fn share(part: [f64; 2], whole: [f64; 2]) -> f64 {
+    let of = |i: usize| (part[i] / whole[i]).min(1.0);
+    match whole {
+        [weight, _] if weight > 0.0 => of(0),
+        [_, count] if count > 0.0 => of(1),
+        _ => 0.0,
+    }
+}
