@@ -18,30 +18,30 @@ use std::time::Instant;
 /// Which features are predicted, and where they go.
 #[derive(Debug, clap::Args)]
 pub struct LayerArgs {
-    /// Predict the features of this layer, too; later ones win by id
+    /// Predict the features of this layer, too, over the scene's own; later ones win by id
     #[arg(long = "layer", value_name = "FILE.json")]
     layers: Vec<PathBuf>,
 
     /// Write what is seen of the features
-    #[arg(long, value_name = "OUT.json", requires = "layers")]
+    #[arg(long, value_name = "OUT.json")]
     features: Option<PathBuf>,
 
     /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
-    #[arg(long, value_name = "T", requires = "layers", allow_negative_numbers = true)]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
     time: Option<f64>,
 
     /// How uncertain the pose is, for regions of interest: sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, or a file of 36 numbers
     ///
     /// Standard deviations, or a covariance as a JSON list, row-major, in metres and radians; along the world's axes.
-    #[arg(long, value_name = "S|FILE.json", requires = "layers")]
+    #[arg(long, value_name = "S|FILE.json")]
     pose_cov: Option<String>,
 
     /// Probability with which features are in their regions of interest
-    #[arg(long, value_name = "P", default_value_t = BoxOptions::default().confidence, requires = "layers")]
+    #[arg(long, value_name = "P", default_value_t = BoxOptions::default().confidence)]
     confidence: f64,
 
     /// Write the numbers of features into the preview
-    #[arg(long, requires = "layers")]
+    #[arg(long)]
     feature_numbers: bool,
 }
 
@@ -62,15 +62,21 @@ impl LayerArgs {
             let what = format!("--confidence {}", self.confidence);
             return Err(Error::usage(what, "give a probability from 0.5 to below 1"));
         }
-        if self.layers.is_empty() && asked.has(Output::FeatureId) {
-            return Err(Error::usage("feature_id without features", "give a --layer"));
+        if !self.is_asked(asked) && (self.time.is_some() || self.pose_cov.is_some() || self.feature_numbers) {
+            let what = "--time, --pose-cov and --feature-numbers are of features, and none are asked for";
+            return Err(Error::usage(what, "give a --layer, or --features OUT.json for the scene's own"));
         }
         Ok(())
     }
 
+    /// True if features are to be predicted.
+    fn is_asked(&self, asked: Outputs) -> bool {
+        !self.layers.is_empty() || self.features.is_some() || asked.has(Output::FeatureId)
+    }
+
     /// Images that features are predicted from.
-    pub fn needs(&self) -> Option<Output> {
-        (!self.layers.is_empty()).then_some(Output::PolygonId)
+    pub fn needs(&self, asked: Outputs) -> Option<Output> {
+        self.is_asked(asked).then_some(Output::PolygonId)
     }
 
     /// True if a file of their own is asked for.
@@ -83,7 +89,8 @@ impl LayerArgs {
         self.feature_numbers
     }
 
-    /// Reads the layers and finds the polygons that their features lie on; `None` without layers.
+    /// Reads the layers over the scene's own and finds the polygons that their features lie on; `None` if none are asked
+    /// for.
     pub fn load(
         &self,
         scene: &Scene,
@@ -92,11 +99,16 @@ impl LayerArgs {
         ids: IdScheme,
         asked: Outputs,
     ) -> Result<Option<Layers>> {
-        if self.layers.is_empty() {
+        if !self.is_asked(asked) {
             return Ok(None);
         }
         let class = &sensor.spec().class;
-        let loaded = layer::load(&self.layers, class)?;
+        let own = scene.world.environment().layer(class);
+        if self.layers.is_empty() && own.is_none() {
+            let what = format!("features are asked for, and the scene has none for class {class:?}");
+            return Err(Error::usage(what, "give a --layer"));
+        }
+        let loaded = layer::load(own, &self.layers, class)?;
         if loaded.other_classes > 0 {
             let n = loaded.other_classes;
             print::message(&format!("note: {n} features are for other classes than {class:?} and left out"));

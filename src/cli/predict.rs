@@ -201,7 +201,7 @@ impl Args {
         if self.png.is_some() {
             wanted.extend(png::preview_needs(sensor, self.png_of).iter());
         }
-        wanted.extend(self.layers.needs());
+        wanted.extend(self.layers.needs(self.asked()));
         if self.points.is_some() {
             wanted.extend([Output::Range, Output::PolygonId]);
         }

@@ -2,6 +2,7 @@
 
 mod feature;
 mod feature_check;
+mod layers;
 mod material;
 mod mesh;
 
@@ -125,11 +126,12 @@ impl NewObject {
     }
 }
 
-/// Objects and materials. Polygons live in slots; a slot is never used again.
+/// Objects, materials and feature layers. Polygons live in slots; a slot is never used again.
 #[derive(Clone, Debug, Default)]
 pub struct Environment {
     objects: Vec<Object>,
     materials: Vec<Material>,
+    layers: Vec<FeatureLayer>,
     names: std::collections::HashMap<String, u32>,
     next_slot: u32,
 }

@@ -15,12 +15,14 @@ pub struct Loaded {
     pub other_classes: usize,
 }
 
-/// Reads layer files and merges those for a sensor class; the features of others are counted.
+/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if it has one; the
+/// features of other classes in the files are counted.
 ///
 /// # Errors
 /// Those of [`read`] and [`merge`], for all files alike.
-pub fn load<P: AsRef<Path>>(paths: &[P], class: &str) -> Result<Loaded> {
-    let mut files = Vec::with_capacity(paths.len());
+pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<Loaded> {
+    let mut files = Vec::with_capacity(paths.len() + 1);
+    files.extend(own.map(|layer| LayerFile { layer: layer.clone(), removed: Vec::new(), path: None }));
     let mut other_classes = 0;
     for path in paths {
         let file = read(path.as_ref())?;

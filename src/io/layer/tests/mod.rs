@@ -105,13 +105,13 @@ fn features_of_other_classes_are_counted() {
     let paths = ["a.json", "b.json"].map(|name| folder.path().join(name));
     std::fs::write(&paths[0], SOUND).unwrap();
     std::fs::write(&paths[1], SOUND.replace("\"video\"", "\"radar\"")).unwrap();
-    let loaded = load(&paths, "radar").unwrap();
+    let loaded = load(None, &paths, "radar").unwrap();
     assert_eq!((loaded.layer.features.len(), loaded.other_classes, loaded.layer.class.as_str()), (5, 5, "radar"));
     let mixed = merge(paths.iter().map(|p| read(p).unwrap())).unwrap_err();
     assert_eq!((mixed.kind(), mixed.file()), (ErrorKind::Invalid, Some(paths[1].as_path())));
     // A file for another class must be sound as well.
     std::fs::write(&paths[0], SOUND.replace("0.95", "1.95")).unwrap();
-    let wrong = load(&paths, "radar").unwrap_err();
+    let wrong = load(None, &paths, "radar").unwrap_err();
     assert_eq!(wrong.file(), Some(paths[0].as_path()));
     assert!(wrong.to_string().contains("features[1] (id 2): the existence probability 1.95"), "{wrong}");
 }
