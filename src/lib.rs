@@ -53,6 +53,7 @@ pub mod io;
 pub mod limits;
 pub mod plan;
 mod predict;
+pub mod probe;
 pub mod reference;
 pub mod report;
 pub mod sensor;

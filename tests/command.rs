@@ -583,3 +583,16 @@ fn layers_for_others_are_left_out_and_features_need_a_layer() {
     place.write("l.json", LAYER.replace("[[2, 0.25", "[[1.9, 0.25").as_bytes());
     assert_eq!(place.run(&format!("{line} --layer l.json --features f.json")).status, Some(1), "off its polygons");
 }
+
+#[test]
+fn doctor_lists_engines_and_says_which_is_used() {
+    let place = Place::new();
+    let outcome = place.run("doctor");
+    assert_eq!(outcome.status, Some(0), "{}", outcome.stdout);
+    assert!(
+        outcome.stdout.contains("CPU engine") && outcome.stdout.contains("--backend auto takes"),
+        "{}",
+        outcome.stdout
+    );
+    assert!(outcome.stdout.matches("right: ").count() >= 4 && !outcome.stdout.contains("WRONG"), "{}", outcome.stdout);
+}

@@ -1,6 +1,7 @@
 //! The command: parse first, then touch the world. The only place that prints.
 
 mod compare;
+mod doctor;
 mod features;
 mod index;
 mod inspect;
@@ -33,6 +34,7 @@ const EXAMPLES: &str = "Examples:
   presight inspect hall.glb                     what is in a model, and what is wrong with it
   presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
   presight compare reference.exr other.exr      do two predictions agree?
+  presight doctor                               which engines work here
 
 Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
 3 no device for the asked backend, 4 the system refused.";
@@ -45,6 +47,7 @@ enum Command {
     Index(index::Args),
     Compare(compare::Args),
     Features(Box<features::Args>),
+    Doctor(doctor::Args),
 }
 
 /// Runs the command on the process's arguments.
@@ -60,6 +63,7 @@ pub fn main() -> ExitCode {
         Command::Index(args) => index::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
     };
     conclude(done)
 }

@@ -17,6 +17,17 @@ pub struct Adapter {
     pub hardware: bool,
 }
 
+/// What an engine's device was found able to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Abilities {
+    /// Nearest surface and its id in one 64-bit atomic maximum; otherwise in two passes of 32 bits.
+    pub int64_atomics: bool,
+    /// Times of stages.
+    pub timestamps: bool,
+    /// Most bytes of one buffer.
+    pub largest_binding: u64,
+}
+
 impl std::fmt::Display for Adapter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} ({}, {})", self.name, self.driver, self.api)
@@ -28,6 +39,8 @@ impl std::fmt::Display for Adapter {
 pub struct DeviceOptions {
     /// Take a real GPU or none.
     pub hardware_only: bool,
+    /// Take this one of [`adapters`], by its place from 0, instead of the most capable.
+    pub adapter: Option<usize>,
     /// Do without 64-bit atomics even where there are some: two passes of 32 bits.
     pub without_int64: bool,
     /// Take no more than so many bytes in one buffer, even where the adapter could.
@@ -102,7 +115,7 @@ pub(super) struct Gpu {
 
 impl Gpu {
     pub fn open(options: DeviceOptions) -> Result<Self> {
-        let adapter = choose(options.hardware_only)?;
+        let adapter = choose(options)?;
         let described = describe(&adapter);
         let has = adapter.features();
         let int64 = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
@@ -204,7 +217,8 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
 }
 
 /// The most capable adapter: discrete before integrated before virtual before software.
-fn choose(hardware_only: bool) -> Result<wgpu::Adapter> {
+fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
+    let DeviceOptions { hardware_only, adapter, .. } = options;
     let rank = |a: &wgpu::Adapter| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,
@@ -216,8 +230,14 @@ fn choose(hardware_only: bool) -> Result<wgpu::Adapter> {
         let limits = a.limits();
         limits.max_storage_buffers_per_shader_stage >= 8 && limits.max_uniform_buffer_binding_size >= 1 << 16
     };
-    let found = all().into_iter().filter(able).filter(|a| !hardware_only || rank(a) < 4).min_by_key(rank);
+    let wanted = |(i, _): &(usize, wgpu::Adapter)| adapter.is_none_or(|wanted| *i == wanted);
+    let found = all().into_iter().enumerate().filter(wanted).map(|(_, a)| a);
+    let found = found.filter(able).filter(|a| !hardware_only || rank(a) < 4).min_by_key(rank);
     found.ok_or_else(|| {
+        if let Some(wanted) = adapter {
+            let what = format!("adapter {wanted} is not there, or can bind too few buffers");
+            return Error::new(ErrorKind::NoDevice, what, "take another one, or use --backend cpu");
+        }
         let what =
             if hardware_only { "no hardware GPU was found" } else { "no Vulkan, Metal or DX12 adapter was found" };
         Error::new(ErrorKind::NoDevice, what, "install a driver (Mesa's lavapipe needs no GPU), or use --backend cpu")

@@ -15,7 +15,7 @@ mod stage;
 mod stages;
 mod store;
 
-pub use device::{Adapter, DeviceOptions, Made, adapters};
+pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters};
 
 use crate::error::{ErrorKind, Result};
 use crate::plan::{FramePlan, Images, Output, Stats};
@@ -82,6 +82,15 @@ impl Engine {
     /// The adapter it works on.
     pub fn adapter(&self) -> &Adapter {
         &self.gpu.adapter
+    }
+
+    /// What the device can do.
+    pub fn abilities(&self) -> Abilities {
+        Abilities {
+            int64_atomics: self.gpu.int64,
+            timestamps: self.gpu.timestamps,
+            largest_binding: self.gpu.device.limits().max_storage_buffer_binding_size,
+        }
     }
 
     /// What it has made on the device so far.

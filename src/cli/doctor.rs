@@ -1,0 +1,182 @@
+//! `presight doctor`: which engine will be used here, whether each draws what it should, and what to install.
+
+use super::{Verdict, print};
+use crate::cpu;
+use crate::error::Result;
+#[cfg(feature = "gpu")]
+use crate::gpu::{DeviceOptions, Engine, adapters};
+use crate::plan::{FramePlan, Images, Stats};
+use crate::probe::{Probe, Task};
+use std::fmt::Write;
+
+const EXAMPLES: &str = "Examples:
+  presight doctor
+
+Exit status: 0 every engine draws what it should, 1 one does not.";
+
+/// Check the engines of this machine
+///
+/// Lists the adapters, lets each draw a tiny scene through every stage, compares with the reference, and says which
+/// engine will be used and what to install.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the CPU engine's threads cannot be started, or stdout cannot be written.
+pub fn run(_: &Args) -> Result<Verdict> {
+    let probe = Probe::new()?;
+    let mut text = format!("presight {}, built with {}\n", env!("CARGO_PKG_VERSION"), features());
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
+    let mut engine = cpu::Engine::new(0)?;
+    let mut sound = check(&probe, &mut text, |plan, images| engine.render(plan, images, &mut Stats::default()));
+    sound &= gpus(&probe, &mut text);
+    print::data(&text)?;
+    Ok(if sound { Verdict::Done } else { Verdict::Found })
+}
+
+fn features() -> String {
+    let all = [
+        ("gpu", cfg!(feature = "gpu")),
+        ("script", cfg!(feature = "script")),
+        ("store", cfg!(feature = "store")),
+        ("report", cfg!(feature = "report")),
+    ];
+    let names: Vec<&str> = all.iter().filter(|(_, built)| *built).map(|(name, _)| *name).collect();
+    if names.is_empty() { "no optional feature".into() } else { names.join(", ") }
+}
+
+/// One line a task; true if none shows a fault.
+fn check(probe: &Probe, text: &mut String, mut draw: impl FnMut(&FramePlan, &mut Images) -> Result<()>) -> bool {
+    let mut sound = true;
+    for task in Task::ALL {
+        let verdict = match probe.run(task, &mut draw) {
+            Ok(report) if report.fault == 0 => {
+                format!("right: {} of {} pixels as the reference has them", report.same, report.pixels)
+            }
+            Ok(report) => {
+                sound = false;
+                let first = report.faults.first().map(|f| f.why.as_str()).unwrap_or_default();
+                format!("WRONG: {} of {} pixels; the first: {first}", report.fault, report.pixels)
+            }
+            Err(e) => {
+                sound = false;
+                format!("FAILED: {e}")
+            }
+        };
+        let _ = writeln!(text, "  {:16}{verdict}", task.name());
+    }
+    sound
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpus(_: &Probe, text: &mut String) -> bool {
+    text.push_str("\n--backend auto takes the CPU engine: this presight was built without the cargo feature gpu\n");
+    true
+}
+
+#[cfg(feature = "gpu")]
+fn gpus(probe: &Probe, text: &mut String) -> bool {
+    let found = adapters();
+    let mut sound = true;
+    for (i, adapter) in found.iter().enumerate() {
+        let kind = if adapter.hardware { "a GPU" } else { "a program that plays a GPU on the CPU" };
+        let _ = writeln!(text, "\n{adapter}: {kind}");
+        let open = |without_int64| {
+            let all_on_device = true;
+            Engine::new(DeviceOptions { adapter: Some(i), without_int64, all_on_device, ..DeviceOptions::default() })
+        };
+        sound &= device(probe, text, open);
+    }
+    let _ = writeln!(text, "\n{}", advice(found.iter().map(|a| a.hardware), sound));
+    sound
+}
+
+/// The paths of one device: with 64-bit atomics, if it has them, and without.
+#[cfg(feature = "gpu")]
+fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine>) -> bool {
+    let mut sound = true;
+    for without_int64 in [false, true] {
+        let mut engine = match open(without_int64) {
+            Ok(engine) => engine,
+            Err(e) => {
+                let _ = writeln!(text, "  not usable: {e}");
+                return sound;
+            }
+        };
+        let can = engine.abilities();
+        if !without_int64 {
+            let _ = writeln!(
+                text,
+                "  64-bit atomics {}, time stamps {}, buffers up to {} MiB",
+                yes(can.int64_atomics),
+                yes(can.timestamps),
+                can.largest_binding >> 20
+            );
+        }
+        let passes = if can.int64_atomics { "by 64-bit atomics" } else { "in two passes of 32 bits" };
+        let _ = writeln!(text, "  nearest surface {passes}:");
+        sound &= check(probe, text, |plan, images| engine.render(plan, images, &mut Stats::default()));
+        if !can.int64_atomics {
+            break;
+        }
+    }
+    sound
+}
+
+#[cfg(feature = "gpu")]
+fn yes(able: bool) -> &'static str {
+    if able { "yes" } else { "no" }
+}
+
+/// Which engine `--backend auto` takes, and what would help.
+#[cfg(feature = "gpu")]
+fn advice(hardware: impl ExactSizeIterator<Item = bool>, sound: bool) -> String {
+    let (count, mut hardware) = (hardware.len(), hardware);
+    let any = hardware.any(|h| h);
+    let choice = match (any, sound) {
+        (true, true) => "--backend auto takes the GPU.",
+        (true, false) => "--backend auto takes the GPU, unless it draws wrong what is asked of it.",
+        (false, _) => "--backend auto takes the CPU engine: no hardware GPU was found.",
+    };
+    let remedy = match (count, any) {
+        _ if !sound => "Update the driver of what is wrong above, or use --backend cpu, and please report it.",
+        (0, _) if cfg!(target_os = "linux") => {
+            "--backend gpu finds nothing. For a GPU install its Vulkan driver (mesa-vulkan-drivers and libvulkan1 on \
+             Debian and Ubuntu, or NVIDIA's); the former bring lavapipe, too, which runs on the CPU."
+        }
+        (0, _) => "--backend gpu finds nothing. Install the GPU's driver.",
+        (_, false) => "--backend gpu takes the program above: slower than the CPU engine, good for tests.",
+        (_, true) => "Nothing needs to be installed.",
+    };
+    format!("{choice}\n{remedy}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::Error;
+
+    #[test]
+    fn an_engine_that_draws_wrong_is_named() {
+        let probe = Probe::new().unwrap();
+        let mut engine = cpu::Engine::new(1).unwrap();
+        let mut text = String::new();
+        assert!(check(&probe, &mut text, |plan, images| engine.render(plan, images, &mut Stats::default())));
+        assert_eq!(text.matches("right: ").count(), 4, "{text}");
+        text.clear();
+        let spoiled = |plan: &FramePlan, images: &mut Images| {
+            engine.render(plan, images, &mut Stats::default())?;
+            images.range.iter_mut().for_each(|r| *r += 0.01);
+            Ok(())
+        };
+        assert!(!check(&probe, &mut text, spoiled));
+        assert_eq!(text.matches("WRONG: ").count(), 4, "{text}");
+        text.clear();
+        assert!(!check(&probe, &mut text, |_, _| Err(Error::invalid("no", "none"))));
+        assert_eq!(text.matches("FAILED: no").count(), 4, "{text}");
+    }
+}
