@@ -60,7 +60,7 @@ fn one_pixel_is_caught() {
         assert_eq!(caught(&plan, &images, &wrong).fault, 1);
         let mut wrong = images.clone();
         (wrong.range[at], wrong.polygon_id[at], wrong.object_id[at]) = (f32::INFINITY, 0, 0);
-        wrong.cos_incidence[at] = f32::NAN;
+        (wrong.cos_incidence[at], wrong.echo[at]) = (f32::NAN, f32::NAN);
         if let Some(z) = wrong.depth_z.get_mut(at) {
             *z = f32::INFINITY;
         }
@@ -98,6 +98,9 @@ fn one_ulp_within_the_bound_passes_and_one_beyond_is_caught() {
                 let within = last_within(images.cos_incidence[at], most.cos_incidence);
                 assert_eq!(judge(&|i| i.cos_incidence[at] = within).fault, 0);
                 assert_eq!(judge(&|i| i.cos_incidence[at] = within.next_up()).fault, 1);
+                let within = last_within(images.echo[at], most.echo);
+                assert_eq!(judge(&|i| i.echo[at] = within).fault, 0);
+                assert_eq!(judge(&|i| i.echo[at] = within.next_up()).fault, 1);
                 if plan.sensor.is_camera() {
                     let within = last_within(images.depth_z[at], most.depth_z);
                     assert_eq!(judge(&|i| i.depth_z[at] = within).fault, 0);
@@ -153,6 +156,7 @@ fn an_image_shifted_by_one_pixel_is_caught() {
             polygon_id: shifted(&images.polygon_id, w),
             object_id: shifted(&images.object_id, w),
             cos_incidence: shifted(&images.cos_incidence, w),
+            echo: shifted(&images.echo, w),
             ..images.clone()
         };
         caught(&plan, &images, &wrong);
@@ -190,6 +194,9 @@ fn nan_and_infinity_are_caught() {
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);
             let mut wrong = images.clone();
             wrong.cos_incidence[12] = bad;
+            assert_eq!(caught(&plan, &images, &wrong).fault, 1);
+            let mut wrong = images.clone();
+            wrong.echo[13] = bad;
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);
         }
     }

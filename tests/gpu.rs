@@ -40,7 +40,7 @@ fn count(stats: &Stats, name: &str) -> u64 {
 fn poisoned(sensor: &Sensor) -> Images {
     let mut images = Images::default();
     images.prepare(sensor.width(), sensor.height(), Outputs::ALL);
-    for image in [&mut images.range, &mut images.depth_z, &mut images.cos_incidence] {
+    for image in [&mut images.range, &mut images.depth_z, &mut images.cos_incidence, &mut images.echo] {
         image.fill(-12345.0);
     }
     images.polygon_id.fill(u32::MAX);

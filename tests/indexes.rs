@@ -14,7 +14,8 @@ use presight::{Change, FramePlan, Images, Pose, Sensor, World};
 /// The first channel and pixel in which two predictions differ in any bit.
 fn difference(a: &Images, b: &Images) -> Option<String> {
     let floats = [("range", &a.range, &b.range), ("depth_z", &a.depth_z, &b.depth_z)];
-    let floats = floats.into_iter().chain([("cos_incidence", &a.cos_incidence, &b.cos_incidence)]);
+    let floats =
+        floats.into_iter().chain([("cos_incidence", &a.cos_incidence, &b.cos_incidence), ("echo", &a.echo, &b.echo)]);
     for (name, a, b) in floats {
         assert_eq!(a.len(), b.len(), "{name}");
         if let Some(i) = (0..a.len()).find(|i| a[*i].to_bits() != b[*i].to_bits()) {

@@ -146,6 +146,7 @@ fn keep(images: &mut Images, outputs: Outputs) {
             Output::PolygonId => images.polygon_id.clear(),
             Output::ObjectId => images.object_id.clear(),
             Output::CosIncidence => images.cos_incidence.clear(),
+            Output::Echo => images.echo.clear(),
             Output::FeatureId => images.feature_id.clear(),
         }
     }
@@ -197,8 +198,8 @@ fn in_words(report: &Report) -> String {
     if let Some((column, row)) = report.worst_pixel {
         let w = &report.worst;
         text += &format!(
-            "largest share of the error bound: range {:.3}, depth_z {:.3}, cos_incidence {:.3}; at pixel ({column}, {row})\n",
-            w.range, w.depth_z, w.cos_incidence
+            "largest share of the error bound: range {:.3}, depth_z {:.3}, cos_incidence {:.3}, echo {:.3}; at pixel ({column}, {row})\n",
+            w.range, w.depth_z, w.cos_incidence, w.echo
         );
     }
     for fault in &report.faults {

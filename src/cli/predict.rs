@@ -61,7 +61,7 @@ pub struct Args {
     #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
     index: Scheme,
 
-    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence, feature_id
+    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence, echo, feature_id
     #[arg(long, value_name = "LIST", default_value = "range,polygon_id,object_id,cos_incidence")]
     outputs: Outputs,
 

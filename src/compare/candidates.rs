@@ -25,6 +25,8 @@ pub struct Candidate {
     pub cos_incidence: f64,
     /// Error bound of `cos_incidence`.
     pub cos_error: f64,
+    /// Reflection factor of its material.
+    pub reflection: f64,
     /// depth_z over range.
     pub depth_per_range: f64,
     /// Unit normal in the image frame, either way round.
@@ -68,7 +70,8 @@ pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision)
                 if inside >= -1.0 {
                     let sure = inside >= 1.0 && !bound.may_be_edge_on;
                     let id = (plan.polygon_id(cone.object, cone.polygon), cone.object + 1);
-                    beam.found.candidates.push(Candidate::new(&face, &bound, beam.ray, id, sure));
+                    let reflection = plan.reflection(cone.object, cone.polygon);
+                    beam.found.candidates.push(Candidate::new(&face, &bound, beam.ray, (id, reflection), sure));
                 }
             }
         }
@@ -93,7 +96,8 @@ pub(super) fn on_plane_of(
     let face = Face::new(instance, mesh, polygon);
     let bound = FaceBound::new(&face, instance.center_in_mesh, precision);
     let id = (plan.polygon_id(instance.object, polygon), instance.object + 1);
-    Some(Candidate::new(&face, &bound, ray, id, false))
+    let reflection = plan.reflection(instance.object, polygon);
+    Some(Candidate::new(&face, &bound, ray, (id, reflection), false))
 }
 
 fn face_of(plan: &FramePlan, instances: &[Instance], object: u32, polygon: u32) -> Face {
@@ -118,7 +122,9 @@ fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f64 {
 }
 
 impl Candidate {
-    fn new(face: &Face, bound: &FaceBound, ray: DVec3, (polygon_id, object_id): (u32, u32), sure: bool) -> Self {
+    /// `told` is what the plan knows of the polygon: its ids and its reflection factor.
+    fn new(face: &Face, bound: &FaceBound, ray: DVec3, told: ((u32, u32), f64), sure: bool) -> Self {
+        let ((polygon_id, object_id), reflection) = told;
         let inverse = face.inverse_range(ray);
         let error = bound.inverse_range(face, ray);
         let positive = |k: f64| if k > 0.0 { k.recip() } else { f64::INFINITY };
@@ -131,6 +137,7 @@ impl Candidate {
             farthest: positive(inverse - error),
             cos_incidence: face.normal.dot(ray).abs(),
             cos_error: bound.shown_cosine,
+            reflection,
             depth_per_range: ray.z,
             normal: face.normal,
         }

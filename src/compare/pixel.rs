@@ -19,6 +19,8 @@ pub struct Values {
     pub object_id: Option<u32>,
     /// 0..=1 or NaN.
     pub cos_incidence: Option<f32>,
+    /// 0..=1 or NaN.
+    pub echo: Option<f32>,
 }
 
 /// The share of its error bound that each output of a pixel is off by; 1 is the bound itself.
@@ -30,11 +32,13 @@ pub struct Shares {
     pub depth_z: f64,
     /// Of the cos_incidence bound.
     pub cos_incidence: f64,
+    /// Of the echo bound.
+    pub echo: f64,
 }
 
 impl Shares {
     pub(super) fn most(&self) -> f64 {
-        self.range.max(self.depth_z).max(self.cos_incidence)
+        self.range.max(self.depth_z).max(self.cos_incidence).max(self.echo)
     }
 
     pub(super) fn max(self, other: Self) -> Self {
@@ -42,6 +46,7 @@ impl Shares {
             range: self.range.max(other.range),
             depth_z: self.depth_z.max(other.depth_z),
             cos_incidence: self.cos_incidence.max(other.cos_incidence),
+            echo: self.echo.max(other.echo),
         }
     }
 }
@@ -55,13 +60,14 @@ impl Values {
             polygon_id: images.polygon_id.get(at).copied(),
             object_id: images.object_id.get(at).copied(),
             cos_incidence: images.cos_incidence.get(at).copied(),
+            echo: images.echo.get(at).copied(),
         }
     }
 
     /// Equal to the bit, NaN of any kind being one value.
     pub(super) fn identical(&self, other: &Self) -> bool {
         let bits = |v: Option<f32>| v.map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() });
-        let floats = |v: &Self| [bits(v.range), bits(v.depth_z), bits(v.cos_incidence)];
+        let floats = |v: &Self| [bits(v.range), bits(v.depth_z), bits(v.cos_incidence), bits(v.echo)];
         floats(self) == floats(other) && self.polygon_id == other.polygon_id && self.object_id == other.object_id
     }
 
@@ -79,7 +85,8 @@ impl Values {
 
     fn has_no_ids(&self) -> bool {
         let zero = |v: Option<u32>| v.is_none_or(|id| id == 0);
-        zero(self.polygon_id) && zero(self.object_id) && self.cos_incidence.is_none_or(f32::is_nan)
+        let no_share = self.cos_incidence.is_none_or(f32::is_nan) && self.echo.is_none_or(f32::is_nan);
+        zero(self.polygon_id) && zero(self.object_id) && no_share
     }
 
     /// How far the values are off what a polygon shows, in shares of the bounds; `None` if they do not fit it at all
@@ -93,10 +100,12 @@ impl Values {
         let base = base.copied().unwrap_or_default();
         let cos = based(base.cos_incidence, c.cos_incidence);
         let cos_incidence = share(self.cos_incidence, cos, [c.cos_error, c.cos_error], p);
+        let echo_off = echo_error(c, cos as f32, p);
+        let echo = share(self.echo, based(base.echo, c.reflection * cos), [echo_off, echo_off], p);
         let slack = p.limit_slack();
         let too_near = |v: Option<f32>| v.is_none_or(|x| x == f32::NEG_INFINITY);
         if c.nearest < spec.range_min * slack && too_near(self.range) && too_near(self.depth_z) {
-            return Some(Shares { cos_incidence, ..Shares::default() });
+            return Some(Shares { cos_incidence, echo, ..Shares::default() });
         }
         if c.farthest * slack < spec.range_min || c.nearest > spec.range_max * slack {
             return None;
@@ -109,6 +118,7 @@ impl Values {
             range: share(self.range, based(base.range, c.range), off, p),
             depth_z: share(self.depth_z, based(base.depth_z, c.range * z), depth_off, p),
             cos_incidence,
+            echo,
         })
     }
 }
@@ -130,6 +140,12 @@ fn share(value: Option<f32>, base: f64, [below, above]: [f64; 2], p: Precision) 
     if off == 0.0 { 0.0 } else { off.abs() / bound }
 }
 
+/// echo is the material's factor times cos_incidence as f32: that one's bound and output rounding, scaled; the product's own
+/// rounding comes on top.
+fn echo_error(c: &Candidate, cos_incidence: f32, p: Precision) -> f64 {
+    c.reflection * (c.cos_error + p.output_ulps() * ulp(cos_incidence))
+}
+
 /// The distance from |x| to the next f32.
 fn ulp(x: f32) -> f64 {
     let x = x.abs().clamp(f32::MIN_POSITIVE, f32::MAX / 2.0);
@@ -145,6 +161,8 @@ pub struct Allowed {
     pub depth_z: f64,
     /// Of cos_incidence.
     pub cos_incidence: f64,
+    /// Of echo.
+    pub echo: f64,
 }
 
 impl Allowed {
@@ -156,6 +174,7 @@ impl Allowed {
             range: range + out(reference.range),
             depth_z: range * c.depth_per_range + out(reference.depth_z),
             cos_incidence: c.cos_error + out(reference.cos_incidence),
+            echo: echo_error(c, reference.cos_incidence.unwrap_or(c.cos_incidence as f32), p) + out(reference.echo),
         }
     }
 }
@@ -199,6 +218,7 @@ impl std::fmt::Display for Values {
         parts.extend(self.range.map(|v| format!("range {v}")));
         parts.extend(self.depth_z.map(|v| format!("depth_z {v}")));
         parts.extend(self.cos_incidence.map(|v| format!("cos_incidence {v}")));
+        parts.extend(self.echo.map(|v| format!("echo {v}")));
         f.write_str(&parts.join(", "))
     }
 }

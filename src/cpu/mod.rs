@@ -68,7 +68,7 @@ impl Engine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
-        images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
+        images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());
         // Winners are numbered in 32 bits, and a polygon over the azimuth seam is set up twice.
         if plan.polygon_count >= (u32::MAX / 2) as usize {
             return Err(Error::invalid(
@@ -88,6 +88,7 @@ impl Engine {
             stats.count("polygons_set_up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count("polygons_edge_on", batches[..used].iter().map(|b| b.edge_on).sum());
         });
+        plan.finish(images);
         Ok(())
     }
 }

@@ -119,7 +119,7 @@ impl Frame {
     }
 
     fn place_outputs(&mut self, plan: &FramePlan) {
-        self.outputs = plan.request.outputs;
+        self.outputs = plan.drawn();
         if !plan.sensor.is_camera() {
             self.outputs = self.outputs.without(Output::DepthZ);
         }
@@ -132,8 +132,8 @@ impl Frame {
                 Output::PolygonId => self.params.polygon_at = at,
                 Output::ObjectId => self.params.object_at = at,
                 Output::CosIncidence => self.params.cos_at = at,
-                // The plan leaves it out: no engine makes it.
-                Output::FeatureId => {}
+                // The plan leaves them out: made of other images.
+                Output::Echo | Output::FeatureId => {}
             }
         }
         self.output_words = u64::from(pixels) * self.outputs.iter().count() as u64;

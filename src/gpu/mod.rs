@@ -115,6 +115,7 @@ impl Engine {
             let counters = self.read(plan, images, stats, start)?;
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
+                plan.finish(images);
                 self.report(&counters, reruns, stats);
                 return Ok(());
             }
@@ -230,8 +231,8 @@ impl Engine {
                 Output::PolygonId => bytemuck::cast_slice_mut(&mut images.polygon_id),
                 Output::ObjectId => bytemuck::cast_slice_mut(&mut images.object_id),
                 Output::CosIncidence => bytemuck::cast_slice_mut(&mut images.cos_incidence),
-                // The plan leaves it out: no engine makes it.
-                Output::FeatureId => continue,
+                // The plan leaves them out: made of other images.
+                Output::Echo | Output::FeatureId => continue,
             };
             to.copy_from_slice(from);
         }

@@ -225,7 +225,7 @@ fn check_header(header: &Header) -> Result<()> {
         known += 1;
         let (wanted, word) = match output {
             Output::PolygonId | Output::ObjectId | Output::FeatureId => (SampleType::U32, "UINT"),
-            Output::Range | Output::DepthZ | Output::CosIncidence => (SampleType::F32, "FLOAT"),
+            Output::Range | Output::DepthZ | Output::CosIncidence | Output::Echo => (SampleType::F32, "FLOAT"),
         };
         if channel.sample_type != wanted || channel.sampling.0 != 1 || channel.sampling.1 != 1 {
             let what = format!("is {:?}, sampled {:?}", channel.sample_type, channel.sampling);
@@ -248,6 +248,7 @@ fn keep(images: &mut Images, output: Output, samples: FlatSamples) -> Result<()>
         (Output::Range, FlatSamples::F32(v)) => images.range = v,
         (Output::DepthZ, FlatSamples::F32(v)) => images.depth_z = v,
         (Output::CosIncidence, FlatSamples::F32(v)) => images.cos_incidence = v,
+        (Output::Echo, FlatSamples::F32(v)) => images.echo = v,
         (Output::PolygonId, FlatSamples::U32(v)) => images.polygon_id = v,
         (Output::ObjectId, FlatSamples::U32(v)) => images.object_id = v,
         (Output::FeatureId, FlatSamples::U32(v)) => images.feature_id = v,

@@ -24,7 +24,8 @@ use std::path::Path;
 /// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if it is there),
 /// a title and a scale bar.
 ///
-/// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence grey.
+/// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence and echo
+/// grey.
 /// Pixels get the shape of their angles. Scanners that turn counter-clockwise are mirrored, so that left is left.
 /// A scan of one row is drawn from above, x forward being up.
 ///

@@ -5,7 +5,7 @@ use super::request::{Output, Outputs};
 /// Images of one prediction, row-major, row 0 on top. An image that was not asked for is empty.
 ///
 /// Floats: beyond `range_max` or no hit `+inf`, below `range_min` `-inf` (ids and cos_incidence kept), no ray NaN.
-/// `cos_incidence` is NaN where nothing is seen. Ids: 0 is nothing.
+/// `cos_incidence` and `echo` are NaN where nothing is seen. Ids: 0 is nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Images {
     /// Columns.
@@ -22,6 +22,8 @@ pub struct Images {
     pub object_id: Vec<u32>,
     /// 0..=1.
     pub cos_incidence: Vec<f32>,
+    /// 0..=1: reflection factor times `cos_incidence`.
+    pub echo: Vec<f32>,
     /// The feature's own number; filled from [`crate::features::FeaturePrediction`], never by an engine.
     pub feature_id: Vec<u32>,
 }
@@ -37,6 +39,7 @@ impl Images {
         self.polygon_id.resize(len(Output::PolygonId), 0);
         self.object_id.resize(len(Output::ObjectId), 0);
         self.cos_incidence.resize(len(Output::CosIncidence), 0.0);
+        self.echo.resize(len(Output::Echo), 0.0);
         self.feature_id.clear();
     }
 
@@ -53,6 +56,7 @@ impl Images {
             (Output::PolygonId, self.polygon_id.len()),
             (Output::ObjectId, self.object_id.len()),
             (Output::CosIncidence, self.cos_incidence.len()),
+            (Output::Echo, self.echo.len()),
             (Output::FeatureId, self.feature_id.len()),
         ];
         let there: Vec<Output> = lens.into_iter().filter(|(_, len)| *len > 0).map(|(o, _)| o).collect();
@@ -65,6 +69,7 @@ impl Images {
             Output::Range => &self.range,
             Output::DepthZ => &self.depth_z,
             Output::CosIncidence => &self.cos_incidence,
+            Output::Echo => &self.echo,
             Output::PolygonId | Output::ObjectId | Output::FeatureId => return None,
         };
         (!image.is_empty()).then_some(image.as_slice())
@@ -76,7 +81,7 @@ impl Images {
             Output::PolygonId => &self.polygon_id,
             Output::ObjectId => &self.object_id,
             Output::FeatureId => &self.feature_id,
-            Output::Range | Output::DepthZ | Output::CosIncidence => return None,
+            Output::Range | Output::DepthZ | Output::CosIncidence | Output::Echo => return None,
         };
         (!image.is_empty()).then_some(image.as_slice())
     }

@@ -1,5 +1,6 @@
 //! The frame plan: what one prediction has to do, worked out before any engine starts and knowing none of them.
 
+mod echo;
 mod images;
 mod request;
 mod stats;
@@ -245,8 +246,9 @@ impl FramePlan {
         if self.instances.iter().all(|i| i.plain) {
             add("material test per polygon".into(), "everything selected is opaque to this class and two-sided".into());
         }
+        let drawn = self.drawn();
         for output in Output::ALL {
-            if !self.request.outputs.has(output) {
+            if !self.request.outputs.has(output) && !drawn.has(output) {
                 add(format!("{} image", output.name()), "not asked for".into());
             }
         }

@@ -16,17 +16,21 @@ pub enum Output {
     ObjectId,
     /// |cos| of the angle between ray and surface normal: the paper's reflection angle (section 3.2).
     CosIncidence,
+    /// Reflection factor of the surface's material times `cos_incidence`: how strong an echo the surface gives, without the
+    /// law of range (section 3.2). Made of other images, see [`super::FramePlan::finish`].
+    Echo,
     /// Feature seen, by its own number, 0 is none; made of features, not by an engine (see [`crate::features`]).
     FeatureId,
 }
 
 impl Output {
     /// Every output that engines make.
-    pub const ALL: [Self; 5] = [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence];
+    pub const ALL: [Self; 6] =
+        [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence, Self::Echo];
 
     /// Every output there is.
-    pub const WITH_FEATURES: [Self; 6] =
-        [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence, Self::FeatureId];
+    pub const WITH_FEATURES: [Self; 7] =
+        [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence, Self::Echo, Self::FeatureId];
 
     /// The channel name in files.
     pub fn name(self) -> &'static str {
@@ -36,6 +40,7 @@ impl Output {
             Self::PolygonId => "polygon_id",
             Self::ObjectId => "object_id",
             Self::CosIncidence => "cos_incidence",
+            Self::Echo => "echo",
             Self::FeatureId => "feature_id",
         }
     }
@@ -54,7 +59,7 @@ pub struct Outputs(u8);
 
 impl Outputs {
     /// Every output that engines make.
-    pub const ALL: Self = Self(0b1_1111);
+    pub const ALL: Self = Self(0b11_1111);
 
     /// These and no others.
     pub fn of(outputs: &[Output]) -> Self {
@@ -64,6 +69,12 @@ impl Outputs {
     /// True if it is asked for.
     pub fn has(self, output: Output) -> bool {
         self.0 & (1 << output as u8) != 0
+    }
+
+    /// With one more.
+    #[must_use]
+    pub fn with(self, output: Output) -> Self {
+        Self(self.0 | 1 << output as u8)
     }
 
     /// Without one.
@@ -80,7 +91,7 @@ impl Outputs {
 
 impl Default for Outputs {
     fn default() -> Self {
-        Self::ALL.without(Output::DepthZ)
+        Self::ALL.without(Output::DepthZ).without(Output::Echo)
     }
 }
 

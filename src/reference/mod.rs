@@ -56,13 +56,14 @@ pub fn render_pixels(
     pixels: impl Iterator<Item = (u32, u32)>,
 ) -> Result<Counts> {
     let (hits, counts) = cast(plan, pixels);
-    let asked = plan.request.outputs;
+    let asked = plan.drawn();
     let outputs = if plan.sensor.is_camera() { asked } else { asked.without(Output::DepthZ) };
     images.prepare(plan.sensor.width(), plan.sensor.height(), outputs);
     no_ray(images);
     for beam in &hits {
         write(plan, images, beam);
     }
+    plan.finish(images);
     Ok(counts)
 }
 

@@ -9,6 +9,7 @@ fn used(plan: &FramePlan) -> Images {
     images.range.fill(-7.0);
     images.depth_z.fill(-7.0);
     images.cos_incidence.fill(-7.0);
+    images.echo.fill(-7.0);
     images.polygon_id.fill(0x7777_7777);
     images.object_id.fill(0x7777_7777);
     images

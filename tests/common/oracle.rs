@@ -10,9 +10,9 @@ use presight::{Environment, Pose, Sensor};
 /// The triangles of an environment, each polygon cut into a fan, relative to an origin near the sensor.
 pub struct Oracle {
     mesh: TriMesh,
-    /// Object, slot and unit normal of the polygon by triangle: of the whole polygon, for its triangles tilt by as
-    /// much as f32 corners are off their plane.
-    of_triangle: Vec<(u32, u32, DVec3)>,
+    /// Object, slot, unit normal and reflection factor of the polygon by triangle: of the whole polygon, for its triangles
+    /// tilt by as much as f32 corners are off their plane.
+    of_triangle: Vec<(u32, u32, DVec3, f64)>,
     origin: DVec3,
 }
 
@@ -49,11 +49,12 @@ impl Oracle {
                 if !keep(&corners, normal) {
                     continue;
                 }
+                let reflection = environment.materials()[usize::from(object.mesh.material(polygon))].reflection;
                 let first = vertices.len() as u32;
                 vertices.extend(corners.iter().map(|p| Vector::new(p.x, p.y, p.z)));
                 for triangle in fan {
                     triangles.push(triangle.map(|k| first + k as u32));
-                    of_triangle.push((index as u32, object.first_slot + polygon, normal));
+                    of_triangle.push((index as u32, object.first_slot + polygon, normal, reflection));
                 }
             }
         }
@@ -100,17 +101,20 @@ impl Oracle {
                 polygon_id: Some(0),
                 object_id: Some(0),
                 cos_incidence: Some(f32::NAN),
+                echo: Some(f32::NAN),
             });
         };
-        let (object, slot, normal) = self.of_triangle[triangle as usize];
+        let (object, slot, normal, reflection) = self.of_triangle[triangle as usize];
         let near = range < spec.range_min;
         let shown = |x: f64| if near { f32::NEG_INFINITY } else { x as f32 };
+        let cos_incidence = normal.dot(direction).abs();
         Some(Values {
             range: Some(shown(range)),
             depth_z: camera(shown(range * ray.z)),
             polygon_id: Some(slot + 1),
             object_id: Some(object + 1),
-            cos_incidence: Some(normal.dot(direction).abs() as f32),
+            cos_incidence: Some(cos_incidence as f32),
+            echo: Some((reflection * cos_incidence) as f32),
         })
     }
 }

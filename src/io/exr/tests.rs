@@ -12,7 +12,7 @@ fn images(width: u32, height: u32, outputs: Outputs) -> Images {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         state
     };
-    for image in [&mut images.range, &mut images.depth_z, &mut images.cos_incidence] {
+    for image in [&mut images.range, &mut images.depth_z, &mut images.cos_incidence, &mut images.echo] {
         for (i, v) in image.iter_mut().enumerate() {
             *v = if i % 3 == 0 { odd[i / 3 % odd.len()] } else { f32::from_bits(next()) };
         }
@@ -38,7 +38,7 @@ fn attributes() -> Attributes {
 }
 
 fn bits(images: &Images) -> Vec<u32> {
-    let floats = [&images.range, &images.depth_z, &images.cos_incidence];
+    let floats = [&images.range, &images.depth_z, &images.cos_incidence, &images.echo];
     let ids = [&images.polygon_id, &images.object_id];
     floats.into_iter().flatten().map(|v| v.to_bits()).chain(ids.into_iter().flatten().copied()).collect()
 }

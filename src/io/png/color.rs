@@ -79,7 +79,7 @@ impl Palette {
             (None, None) => Vec::new(),
         };
         let mut specials = vec![(MISS, "nothing")];
-        if let Some(values) = images.floats(output).filter(|_| output != Output::CosIncidence) {
+        if let Some(values) = images.floats(output).filter(|_| !is_share(output)) {
             let there = |special: fn(&f32) -> bool| values.iter().any(special);
             specials.retain(|_| there(|v| *v == f32::INFINITY));
             specials.extend(there(|v| *v == f32::NEG_INFINITY).then_some((TOO_NEAR, "too near")));
@@ -95,13 +95,18 @@ impl Palette {
     }
 }
 
+/// Values of 0..=1, NaN where nothing is seen.
+fn is_share(output: Output) -> bool {
+    matches!(output, Output::CosIncidence | Output::Echo)
+}
+
 fn of_value(v: f32, output: Output, scale: &Scale) -> Rgb {
     match v {
-        v if v.is_nan() && output == Output::CosIncidence => MISS,
+        v if v.is_nan() && is_share(output) => MISS,
         v if v.is_nan() => NO_RAY,
         f32::INFINITY => MISS,
         f32::NEG_INFINITY => TOO_NEAR,
-        v if output == Output::CosIncidence => grey(f64::from(v)),
+        v if is_share(output) => grey(f64::from(v)),
         v => by_distance(scale.share(f64::from(v))),
     }
 }

@@ -176,7 +176,7 @@ pub fn footer(canvas: &mut Canvas, top: u32, output: Output, palette: &Palette, 
     let width = right.saturating_sub(2 * MARGIN).min(640);
     match output {
         Output::Range | Output::DepthZ => bar(canvas, top, width, scale, "m", by_distance),
-        Output::CosIncidence => bar(canvas, top, width, scale, "", grey),
+        Output::CosIncidence | Output::Echo => bar(canvas, top, width, scale, "", grey),
         Output::PolygonId | Output::ObjectId | Output::FeatureId => {}
     }
 }

@@ -1,0 +1,139 @@
+//! The echo image: how much of a signal a surface sends back.
+//!
+//! The paper estimates the intensity of an echo from the reflection angle (section 3.2): the strongest come from where
+//! ray and plane are perpendicular. Here that is the reflection factor of the surface's material times cos_incidence. The
+//! law of range is left to the sensor: its amplifier and its lobe decide that.
+//!
+//! All engines share this one step behind their own: it needs no geometry, only the images that they make anyway.
+
+use super::{FramePlan, IdScheme, Images, Output, Outputs};
+use crate::environment::Object;
+use std::collections::HashMap;
+
+impl FramePlan {
+    /// What engines fill: the images asked for, and those that are only needed to make others.
+    pub fn drawn(&self) -> Outputs {
+        let asked = self.request.outputs;
+        if !asked.has(Output::Echo) {
+            return asked;
+        }
+        let drawn = asked.without(Output::Echo).with(Output::CosIncidence);
+        if self.common_reflection().is_some() { drawn } else { drawn.with(Output::PolygonId).with(Output::ObjectId) }
+    }
+
+    /// Makes what is made of other images, and empties those that were drawn for nothing else. The last step of every
+    /// engine, on images that hold [`FramePlan::drawn`]. Costs nothing unless `echo` is asked for.
+    pub fn finish(&self, images: &mut Images) {
+        let asked = self.request.outputs;
+        if !asked.has(Output::Echo) {
+            return;
+        }
+        let mut echo = std::mem::take(&mut images.echo);
+        echo.clear();
+        // f32 times f64 in f64: one rounding on the way back. NaN stays NaN.
+        let product = |cos: &f32, reflection: f64| (f64::from(*cos) * reflection) as f32;
+        if let Some(reflection) = self.common_reflection() {
+            echo.extend(images.cos_incidence.iter().map(|cos| product(cos, reflection)));
+        } else {
+            let mut factors = Factors::new(self);
+            let ids = images.object_id.iter().zip(&images.polygon_id);
+            let of_pixel = |(cos, (object, polygon)): (&f32, (&u32, &u32))| product(cos, factors.of(*object, *polygon));
+            echo.extend(images.cos_incidence.iter().zip(ids).map(of_pixel));
+        }
+        images.echo = echo;
+        if !asked.has(Output::CosIncidence) {
+            images.cos_incidence.clear();
+        }
+        for (output, ids) in [(Output::PolygonId, &mut images.polygon_id), (Output::ObjectId, &mut images.object_id)] {
+            if !asked.has(output) {
+                ids.clear();
+            }
+        }
+    }
+
+    /// Reflection factor of a polygon's material, 0..=1.
+    pub fn reflection(&self, object: u32, polygon: u32) -> f64 {
+        let environment = self.environment();
+        let material = environment.objects()[object as usize].mesh.material(polygon);
+        environment.materials()[usize::from(material)].reflection
+    }
+
+    /// The factor that all materials have, if they have one: then nobody needs to know which is seen.
+    fn common_reflection(&self) -> Option<f64> {
+        let mut factors = self.environment().materials().iter().map(|m| m.reflection);
+        let first = factors.next().unwrap_or(1.0);
+        factors.all(|r| r == first).then_some(first)
+    }
+}
+
+/// Reflection factors by what images show.
+struct Factors<'a> {
+    plan: &'a FramePlan,
+    /// Of the object looked at last: neighbouring pixels mostly show the same one.
+    last: Option<(u32, OfObject)>,
+    /// By object, where `polygon_id` numbers source triangles: by source number.
+    by_source: HashMap<u32, Vec<f64>>,
+}
+
+#[derive(Clone, Copy)]
+enum OfObject {
+    Uniform(f64),
+    ByPolygon,
+}
+
+impl<'a> Factors<'a> {
+    fn new(plan: &'a FramePlan) -> Self {
+        Self { plan, last: None, by_source: HashMap::new() }
+    }
+
+    /// Of a pixel's ids; anything where nothing is seen, for its cosine is NaN.
+    fn of(&mut self, object_id: u32, polygon_id: u32) -> f64 {
+        let Some(object) = object_id.checked_sub(1) else { return 1.0 };
+        let kind = match self.last {
+            Some((last, kind)) if last == object => kind,
+            _ => {
+                let kind = self.look_at(object);
+                self.last = Some((object, kind));
+                kind
+            }
+        };
+        match kind {
+            OfObject::Uniform(reflection) => reflection,
+            OfObject::ByPolygon => self.of_polygon(object, polygon_id),
+        }
+    }
+
+    fn object(&self, object: u32) -> &'a Object {
+        &self.plan.environment().objects()[object as usize]
+    }
+
+    fn look_at(&self, object: u32) -> OfObject {
+        let materials = self.plan.environment().materials();
+        let mut factors = self.object(object).mesh.materials().iter().map(|m| materials[usize::from(*m)].reflection);
+        let first = factors.next().unwrap_or(1.0);
+        if factors.all(|r| r == first) { OfObject::Uniform(first) } else { OfObject::ByPolygon }
+    }
+
+    fn of_polygon(&mut self, object: u32, polygon_id: u32) -> f64 {
+        let o = self.object(object);
+        match self.plan.request.ids {
+            IdScheme::Model => self.plan.reflection(object, polygon_id - 1 - o.first_slot),
+            IdScheme::Source => {
+                let plan = self.plan;
+                let table = self.by_source.entry(object).or_insert_with(|| sources(plan, object, o));
+                table[(polygon_id - 1 - o.first_source) as usize]
+            }
+        }
+    }
+}
+
+/// Reflection factors of an object by source number: triangles of a mesh are numbered without gaps.
+fn sources(plan: &FramePlan, object: u32, o: &Object) -> Vec<f64> {
+    let polygons = || 0..o.mesh.polygon_count() as u32;
+    let count = polygons().map(|p| o.mesh.source(p) + 1).max().unwrap_or(0);
+    let mut table = vec![1.0; count as usize];
+    for polygon in polygons() {
+        table[o.mesh.source(polygon) as usize] = plan.reflection(object, polygon);
+    }
+    table
+}
