@@ -3,6 +3,7 @@
 //! A scene becomes an [`Environment`] ([`io::gltf::import`], or objects added one by one), a version of it a [`World`].
 //! A [`Sensor`] is a preset, a file ([`io::load_sensor`]) or made from a [`SensorSpec`]. A [`Predictor`] answers for a
 //! sensor at a [`Pose`] with [`Images`]: range, depth, which polygon and object each pixel sees, and at which angle.
+//! [`virtual_sensors`] reduce that to what one task wants to know.
 //!
 //! ```text
 //! Environment -> World -+
@@ -57,6 +58,7 @@ pub mod probe;
 pub mod reference;
 pub mod report;
 pub mod sensor;
+pub mod virtual_sensors;
 mod world;
 
 pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};

@@ -12,6 +12,7 @@ use crate::io::{layer, prediction_json};
 use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
 use crate::predict::Prediction;
 use crate::sensor::Sensor;
+use crate::virtual_sensors::{VirtualReading, VirtualSensor};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -45,6 +46,25 @@ pub struct LayerArgs {
     feature_numbers: bool,
 }
 
+/// What is asked for by name, as far as features depend on it.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked {
+    /// All outputs wanted.
+    pub outputs: Outputs,
+    /// The virtual sensor.
+    pub virtual_sensor: Option<VirtualSensor>,
+}
+
+impl Asked {
+    fn feature_id(self) -> bool {
+        self.outputs.has(Output::FeatureId)
+    }
+
+    fn by_virtual_sensor(self) -> bool {
+        self.virtual_sensor.is_some_and(VirtualSensor::needs_features)
+    }
+}
+
 /// Features placed in a world, ready to be predicted.
 pub struct Layers {
     placed: Vec<PlacedFeature>,
@@ -53,8 +73,8 @@ pub struct Layers {
 }
 
 impl LayerArgs {
-    /// Checks them without touching the world; `asked` are all outputs wanted.
-    pub fn check(&self, asked: Outputs) -> Result<()> {
+    /// Checks them without touching the world.
+    pub fn check(&self, asked: Asked) -> Result<()> {
         if let Some(time) = self.time.filter(|t| !t.is_finite()) {
             return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
         }
@@ -70,12 +90,12 @@ impl LayerArgs {
     }
 
     /// True if features are to be predicted.
-    fn is_asked(&self, asked: Outputs) -> bool {
-        !self.layers.is_empty() || self.features.is_some() || asked.has(Output::FeatureId)
+    fn is_asked(&self, asked: Asked) -> bool {
+        !self.layers.is_empty() || self.features.is_some() || asked.feature_id() || asked.by_virtual_sensor()
     }
 
     /// Images that features are predicted from.
-    pub fn needs(&self, asked: Outputs) -> Option<Output> {
+    pub fn needs(&self, asked: Asked) -> Option<Output> {
         self.is_asked(asked).then_some(Output::PolygonId)
     }
 
@@ -97,7 +117,7 @@ impl LayerArgs {
         sensor: &Sensor,
         (pose, world_from_sensor): (&GivenPose, &Pose),
         ids: IdScheme,
-        asked: Outputs,
+        asked: Asked,
     ) -> Result<Option<Layers>> {
         if !self.is_asked(asked) {
             return Ok(None);
@@ -105,16 +125,23 @@ impl LayerArgs {
         let class = &sensor.spec().class;
         let own = scene.world.environment().layer(class);
         if self.layers.is_empty() && own.is_none() {
+            // The file of features is then the virtual sensor's alone.
+            if asked.virtual_sensor.is_some() && !asked.by_virtual_sensor() && !asked.feature_id() {
+                return Ok(None);
+            }
             let what = format!("features are asked for, and the scene has none for class {class:?}");
-            return Err(Error::usage(what, "give a --layer"));
+            return Err(Error::usage(what, "give a --layer (presight features generates one)"));
         }
-        let loaded = layer::load(own, &self.layers, class)?;
+        let mut loaded = layer::load(own, &self.layers, class)?;
+        if let Some(v) = asked.virtual_sensor.filter(|v| v.needs_features()) {
+            loaded.layer.features.retain(|f| v.wants(&f.shape));
+        }
         if loaded.other_classes > 0 {
             let n = loaded.other_classes;
             print::message(&format!("note: {n} features are for other classes than {class:?} and left out"));
         }
         let placed = place(&scene.world, &loaded.layer)?;
-        let feature_id = asked.has(Output::FeatureId);
+        let feature_id = asked.feature_id();
         let options = FeatureOptions { time: self.time, ids, feature_id, ..FeatureOptions::default() };
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
         let of_object = |(path, c): &(String, _)| Ok((scene.world.environment().index_of(path)?, *c));
@@ -131,17 +158,19 @@ impl LayerArgs {
         &self,
         scene: &Scene,
         prediction: &Prediction,
-        layers: &Layers,
-        features: &FeaturePrediction,
+        features: Option<(&Layers, &FeaturePrediction)>,
+        reading: Option<&VirtualReading>,
     ) -> Result<()> {
         let Some(path) = &self.features else { return Ok(()) };
         let header = prediction_json::Header {
             sensor: prediction.sensor.spec().name.clone(),
             world_from_sensor: prediction.world_from_sensor,
-            pose_covariance: Some(layers.boxes.sensor),
-            confidence: Some(layers.boxes.confidence),
+            pose_covariance: features.map(|(layers, _)| layers.boxes.sensor),
+            confidence: features.map(|(layers, _)| layers.boxes.confidence),
         };
-        prediction_json::write(path, &header, features, scene.world.environment())
+        let none = FeaturePrediction::default();
+        let seen = features.map_or(&none, |(_, seen)| seen);
+        prediction_json::write(path, &header, seen, scene.world.environment(), reading)
     }
 }
 

@@ -13,6 +13,7 @@ mod predict;
 mod print;
 mod sensors;
 mod statistics;
+mod virtual_sensor;
 
 use crate::error::Result;
 use clap::{CommandFactory, Parser, Subcommand};

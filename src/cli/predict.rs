@@ -1,9 +1,10 @@
 //! `presight predict`: what a sensor at a pose sees.
 
-use super::layers::{LayerArgs, Layers};
+use super::layers::{Asked, LayerArgs, Layers};
 use super::load::{self, Scene};
 use super::pose::{GivenPose, PoseArgs};
 use super::statistics::{Statistics, Subject};
+use super::virtual_sensor::VirtualArgs;
 use super::{Verdict, print};
 use crate::error::{Error, Result};
 use crate::features::FeaturePrediction;
@@ -14,6 +15,7 @@ use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor
 use crate::plan::{IdScheme, Output, Outputs, Request, Stats};
 use crate::predict::{Backend, Options, Prediction, Predictor};
 use crate::sensor::Sensor;
+use crate::virtual_sensors::VirtualReading;
 use clap::ValueEnum;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -33,6 +35,10 @@ const EXAMPLES: &str = "Examples:
   Which features are seen, where to look for them, and a picture of them:
     presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 \\
       --layer hall.video.layer.json --pose-cov 0.05,0.05,0,0,0,2 --features seen.json --png seen.png
+
+  Where the floor is free, as polygons in the robot's frame, and a picture of it:
+    presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,20,0 \\
+      --virtual free-floor --features floor.json --png floor.png
 
   How fast, and what was left out:
     presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
@@ -79,6 +85,9 @@ pub struct Args {
 
     #[command(flatten)]
     layers: LayerArgs,
+
+    #[command(flatten)]
+    virtual_sensor: VirtualArgs,
 
     /// Write a 16-bit depth image in millimetres, 0 = no value (a camera's depth_z, otherwise range)
     #[arg(long, value_name = "FILE.png")]
@@ -166,6 +175,7 @@ struct Job {
 impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
+        self.virtual_sensor.check()?;
         let points_format = self.points.as_deref().map(points_format).transpose()?;
         Ok(Job {
             pose: self.pose.parse()?,
@@ -190,9 +200,10 @@ impl Args {
     }
 
     /// Everything asked for by name.
-    fn asked(&self) -> Outputs {
+    fn asked(&self) -> Asked {
         let of_preview = self.png.as_ref().map(|_| self.png_of);
-        Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>())
+        let outputs = Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>());
+        Asked { outputs, virtual_sensor: self.virtual_sensor.task }
     }
 
     /// The images to predict: what was asked for, and what the other files are drawn from.
@@ -202,6 +213,7 @@ impl Args {
             wanted.extend(png::preview_needs(sensor, self.png_of).iter());
         }
         wanted.extend(self.layers.needs(self.asked()));
+        wanted.extend(self.virtual_sensor.outputs().iter());
         if self.points.is_some() {
             wanted.extend([Output::Range, Output::PolygonId]);
         }
@@ -221,7 +233,8 @@ impl Args {
 
     fn writes_something(&self) -> bool {
         let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
-        self.explain || self.layers.writes_something() || files.iter().any(|f| f.is_some())
+        let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
+        self.explain || tells || files.iter().any(|f| f.is_some())
     }
 }
 
@@ -252,11 +265,13 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let job = args.check()?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     print::notices(&notices);
+    args.virtual_sensor.check_sensor(&sensor)?;
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
     let scene = load::scene(&args.scene, &job.import, args.index)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
     let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.scheme(), args.asked())?;
+    let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
     let mut features = of_layers(layers.as_ref(), &scene, &mut prediction)?;
@@ -283,7 +298,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
         outputs: request.outputs.iter().map(Output::name).collect(),
     };
     let statistics = Statistics::of(subject, &times_ms, &runs);
-    write_files(args, job.points_format, &scene, &prediction, layers.as_ref().zip(features.as_ref()))?;
+    let reading = args.virtual_sensor.read(&scene, &prediction, args.scheme(), features.as_ref(), &settings)?;
+    let seen = layers.as_ref().zip(features.as_ref());
+    write_files(args, job.points_format, &scene, &prediction, seen, reading.as_ref())?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
             .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
@@ -312,6 +329,7 @@ fn write_files(
     scene: &Scene,
     prediction: &Prediction,
     features: Option<(&Layers, &FeaturePrediction)>,
+    reading: Option<&VirtualReading>,
 ) -> Result<()> {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let Some(path) = &args.out {
@@ -325,11 +343,11 @@ fn write_files(
             world_from_sensor: &prediction.world_from_sensor,
             numbers: args.layers.numbers(),
         });
-        png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref())?;
+        let mark = reading.and_then(VirtualReading::mask);
+        png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref(), mark)?;
     }
-    if let Some((layers, features)) = features {
-        args.layers.write(scene, prediction, layers, features)?;
-    }
+    args.layers.write(scene, prediction, features, reading)?;
+    args.virtual_sensor.tell(reading, args.layers.writes_something())?;
     if let Some(path) = &args.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
     }

@@ -2,6 +2,7 @@
 
 pub mod atomic;
 pub mod camera_info;
+pub mod corridor;
 pub mod exr;
 pub mod gltf;
 pub mod layer;

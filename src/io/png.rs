@@ -12,6 +12,7 @@ use super::atomic::write_atomically;
 use crate::error::{Error, Result};
 use crate::plan::{Images, Output, Outputs};
 use crate::sensor::{Geometry, Sensor};
+use crate::virtual_sensors::Mask;
 use canvas::Canvas;
 use color::Palette;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -33,11 +34,11 @@ use std::path::Path;
 /// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size,
 /// [`crate::ErrorKind::System`] if the file cannot be written.
 pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
-    write_preview_with(path, images, sensor, output, None)
+    write_preview_with(path, images, sensor, output, None, None)
 }
 
 /// [`write_preview`] with features drawn over it: what is seen of them solid, what is hidden dashed, their regions of
-/// interest as boxes.
+/// interest as boxes; and with marked pixels tinted.
 ///
 /// # Errors
 /// As [`write_preview`].
@@ -47,15 +48,22 @@ pub fn write_preview_with(
     sensor: &Sensor,
     output: Output,
     overlay: Option<&Overlay<'_>>,
+    mark: Option<&Mask>,
 ) -> Result<()> {
-    let canvas = preview(images, sensor, output, overlay).map_err(|e| e.in_file(path))?;
+    let canvas = preview(images, sensor, output, overlay, mark).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {
         let out = BufWriter::new(file);
         encode(out, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
     })
 }
 
-fn preview(images: &Images, sensor: &Sensor, output: Output, overlay: Option<&Overlay<'_>>) -> Result<Canvas> {
+fn preview(
+    images: &Images,
+    sensor: &Sensor,
+    output: Output,
+    overlay: Option<&Overlay<'_>>,
+    mark: Option<&Mask>,
+) -> Result<Canvas> {
     let (width, height) = (sensor.width(), sensor.height());
     let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len)).unwrap_or(0);
     if len != width as usize * height as usize {
@@ -65,7 +73,10 @@ fn preview(images: &Images, sensor: &Sensor, output: Output, overlay: Option<&Ov
         ));
     }
     let scale = Scale::of(images, output);
-    let palette = Palette::new(images, output, &scale);
+    let mut palette = Palette::new(images, output, &scale);
+    if let Some(mask) = mark {
+        palette.mark(&mask.pixels);
+    }
     Ok(if is_one_row_scan(sensor) && images.range.len() == len {
         polar::draw(images, sensor, output, &palette, &scale, overlay)
     } else {
@@ -106,6 +117,15 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
     })?;
     let notice = || format!("{}: {beyond} pixels beyond 65.535 m are written as 0", path.display());
     Ok((beyond > 0).then(notice).into_iter().collect())
+}
+
+/// Writes a mask: marked pixels white, the others black, in the order of the images.
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the file cannot be written.
+pub fn write_mask(path: &Path, mask: &Mask) -> Result<()> {
+    let bytes: Vec<u8> = mask.pixels.iter().map(|on| if *on { u8::MAX } else { 0 }).collect();
+    write_atomically(path, |file| encode(BufWriter::new(file), &bytes, mask.width, mask.height, ExtendedColorType::L8))
 }
 
 /// Rounded millimetres, and how many finite values did not fit.

@@ -7,17 +7,36 @@
 //! | `pose_covariance` | 36 numbers, row-major, or null |
 //! | `confidence` | of the regions of interest, or null |
 //! | `features` | one entry each, see [`crate::features::SeenFeature`] |
+//! | `virtual` | the answer of a virtual sensor; absent if none was asked for |
 //!
 //! An entry has `id`, `kind`, `name`, `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
 //! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
 //! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
 //! of the prediction) and `history` (null without a store).
+//!
+//! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
+//!
+//! | `name` | keys | defined in |
+//! |---|---|---|
+//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](crate::virtual_sensors::FreeFloor) |
+//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](crate::virtual_sensors::Edges) |
+//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](crate::virtual_sensors::RadarLines) |
+//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`) | [`Nearest`](crate::virtual_sensors::Nearest) |
+//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](crate::virtual_sensors::Landmarks) |
+//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](crate::virtual_sensors::DepthImage) |
+//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](crate::virtual_sensors::VerticalPlanes) |
+//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](crate::virtual_sensors::Docking) |
+//!
+//! Lengths are metres, areas square metres, angles radians.
+
+mod lines;
 
 use super::atomic::write_atomically;
 use crate::environment::{Environment, FeatureShape};
 use crate::error::{Error, Result};
 use crate::features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
 use crate::geometry::Pose;
+use crate::virtual_sensors::VirtualReading;
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 use std::io::Write;
@@ -39,13 +58,14 @@ pub struct Header {
     pub confidence: Option<f64>,
 }
 
-/// Writes a prediction of features; `environment` names the objects that hide them.
+/// Writes a prediction of features, and a virtual sensor's answer if there is one; `environment` names the objects that hide
+/// features.
 ///
 /// ```
 /// use presight::features::FeaturePrediction;
 /// use presight::io::prediction_json::{Header, to_string};
 /// use presight::Environment;
-/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new())?;
+/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new(), None)?;
 /// let json: serde_json::Value = serde_json::from_str(&text)?;
 /// assert_eq!(json["format"], 1);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -53,8 +73,14 @@ pub struct Header {
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
-pub fn write(path: &Path, header: &Header, prediction: &FeaturePrediction, environment: &Environment) -> Result<()> {
-    let text = to_string(header, prediction, environment).map_err(|e| e.in_file(path))?;
+pub fn write(
+    path: &Path,
+    header: &Header,
+    prediction: &FeaturePrediction,
+    environment: &Environment,
+    reading: Option<&VirtualReading>,
+) -> Result<()> {
+    let text = to_string(header, prediction, environment, reading).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
@@ -62,7 +88,12 @@ pub fn write(path: &Path, header: &Header, prediction: &FeaturePrediction, envir
 ///
 /// # Errors
 /// None in practice: everything that can be predicted is JSON.
-pub fn to_string(header: &Header, prediction: &FeaturePrediction, environment: &Environment) -> Result<String> {
+pub fn to_string(
+    header: &Header,
+    prediction: &FeaturePrediction,
+    environment: &Environment,
+    reading: Option<&VirtualReading>,
+) -> Result<String> {
     let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
     let file = File {
         format: FORMAT,
@@ -71,8 +102,9 @@ pub fn to_string(header: &Header, prediction: &FeaturePrediction, environment: &
         pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
         confidence: header.confidence,
         features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
+        reading,
     };
-    let text = serde_json::to_string_pretty(&file);
+    let text = lines::to_string(&file);
     text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction is no JSON: {e}"), ""))
 }
 
@@ -84,6 +116,8 @@ struct File<'a> {
     pose_covariance: Option<Vec<f64>>,
     confidence: Option<f64>,
     features: Vec<Entry<'a>>,
+    #[serde(rename = "virtual", skip_serializing_if = "Option::is_none")]
+    reading: Option<&'a VirtualReading>,
 }
 
 #[derive(Serialize)]
@@ -226,7 +260,7 @@ mod tests {
     fn fields_bear_the_names_that_others_read() {
         let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
         let header = Header { sensor: "video-camera".into(), ..Header::default() };
-        let text = to_string(&header, &prediction, &Environment::new()).unwrap();
+        let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
         let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
         let mut top = ["format", "sensor", "world_from_sensor", "pose_covariance", "confidence", "features"];

@@ -6,9 +6,7 @@
 //!
 //! All engines share this one step behind their own: it needs no geometry, only the images that they make anyway.
 
-use super::{FramePlan, IdScheme, Images, Output, Outputs};
-use crate::environment::Object;
-use std::collections::HashMap;
+use super::{FramePlan, Images, Output, Outputs, PolygonsOfIds};
 
 impl FramePlan {
     /// What engines fill: the images asked for, and those that are only needed to make others.
@@ -69,71 +67,38 @@ impl FramePlan {
 /// Reflection factors by what images show.
 struct Factors<'a> {
     plan: &'a FramePlan,
-    /// Of the object looked at last: neighbouring pixels mostly show the same one.
-    last: Option<(u32, OfObject)>,
-    /// By object, where `polygon_id` numbers source triangles: by source number.
-    by_source: HashMap<u32, Vec<f64>>,
-}
-
-#[derive(Clone, Copy)]
-enum OfObject {
-    Uniform(f64),
-    ByPolygon,
+    polygons: PolygonsOfIds<'a>,
+    /// Of the object looked at last, its factor if all of it has one: neighbouring pixels mostly show the same object.
+    last: Option<(u32, Option<f64>)>,
 }
 
 impl<'a> Factors<'a> {
     fn new(plan: &'a FramePlan) -> Self {
-        Self { plan, last: None, by_source: HashMap::new() }
+        Self { plan, polygons: PolygonsOfIds::new(plan.environment(), plan.request.ids), last: None }
     }
 
     /// Of a pixel's ids; anything where nothing is seen, for its cosine is NaN.
     fn of(&mut self, object_id: u32, polygon_id: u32) -> f64 {
         let Some(object) = object_id.checked_sub(1) else { return 1.0 };
-        let kind = match self.last {
-            Some((last, kind)) if last == object => kind,
+        let of_all = match self.last {
+            Some((last, of_all)) if last == object => of_all,
             _ => {
-                let kind = self.look_at(object);
-                self.last = Some((object, kind));
-                kind
+                let of_all = self.of_all(object);
+                self.last = Some((object, of_all));
+                of_all
             }
         };
-        match kind {
-            OfObject::Uniform(reflection) => reflection,
-            OfObject::ByPolygon => self.of_polygon(object, polygon_id),
-        }
+        of_all.unwrap_or_else(|| {
+            let polygon = self.polygons.find(object_id, polygon_id);
+            polygon.map_or(1.0, |(object, polygon)| self.plan.reflection(object, polygon))
+        })
     }
 
-    fn object(&self, object: u32) -> &'a Object {
-        &self.plan.environment().objects()[object as usize]
+    fn of_all(&self, object: u32) -> Option<f64> {
+        let environment = self.plan.environment();
+        let materials = environment.objects()[object as usize].mesh.materials();
+        let mut factors = materials.iter().map(|m| environment.materials()[usize::from(*m)].reflection);
+        let first = factors.next()?;
+        factors.all(|r| r == first).then_some(first)
     }
-
-    fn look_at(&self, object: u32) -> OfObject {
-        let materials = self.plan.environment().materials();
-        let mut factors = self.object(object).mesh.materials().iter().map(|m| materials[usize::from(*m)].reflection);
-        let first = factors.next().unwrap_or(1.0);
-        if factors.all(|r| r == first) { OfObject::Uniform(first) } else { OfObject::ByPolygon }
-    }
-
-    fn of_polygon(&mut self, object: u32, polygon_id: u32) -> f64 {
-        let o = self.object(object);
-        match self.plan.request.ids {
-            IdScheme::Model => self.plan.reflection(object, polygon_id - 1 - o.first_slot),
-            IdScheme::Source => {
-                let plan = self.plan;
-                let table = self.by_source.entry(object).or_insert_with(|| sources(plan, object, o));
-                table[(polygon_id - 1 - o.first_source) as usize]
-            }
-        }
-    }
-}
-
-/// Reflection factors of an object by source number: triangles of a mesh are numbered without gaps.
-fn sources(plan: &FramePlan, object: u32, o: &Object) -> Vec<f64> {
-    let polygons = || 0..o.mesh.polygon_count() as u32;
-    let count = polygons().map(|p| o.mesh.source(p) + 1).max().unwrap_or(0);
-    let mut table = vec![1.0; count as usize];
-    for polygon in polygons() {
-        table[o.mesh.source(polygon) as usize] = plan.reflection(object, polygon);
-    }
-    table
 }

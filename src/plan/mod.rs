@@ -2,11 +2,13 @@
 
 mod echo;
 mod images;
+mod polygons;
 mod request;
 mod stats;
 mod view;
 
 pub use images::Images;
+pub use polygons::PolygonsOfIds;
 pub use request::{IdScheme, Output, Outputs, Request};
 pub use stats::Stats;
 pub use view::region_of;

@@ -33,6 +33,9 @@ pub fn by_distance(share: f64) -> Rgb {
     mix(VIRIDIS[i], VIRIDIS[i + 1], at - i as f64)
 }
 
+/// Marked pixels.
+const MARKED: Rgb = [0x35, 0xd0, 0xff];
+
 /// Grey that looks evenly stepped.
 pub fn grey(share: f64) -> Rgb {
     [(share.clamp(0.0, 1.0) * 255.0).round() as u8; 3]
@@ -88,6 +91,16 @@ impl Palette {
             specials.retain(|_| colors.contains(&MISS));
         }
         Self { colors, specials }
+    }
+
+    /// Tints some pixels.
+    pub fn mark(&mut self, pixels: &[bool]) {
+        for (color, _) in self.colors.iter_mut().zip(pixels).filter(|(_, on)| **on) {
+            *color = mix(*color, MARKED, 0.6);
+        }
+        if pixels.contains(&true) {
+            self.specials.push((MARKED, "marked"));
+        }
     }
 
     pub fn color(&self, pixel: usize) -> Rgb {

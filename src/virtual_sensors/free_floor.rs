@@ -1,0 +1,159 @@
+//! Free floor: where the camera sees the floor, the robot may go.
+//!
+//! Floor is a polygon that is horizontal within [`FLOOR_TILT`], that the camera sees from above, and that is nowhere farther
+//! than [`FLOOR_HEIGHT`] above or below the floor's height, which is that of the robot's origin unless it is told. Windings
+//! are mixed in real models, so the side that is seen counts, not the winding.
+//!
+//! The outline of the pixels that see floor is traced along the sides of pixels, and every corner goes along its own ray,
+//! through lens distortion too, to the floor plane. So the outline is right within a pixel. A pixel counts only if all of it
+//! meets the floor plane within the sensor's range; those that reach over the horizon are counted apart.
+
+use super::mask::{Mask, MaskRegion};
+use super::view::{Surface, View, of_surfaces};
+use super::{Input, Settings};
+use crate::error::Result;
+use crate::sensor::{Geometry, Sensor};
+use glam::DVec3;
+use serde::Serialize;
+
+/// Floor leans by no more, radians (2 degrees).
+pub const FLOOR_TILT: f64 = 2.0 * std::f64::consts::PI / 180.0;
+/// Floor is no farther above or below its stated height, metres.
+pub const FLOOR_HEIGHT: f64 = 0.05;
+
+/// Floor seen as free.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FreeFloor {
+    /// Height of the floor plane in the world, metres.
+    pub floor_z_world: f64,
+    /// Of all regions, square metres.
+    pub area: f64,
+    /// Pixels that show it.
+    pub pixels: usize,
+    /// Pixels that see floor, and whose corners do not all meet the floor plane within range: not counted above.
+    pub pixels_over_horizon: usize,
+    /// What hangs together in the image, largest area first.
+    pub regions: Vec<FloorRegion>,
+    /// Those pixels.
+    pub mask: Mask,
+}
+
+/// A piece of floor, as polygons in the robot's frame, metres. Seen from above the outer one runs counter-clockwise, holes
+/// run clockwise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FloorRegion {
+    /// Square metres, holes taken off.
+    pub area: f64,
+    /// Its pixels.
+    pub pixels: usize,
+    /// Its outline.
+    pub outer_robot: Vec<[f64; 3]>,
+    /// Outlines of what stands in it, or hides it.
+    pub holes_robot: Vec<Vec<[f64; 3]>>,
+}
+
+impl FreeFloor {
+    pub(super) fn summary(&self) -> String {
+        let holes: usize = self.regions.iter().map(|r| r.holes_robot.len()).sum();
+        let share = 100.0 * self.pixels as f64 / self.mask.pixels.len().max(1) as f64;
+        format!(
+            "{:.3} m2 of floor at z = {:.3} m in {} regions with {holes} holes, {share:.1} % of the image",
+            self.area,
+            self.floor_z_world,
+            self.regions.len()
+        )
+    }
+}
+
+/// The floor plane before the camera.
+struct Floor {
+    /// World's z in the sensor's body axes.
+    up: DVec3,
+    /// Height above the sensor, metres: negative.
+    height: f64,
+    range_max: f64,
+}
+
+impl Floor {
+    fn holds(&self, surface: &Surface) -> bool {
+        let [low, high] = surface.heights;
+        let level = low >= self.height - FLOOR_HEIGHT && high <= self.height + FLOOR_HEIGHT;
+        // Normals point to the sensor's side: upward is seen from above.
+        level && surface.normal.dot(self.up) >= FLOOR_TILT.cos()
+    }
+
+    /// Where a ray meets the plane, within range.
+    fn meet(&self, ray: DVec3) -> Option<DVec3> {
+        let range = self.height / self.up.dot(ray);
+        (range > 0.0 && range <= self.range_max).then(|| ray * range)
+    }
+}
+
+pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor> {
+    let mut view = View::new(input, of_surfaces())?;
+    let world_from_robot = view.world_from_sensor.then(&view.robot_from_sensor.inverse());
+    let floor_z_world = settings.floor_z_world.unwrap_or(world_from_robot.translation.z);
+    let height = floor_z_world - view.world_from_sensor.translation.z;
+    let floor = Floor { up: view.up, height, range_max: view.sensor.spec().range_max };
+    let mut corners = Corners::new(view.sensor);
+    let mut mask = Mask::new(view.sensor.width(), view.sensor.height());
+    let mut pixels_over_horizon = 0;
+    for row in 0..mask.height {
+        for column in 0..mask.width {
+            if !view.surface(column, row).is_some_and(|s| floor.holds(&s)) {
+                continue;
+            }
+            let around = [(0, 0), (1, 0), (1, 1), (0, 1)];
+            if around.into_iter().all(|(i, j)| corners.meet((column + i, row + j), &floor, &view).is_some()) {
+                mask.pixels[view.at(column, row)] = true;
+            } else {
+                pixels_over_horizon += 1;
+            }
+        }
+    }
+    // A lens bends what is straight.
+    let straight = matches!(&view.sensor.spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
+    let mut regions: Vec<FloorRegion> =
+        mask.regions(!straight).iter().map(|region| project(region, &mut corners, &floor, &view)).collect();
+    regions.sort_by(|a, b| b.area.total_cmp(&a.area));
+    let area = regions.iter().map(|r| r.area).sum();
+    Ok(FreeFloor { floor_z_world, area, pixels: mask.count(), pixels_over_horizon, regions, mask })
+}
+
+fn project(region: &MaskRegion, corners: &mut Corners, floor: &Floor, view: &View<'_>) -> FloorRegion {
+    let mut area = 0.0;
+    let mut outline = |corners_of: &[(u32, u32)]| {
+        let points: Vec<DVec3> = corners_of.iter().filter_map(|c| corners.meet(*c, floor, view)).collect();
+        debug_assert_eq!(points.len(), corners_of.len(), "corners of pixels that count meet the floor");
+        area += signed_area(&points, floor.up);
+        points.into_iter().map(|p| view.in_robot(p)).collect::<Vec<_>>()
+    };
+    let outer_robot = outline(&region.outer);
+    let holes_robot = region.holes.iter().map(|hole| outline(hole)).collect();
+    FloorRegion { area, pixels: region.pixels, outer_robot, holes_robot }
+}
+
+/// Positive for what runs counter-clockwise around the axis.
+fn signed_area(points: &[DVec3], axis: DVec3) -> f64 {
+    let Some((first, rest)) = points.split_first() else { return 0.0 };
+    rest.windows(2).map(|w| 0.5 * (w[0] - first).cross(w[1] - first).dot(axis)).sum()
+}
+
+/// Where the corners of pixels meet the floor, each worked out once: undistorting is slow.
+struct Corners {
+    across: usize,
+    found: Vec<Option<Option<DVec3>>>,
+}
+
+impl Corners {
+    fn new(sensor: &Sensor) -> Self {
+        let (across, down) = (sensor.width() as usize + 1, sensor.height() as usize + 1);
+        Self { across, found: vec![None; across * down] }
+    }
+
+    fn meet(&mut self, (i, j): (u32, u32), floor: &Floor, view: &View<'_>) -> Option<DVec3> {
+        let known = &mut self.found[j as usize * self.across + i as usize];
+        *known
+            .get_or_insert_with(|| view.ray_at(f64::from(i) - 0.5, f64::from(j) - 0.5).and_then(|ray| floor.meet(ray)))
+    }
+}

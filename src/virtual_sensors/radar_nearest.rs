@@ -1,0 +1,134 @@
+//! Nearest obstacle: by direction, and on the way that the robot is going to take.
+//!
+//! Every surface that a beam sees counts, the floor too if beams look down: the corridor's least height keeps it out there.
+//! Of what no beam sees nothing is said.
+
+use super::view::{View, of_surfaces};
+use super::{Corridor, Input};
+use crate::error::Result;
+use glam::DVec3;
+use serde::Serialize;
+
+/// The closest obstacles.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Nearest {
+    /// By column of the sensor.
+    pub directions: Directions,
+    /// Of all directions; `None` if nothing is seen.
+    pub nearest: Option<NearestPoint>,
+    /// Inside the corridor, if one is given.
+    pub corridor: Option<InCorridor>,
+}
+
+/// The closest obstacle of each column, over all its rows.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Directions {
+    /// Of the column, about the sensor's z axis from its x axis, radians, -pi..=pi.
+    pub azimuth: Vec<f64>,
+    /// Metres along the beam; infinite (null in files) where nothing is seen.
+    pub range: Vec<f64>,
+    /// What is seen there; 0 is nothing.
+    pub object_id: Vec<u32>,
+}
+
+/// A point of an obstacle.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NearestPoint {
+    /// Where it is, metres.
+    pub point_robot: [f64; 3],
+    /// Metres from the sensor, along the beam.
+    pub range: f64,
+    /// Column and row of the beam.
+    pub pixel: [u32; 2],
+    /// The polygon, as `polygon_id` numbers it.
+    pub polygon: u32,
+    /// Full path of its object.
+    pub object: String,
+}
+
+/// What a corridor holds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct InCorridor {
+    /// Length of the corridor's line, metres.
+    pub length: f64,
+    /// Metres along that line to the first obstacle that is seen; `None` if none is.
+    pub arc_length: Option<f64>,
+    /// Its point there. Of several the nearest to the sensor.
+    pub first: Option<NearestPoint>,
+    /// Beams that see something inside.
+    pub beams: usize,
+}
+
+impl Nearest {
+    pub(super) fn summary(&self) -> String {
+        let nearest = match &self.nearest {
+            Some(p) => format!("nearest at {:.3} m: {:?}", p.range, p.object),
+            None => "nothing is seen".into(),
+        };
+        let Some(corridor) = &self.corridor else { return nearest };
+        match (corridor.arc_length, &corridor.first) {
+            (Some(s), Some(p)) => {
+                format!("{nearest}; corridor free for {s:.3} of {:.3} m: {:?}", corridor.length, p.object)
+            }
+            _ => format!("{nearest}; nothing is seen in the {:.3} m of the corridor", corridor.length),
+        }
+    }
+}
+
+/// A hit with what it is compared by.
+struct Hit {
+    key: f64,
+    range: f64,
+    pixel: [u32; 2],
+    p_in_sensor: DVec3,
+    object: u32,
+}
+
+/// Keeps the hit with the lesser key, then the lesser range.
+fn keep(best: &mut Option<Hit>, hit: Hit) {
+    if best.as_ref().is_none_or(|b| (hit.key, hit.range) < (b.key, b.range)) {
+        *best = Some(hit);
+    }
+}
+
+pub(super) fn reduce(input: &Input<'_>, corridor: Option<&Corridor>) -> Result<Nearest> {
+    let mut view = View::new(input, of_surfaces())?;
+    let (width, height) = (view.sensor.width(), view.sensor.height());
+    let mut directions = Directions::default();
+    let (mut nearest, mut first, mut beams) = (None, None, 0);
+    for column in 0..width {
+        let azimuth = (0..height).find_map(|row| view.ray(column, row)).map_or(f64::NAN, |ray| ray.y.atan2(ray.x));
+        let (mut least, mut object_id) = (f64::INFINITY, 0);
+        for row in 0..height {
+            let Some(surface) = view.surface(column, row) else { continue };
+            let Some(p_in_sensor) = view.hit(column, row, &surface) else { continue };
+            let range = p_in_sensor.length();
+            let hit = |key| Hit { key, range, pixel: [column, row], p_in_sensor, object: surface.object };
+            if range < least {
+                (least, object_id) = (range, surface.object + 1);
+            }
+            keep(&mut nearest, hit(range));
+            if let Some(s) = corridor.and_then(|c| c.arc_length_at(view.in_robot(p_in_sensor))) {
+                beams += 1;
+                keep(&mut first, hit(s));
+            }
+        }
+        directions.azimuth.push(azimuth);
+        directions.range.push(least);
+        directions.object_id.push(object_id);
+    }
+    let point = |hit: &Hit| NearestPoint {
+        point_robot: view.in_robot(hit.p_in_sensor),
+        range: hit.range,
+        pixel: hit.pixel,
+        polygon: view.images.polygon_id[view.at(hit.pixel[0], hit.pixel[1])],
+        object: view.name(hit.object),
+    };
+    let corridor = corridor.map(|c| InCorridor {
+        length: c.length(),
+        arc_length: first.as_ref().map(|hit: &Hit| hit.key),
+        first: first.as_ref().map(point),
+        beams,
+    });
+    Ok(Nearest { directions, nearest: nearest.as_ref().map(point), corridor })
+}
