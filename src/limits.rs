@@ -28,3 +28,7 @@ pub const MAX_NAME_BYTES: usize = 4096;
 pub const LISTED_PROBLEMS: usize = 20;
 /// Largest tolerance for merging triangles, relative to the size of the mesh.
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
+/// Most facets around a round solid, or steps of stairs.
+pub const MAX_FACETS: u32 = 1024;
+/// Most points of an outline that is drawn out.
+pub const MAX_OUTLINE: usize = 512;
