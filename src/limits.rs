@@ -28,3 +28,41 @@ pub const MAX_NAME_BYTES: usize = 4096;
 pub const LISTED_PROBLEMS: usize = 20;
 /// Largest tolerance for merging triangles, relative to the size of the mesh.
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
+/// Most facets around a round solid, or steps of stairs.
+pub const MAX_FACETS: u32 = 1024;
+/// Most points of an outline that is drawn out.
+pub const MAX_OUTLINE: usize = 512;
+/// Largest scene script or module of one, in bytes.
+pub const MAX_SCRIPT_BYTES: u64 = 1 << 20;
+/// Most operations of a script, its modules included: some seconds.
+pub const MAX_SCRIPT_OPERATIONS: u64 = 20_000_000;
+/// Most seconds of a script: the last resort, which no sound script should meet before another limit.
+pub const MAX_SCRIPT_SECONDS: u64 = 120;
+/// Deepest nesting of calls in a script.
+pub const MAX_SCRIPT_CALLS: usize = 32;
+/// Deepest nesting of expressions and statements in a script.
+pub const MAX_SCRIPT_NESTING: usize = 128;
+/// Most variables of one call in a script.
+pub const MAX_SCRIPT_VARIABLES: usize = 256;
+/// Most elements of an array in a script, those of arrays in it included.
+pub const MAX_SCRIPT_ARRAY: usize = 16_384;
+/// Most entries of an object map in a script.
+pub const MAX_SCRIPT_MAP: usize = 4096;
+/// Longest string in a script, in bytes.
+pub const MAX_SCRIPT_STRING: usize = 65_536;
+/// Most modules of a script.
+pub const MAX_SCRIPT_MODULES: usize = 64;
+/// Lines that a script may print; what follows is left out.
+pub const MAX_SCRIPT_MESSAGES: u64 = 1000;
+/// Most objects that a script may place.
+pub const MAX_SCRIPT_OBJECTS: u64 = 1 << 18;
+/// Most polygons that a script may place, instances counted each.
+pub const MAX_SCRIPT_POLYGONS: u64 = 1 << 26;
+/// Most corners of polygons that shapes of a script may hold at a time: under a gigabyte.
+pub const MAX_SCRIPT_CORNERS: u64 = 1 << 24;
+/// Most corners of polygons that a script may make in all, those of shapes given up again included: some seconds.
+pub const MAX_SCRIPT_WORK: u64 = 1 << 27;
+/// Most features that a script may place.
+pub const MAX_SCRIPT_FEATURES: u64 = 1 << 18;
+/// Deepest nesting of assemblies in a script.
+pub const MAX_SCRIPT_ASSEMBLIES: u32 = 64;

@@ -1,9 +1,10 @@
 //! Making environments: triangles of a file welded, checked and merged into convex polygons, and what was found
-//! on the way.
+//! on the way; solids from parameters.
 
 mod edges;
 pub mod features;
 mod merge;
+pub mod primitives;
 mod quality;
 mod report;
 mod triangles;

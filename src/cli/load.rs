@@ -1,6 +1,9 @@
 //! Reads what commands name: scenes and sensors.
 
-use crate::acquire::ImportReport;
+use super::print;
+use crate::acquire::{ImportReport, Imported};
+#[cfg(not(feature = "script"))]
+use crate::error::ErrorKind;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme};
@@ -25,13 +28,29 @@ pub struct Scene {
 /// # Errors
 /// Those of the import.
 pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Scene> {
-    let imported = import(path, options)?;
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let (imported, world_from_scene) = match extension.as_str() {
+        "rhai" => (script(path, options)?, Pose::IDENTITY),
+        _ => (import(path, options)?, Sidecar::beside(path)?.world_from_scene),
+    };
     let z_up_from_y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
     Ok(Scene {
         world: World::with_index(imported.environment, scheme, Params::tuned(scheme)),
-        world_from_gltf: Sidecar::beside(path)?.world_from_scene.then(&z_up_from_y_up),
+        world_from_gltf: world_from_scene.then(&z_up_from_y_up),
         report: imported.report,
     })
+}
+
+/// Runs a scene script; what it prints goes to stderr.
+#[cfg(feature = "script")]
+fn script(path: &Path, options: &ImportOptions) -> Result<Imported> {
+    crate::io::script::load(path, options, &mut print::message)
+}
+
+#[cfg(not(feature = "script"))]
+fn script(path: &Path, _options: &ImportOptions) -> Result<Imported> {
+    let what = "this presight was built without scene scripts";
+    Err(Error::new(ErrorKind::Unsupported, what, "build it with the cargo feature `script`").in_file(path))
 }
 
 /// BLAKE3 of a file, hexadecimal.

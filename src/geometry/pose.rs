@@ -1,5 +1,6 @@
 //! Rigid transforms in f64.
 
+use super::trig;
 use crate::error::{Error, Result};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
@@ -47,10 +48,10 @@ impl Pose {
     }
 
     /// From a translation in metres and roll, pitch, yaw in radians about fixed axes:
-    /// Rz(yaw) Ry(pitch) Rx(roll), positive pitch looks down (REP-103).
+    /// Rz(yaw) Ry(pitch) Rx(roll), positive pitch looks down (REP-103). The same bits on every machine.
     pub fn from_xyz_rpy(translation: DVec3, roll: f64, pitch: f64, yaw: f64) -> Self {
-        let rotation = DQuat::from_rotation_z(yaw) * DQuat::from_rotation_y(pitch) * DQuat::from_rotation_x(roll);
-        Self { rotation, translation }
+        let half = |angle: f64| libm::sincos(0.5 * angle);
+        Self { rotation: trig::quat_of_halves(half(roll), half(pitch), half(yaw)), translation }
     }
 
     /// The transform the other way.

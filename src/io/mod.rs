@@ -14,6 +14,8 @@ pub mod png;
 mod points;
 pub mod prediction_json;
 pub mod robot_toml;
+#[cfg(feature = "script")]
+pub mod script;
 pub mod sensor_toml;
 pub(crate) mod text;
 pub mod tum;

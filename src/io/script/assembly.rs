@@ -1,0 +1,140 @@
+//! Assemblies: named parts with poses, themselves parts of larger ones; placed, each becomes objects under one path.
+
+use super::budget::{Budget, Held};
+use super::shape::Shape;
+use crate::environment::Mesh;
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::limits;
+use glam::DAffine3;
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// What can be placed.
+#[derive(Clone, Debug)]
+pub(super) enum Thing {
+    Shape(Shape),
+    Assembly(Assembly),
+    Imported(Imported),
+}
+
+/// An object of a glTF file.
+#[derive(Clone, Debug)]
+pub(super) struct Imported {
+    pub mesh: Arc<Mesh>,
+    pub object_from_mesh: DAffine3,
+    /// Source triangles, degenerate ones counted.
+    pub triangles: u32,
+}
+
+/// An assembly as scripts hold it: a copy is another assembly, made when one of both changes.
+#[derive(Clone, Debug)]
+pub(super) struct Assembly(Rc<Data>);
+
+#[derive(Debug)]
+struct Data {
+    parts: Vec<Part>,
+    objects: u64,
+    polygons: u64,
+    depth: u32,
+    held: Vec<Held>,
+}
+
+/// A named part.
+#[derive(Clone, Debug)]
+pub(super) struct Part {
+    pub name: String,
+    pub assembly_from_part: Pose,
+    pub thing: Thing,
+}
+
+/// What a part is worth in corners of polygons.
+const PART: u64 = 16;
+
+impl Thing {
+    /// Objects it becomes.
+    pub fn objects(&self) -> u64 {
+        match self {
+            Self::Assembly(Assembly(data)) => data.objects,
+            _ => 1,
+        }
+    }
+
+    /// Polygons of all objects that it becomes.
+    pub fn polygons(&self) -> u64 {
+        match self {
+            Self::Shape(shape) => shape.polygons() as u64,
+            Self::Assembly(Assembly(data)) => data.polygons,
+            Self::Imported(imported) => imported.mesh.polygon_count() as u64,
+        }
+    }
+
+    fn depth(&self) -> u32 {
+        match self {
+            Self::Assembly(Assembly(data)) => data.depth,
+            _ => 0,
+        }
+    }
+}
+
+impl Assembly {
+    /// Holds nothing.
+    pub fn new() -> Self {
+        Self(Rc::new(Data { parts: Vec::new(), objects: 0, polygons: 0, depth: 1, held: Vec::new() }))
+    }
+
+    /// Its parts, in the order they were added.
+    pub fn parts(&self) -> &[Part] {
+        &self.0.parts
+    }
+
+    /// Adds a part.
+    pub fn add(&mut self, part: Part, budget: &Rc<Budget>) -> Result<()> {
+        let (objects, polygons) = (part.thing.objects(), part.thing.polygons());
+        let depth = self.0.depth.max(part.thing.depth() + 1);
+        check_counts(self.0.objects.saturating_add(objects), self.0.polygons.saturating_add(polygons))?;
+        if depth > limits::MAX_SCRIPT_ASSEMBLIES {
+            let what = format!("assemblies nest over {} levels", limits::MAX_SCRIPT_ASSEMBLIES);
+            return Err(Error::invalid(what, "nest fewer"));
+        }
+        let held = budget.take(PART)?;
+        if Rc::get_mut(&mut self.0).is_none() {
+            let Data { parts, objects, polygons, depth, .. } = &*self.0;
+            let copied = budget.take(PART * parts.len() as u64)?;
+            let (objects, polygons, depth) = (*objects, *polygons, *depth);
+            self.0 = Rc::new(Data { parts: parts.clone(), objects, polygons, depth, held: vec![copied] });
+        }
+        if let Some(data) = Rc::get_mut(&mut self.0) {
+            data.parts.push(part);
+            data.held.push(held);
+            data.objects += objects;
+            data.polygons += polygons;
+            data.depth = depth;
+        }
+        Ok(())
+    }
+}
+
+/// Holds what is to be placed to the limits, before anything is done.
+pub(super) fn check_counts(objects: u64, polygons: u64) -> Result<()> {
+    if objects > limits::MAX_SCRIPT_OBJECTS {
+        let what = format!("{objects} objects are asked for");
+        return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_OBJECTS)));
+    }
+    if polygons > limits::MAX_SCRIPT_POLYGONS {
+        let what = format!("{polygons} polygons are asked for");
+        return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_POLYGONS)));
+    }
+    Ok(())
+}
+
+/// A name of one or more path segments.
+pub(super) fn check_name(name: &str) -> Result<()> {
+    let sound = |segment: &str| !segment.is_empty() && !segment.chars().any(char::is_control);
+    if name.len() <= limits::MAX_NAME_BYTES && name.split('/').all(sound) {
+        return Ok(());
+    }
+    let shown: String = name.chars().take(60).collect();
+    let remedy = format!("give segments such as \"cell1/robot\", at most {} bytes", limits::MAX_NAME_BYTES);
+    Err(Error::invalid(format!("{shown:?} is no name of an object"), remedy))
+}

@@ -1,0 +1,52 @@
+//! What shapes and assemblies of a script hold: counted, so that memory and work have a limit.
+
+use crate::error::{Error, Result};
+use crate::limits;
+use std::cell::Cell;
+use std::rc::Rc;
+
+/// Corners of polygons, or what is worth as much memory.
+#[derive(Debug, Default)]
+pub(super) struct Budget {
+    held: Cell<u64>,
+    made: Cell<u64>,
+}
+
+/// A part of the budget, given back on drop.
+#[derive(Debug)]
+pub(super) struct Held {
+    budget: Rc<Budget>,
+    corners: u64,
+}
+
+impl Budget {
+    /// Takes so many corners, before they are made.
+    pub fn take(self: &Rc<Self>, corners: u64) -> Result<Held> {
+        self.work(corners)?;
+        let held = self.held.get().saturating_add(corners);
+        if held > limits::MAX_SCRIPT_CORNERS {
+            let what = format!("the script's shapes hold {held} corners of polygons");
+            let remedy = format!("{} is the limit; place a shape many times instead", limits::MAX_SCRIPT_CORNERS);
+            return Err(Error::invalid(what, remedy));
+        }
+        self.held.set(held);
+        Ok(Held { budget: self.clone(), corners })
+    }
+
+    /// Counts work that leaves nothing behind.
+    pub fn work(&self, corners: u64) -> Result<()> {
+        self.made.set(self.made.get().saturating_add(corners));
+        if self.made.get() <= limits::MAX_SCRIPT_WORK {
+            return Ok(());
+        }
+        let what = format!("the script has made {} corners of polygons", self.made.get());
+        let remedy = format!("{} is the limit; make each shape once and place it often", limits::MAX_SCRIPT_WORK);
+        Err(Error::invalid(what, remedy))
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.budget.held.set(self.budget.held.get() - self.corners);
+    }
+}

@@ -1,0 +1,120 @@
+//! Objects from shapes, assemblies of named parts, poses; checks and measures.
+
+use super::moving::point;
+use crate::error::{Error, Result};
+use crate::geometry::{Pose, quat_deg};
+use crate::io::script::assembly::{Assembly, Part, Thing, check_name};
+use crate::io::script::call::{Call, Function};
+use glam::DVec3;
+use rhai::{Dynamic, Map};
+
+fn pose(c: &mut Call<'_, '_>) -> Result<Dynamic> {
+    let translation = if c.has(0) { point(c, 0)? } else { DVec3::ZERO };
+    let [roll, pitch, yaw] = match c.args.len() {
+        0 | 3 => [0.0; 3],
+        4 => [0.0, 0.0, c.number(3)?],
+        _ => [c.number(3)?, c.number(4)?, c.number(5)?],
+    };
+    Ok(Dynamic::from(Pose { rotation: quat_deg(roll, pitch, yaw).normalize(), translation }))
+}
+
+fn name(c: &Call<'_, '_>, i: usize) -> Result<String> {
+    let name = c.arg(i).text()?;
+    check_name(&name).map(|()| name)
+}
+
+fn pose_or_none(c: &Call<'_, '_>, i: usize) -> Result<Pose> {
+    if c.has(i) { c.arg(i).pose() } else { Ok(Pose::IDENTITY) }
+}
+
+fn place(c: &mut Call<'_, '_>) -> Result<Dynamic> {
+    c.studio.place(&name(c, 0)?, &c.arg(1).thing()?, &pose_or_none(c, 2)?)?;
+    Ok(Dynamic::UNIT)
+}
+
+fn add(c: &mut Call<'_, '_>) -> Result<Dynamic> {
+    let part = Part { name: name(c, 1)?, thing: c.arg(2).thing()?, assembly_from_part: pose_or_none(c, 3)? };
+    // A wrong type is refused in words; a constant cannot change.
+    let wrong = match c.arg(0).thing() {
+        Ok(Thing::Assembly(_)) => Error::invalid("the assembly is a constant", "declare it with let"),
+        Ok(_) => Error::invalid("assembly is a shape", "give an assembly"),
+        Err(e) => e,
+    };
+    let mut assembly = c.args[0].write_lock::<Assembly>().ok_or(wrong)?;
+    assembly.add(part, &c.studio.budget)?;
+    Ok(Dynamic::UNIT)
+}
+
+fn import(c: &mut Call<'_, '_>) -> Result<Dynamic> {
+    c.studio.import(&c.arg(0).text()?).map(Dynamic::from)
+}
+
+fn require(c: &mut Call<'_, '_>) -> Result<Dynamic> {
+    let message = c.arg(1).text()?;
+    if c.arg(0).flag()? {
+        return Ok(Dynamic::UNIT);
+    }
+    Err(Error::invalid(message, "the script requires this"))
+}
+
+fn bounds(c: &mut Call<'_, '_>) -> Result<Dynamic> {
+    let shape = c.shape(0)?;
+    // It reads every corner.
+    c.studio.budget.work(shape.polygons() as u64)?;
+    let bounds = shape.bounds();
+    let list = |p: DVec3| Dynamic::from(p.to_array().map(Dynamic::from).to_vec());
+    Ok(Dynamic::from(Map::from([("min".into(), list(bounds.min)), ("max".into(), list(bounds.max))])))
+}
+
+pub(super) const FUNCTIONS: &[Function] = &[
+    Function {
+        signature: "place(name, thing) -> ()",
+        does: "a shape becomes an object, an assembly one for each of its parts, `name/part`; a shape placed again \
+               shares its mesh, a name used again gets `#2`",
+        run: place,
+    },
+    Function { signature: "place(name, thing, pose) -> ()", does: "the same at a pose in the world", run: place },
+    Function {
+        signature: "assembly() -> assembly",
+        does: "an empty assembly: add parts, then place it or add it to another",
+        run: |_| Ok(Dynamic::from(Assembly::new())),
+    },
+    Function {
+        signature: "add(assembly, name, thing) -> ()",
+        does: "adds a named part, a shape or an assembly",
+        run: add,
+    },
+    Function { signature: "add(assembly, name, thing, pose) -> ()", does: "the same at a pose in it", run: add },
+    Function { signature: "pose() -> pose", does: "the origin", run: pose },
+    Function { signature: "pose(x, y, z) -> pose", does: "a position, unturned", run: pose },
+    Function { signature: "pose(x, y, z, yaw_deg) -> pose", does: "a position, turned about z, in degrees", run: pose },
+    Function {
+        signature: "pose(x, y, z, roll_deg, pitch_deg, yaw_deg) -> pose",
+        does: "turned about the fixed axes x, then y, then z, in degrees (REP-103: positive pitch looks down)",
+        run: pose,
+    },
+    Function {
+        signature: "inverse(pose) -> pose",
+        does: "the pose the other way",
+        run: |c| Ok(Dynamic::from(c.arg(0).pose()?.inverse())),
+    },
+    Function {
+        signature: "import_gltf(file) -> assembly",
+        does: "the objects of a glTF file in the scene's folder, with its materials and its `.materials.toml`, z up",
+        run: import,
+    },
+];
+
+pub(super) const CHECKS: &[Function] = &[
+    Function {
+        signature: "require(condition, message) -> ()",
+        does: "ends the script with the message unless the condition is true",
+        run: require,
+    },
+    Function { signature: "bounds(shape) -> map", does: "`min` and `max`, each [x, y, z]", run: bounds },
+    Function {
+        signature: "polygons(thing) -> int",
+        does: "polygons of all objects that it becomes",
+        run: |c| Ok(Dynamic::from(c.arg(0).thing()?.polygons() as i64)),
+    },
+];

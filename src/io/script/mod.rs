@@ -1,0 +1,168 @@
+//! Scenes as scripts, `.rhai`: shapes from parameters, placed as named objects, with materials, features and checks.
+//!
+//! The language is [Rhai](https://rhai.rs/book/); the functions that build scenes are listed in
+//! [`scenes/README.md`](https://github.com/presight/presight/blob/main/scenes/README.md) ([`reference()`] prints the
+//! list). Metres; angles in degrees where a parameter ends in `_deg`; z up.
+//!
+//! ```
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let path = folder.path().join("table.rhai");
+//! # std::fs::write(&path, r#"
+//! material("wood", #{ reflection: 0.6 });
+//!
+//! fn table(length, width) {                              // a function is a macro
+//!     let leg = box(0.06, 0.06, 0.72);
+//!     let top = box(length, width, 0.03).translate(0, 0, 0.72);
+//!     let legs = [-0.45, 0.45].map(|x| x).map(|x| leg.translate(x, 0.3, 0) + leg.translate(x, -0.3, 0));
+//!     (top + join(legs)).made_of("wood")
+//! }
+//!
+//! place("floor", rectangle(6, 4));
+//! let t = table(1.2, 0.8);
+//! for i in 0..3 {
+//!     place("tables/table", t, pose(2 * i - 2, 0, 0, 30 * i));   // one mesh, three objects
+//! }
+//! # "#).unwrap();
+//! let scene = presight::io::script::load(&path, &Default::default(), &mut |line| println!("{line}"))?;
+//! let names: Vec<&str> = scene.environment.objects().iter().map(|o| o.name.as_str()).collect();
+//! assert_eq!(names, ["floor", "tables/table", "tables/table#2", "tables/table#3"]);
+//! # Ok::<(), presight::Error>(())
+//! ```
+//!
+//! **The same script gives the same environment on every machine**: trigonometry is `libm`'s, the operator `**` and every
+//! clock are left out, random numbers come from a seed that the script gives. Scripts read files only from their own
+//! folder, symbolic links resolved; they write none. `eval` is off. Limits on operations, depth, sizes, polygons and
+//! memory end a script that asks for too much ([`crate::limits`], `MAX_SCRIPT_..`), with file, line, column and call; the
+//! wall clock is only the last resort.
+//!
+//! `source` ids number the triangles that the polygons are worth, in the order of placing: those that the scene would
+//! have if it were exported.
+
+mod assembly;
+mod budget;
+mod call;
+mod fault;
+mod folder;
+mod functions;
+mod modules;
+mod random;
+mod shape;
+mod studio;
+
+pub use functions::reference;
+
+use crate::acquire::Imported;
+use crate::error::{Error, ErrorKind, Result};
+use crate::io::gltf::ImportOptions;
+use crate::limits;
+use fault::{Fault, Sources, explain, syntax};
+use folder::{Folder, read_script};
+use modules::Modules;
+use rhai::packages::{
+    ArithmeticPackage, BasicArrayPackage, BasicFnPackage, BasicIteratorPackage, BasicMapPackage, BasicStringPackage,
+    LogicPackage, MoreStringPackage, Package,
+};
+use rhai::{Dynamic, Engine, OptimizationLevel, Scope};
+use std::cell::{Cell, RefCell};
+use std::path::Path;
+use std::rc::Rc;
+use std::sync::mpsc::{Sender, channel};
+use std::time::{Duration, Instant};
+use studio::Studio;
+
+/// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
+const STACK: usize = 256 << 20;
+
+/// Runs a script; `say` takes each line that it prints, at once.
+///
+/// `options` are for what it imports; without merging, polygons stay in the order in which the script makes them.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, no UTF-8, no Rhai, calls
+/// something wrongly, asks for too much, or whose `require` does not hold; those of [`crate::io::gltf::import`] for what
+/// it imports.
+pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<Imported> {
+    let path = path.as_ref();
+    let (sender, receiver) = channel();
+    std::thread::scope(|scope| {
+        let refused = |e: std::io::Error| Error::new(ErrorKind::System, format!("no thread: {e}"), "free some memory");
+        let thread = std::thread::Builder::new().name("script".into()).stack_size(STACK);
+        let running = thread.spawn_scoped(scope, || run(path, options, sender)).map_err(refused)?;
+        // Ends when the script has ended and dropped the sender.
+        receiver.iter().for_each(|line: String| say(&line));
+        running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Imported> {
+    let (folder, modules_folder) = (Folder::of(path)?, Folder::of(path)?);
+    let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
+    let text = read_script(path, &real)?;
+    let name = path.display().to_string();
+    let sources = Rc::new(RefCell::new(Sources::from([(name.clone(), text.clone())])));
+    let studio = Rc::new(Studio::new(folder, options));
+    let mut engine = engine(&studio, say);
+    engine.set_module_resolver(Modules::new(modules_folder, real, sources.clone()));
+    let mut ast = engine.compile(&text).map_err(|e| syntax(&e, path))?;
+    ast.set_source(&name);
+    let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
+    ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
+    studio.finish().map_err(|e| e.in_file(path))
+}
+
+/// The language with our functions and limits, and without what could differ from machine to machine.
+fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
+    let mut engine = Engine::new_raw();
+    ArithmeticPackage::new().register_into_engine(&mut engine);
+    BasicStringPackage::new().register_into_engine(&mut engine);
+    BasicIteratorPackage::new().register_into_engine(&mut engine);
+    BasicFnPackage::new().register_into_engine(&mut engine);
+    LogicPackage::new().register_into_engine(&mut engine);
+    BasicArrayPackage::new().register_into_engine(&mut engine);
+    BasicMapPackage::new().register_into_engine(&mut engine);
+    MoreStringPackage::new().register_into_engine(&mut engine);
+    engine.register_fn("to_string", Fault::message).register_fn("to_debug", Fault::message);
+    // Powers of floats are the C library's; nothing may be computed at compile time by it either.
+    engine.disable_symbol("**").disable_symbol("**=").disable_symbol("eval");
+    engine.set_optimization_level(OptimizationLevel::None);
+    functions::register(&mut engine, studio);
+    limit(&mut engine);
+    listen(&mut engine, say);
+    engine
+}
+
+fn limit(engine: &mut Engine) {
+    engine
+        .set_max_operations(limits::MAX_SCRIPT_OPERATIONS)
+        .set_max_call_levels(limits::MAX_SCRIPT_CALLS)
+        .set_max_expr_depths(limits::MAX_SCRIPT_NESTING, limits::MAX_SCRIPT_NESTING)
+        .set_max_variables(limits::MAX_SCRIPT_VARIABLES)
+        .set_max_modules(limits::MAX_SCRIPT_MODULES)
+        .set_max_string_size(limits::MAX_SCRIPT_STRING)
+        .set_max_array_size(limits::MAX_SCRIPT_ARRAY)
+        .set_max_map_size(limits::MAX_SCRIPT_MAP);
+    /// Operations between two looks at the clock.
+    const LOOK: u64 = 1 << 14;
+    let start = Instant::now();
+    engine.on_progress(move |operations| {
+        let late = operations % LOOK == 0 && start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS);
+        late.then_some(Dynamic::UNIT)
+    });
+}
+
+/// Hands on what the script prints, up to the limit.
+fn listen(engine: &mut Engine, say: Sender<String>) {
+    let said = Cell::new(0u64);
+    let send = Rc::new(move |line: String| {
+        said.set(said.get() + 1);
+        // Nobody listens any more: then nobody misses it.
+        let _ = match said.get() {
+            n if n <= limits::MAX_SCRIPT_MESSAGES => say.send(line),
+            n if n == limits::MAX_SCRIPT_MESSAGES + 1 => say.send("(the script prints more; it is left out)".into()),
+            _ => Ok(()),
+        };
+    });
+    let print = send.clone();
+    engine.on_print(move |line| print(line.to_owned()));
+    engine.on_debug(move |line, source, at| send(format!("{}:{at}: {line}", source.unwrap_or_default())));
+}
