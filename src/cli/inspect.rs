@@ -97,6 +97,7 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
     json!({
         "format": FORMAT,
         "scene": path.display().to_string(),
+        "content_hash": environment.content_hash().to_string(),
         "triangles_in_scene": report.triangles_in_scene,
         "triangles_stored": report.triangles_stored,
         "polygons_in_scene": report.polygons_in_scene,
@@ -121,6 +122,7 @@ fn in_words(path: &Path, scene: &Scene) -> String {
     ));
     lines.push(format!("merging    {} merges, largest deviation {:.3e} m", report.merges, report.largest_deviation_m));
     lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
+    lines.push(format!("content    {}", environment.content_hash()));
     lines.push("\nobjects (id, polygons, bounds in the world, name)".into());
     for (index, o) in environment.objects().iter().enumerate() {
         let (polygons, bounds) = (o.mesh.polygon_count(), bounds_in_words(&o.world_bounds()));

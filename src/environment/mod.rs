@@ -1,11 +1,13 @@
 //! The environment: objects, meshes and materials; the thing that is stored and kept true (paper section 2.1).
 
+mod content_hash;
 mod feature;
 mod feature_check;
 mod layers;
 mod material;
 mod mesh;
 
+pub use content_hash::ContentHash;
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 pub(crate) use feature_check::check_covariance;
 pub use material::{Appearance, Material};

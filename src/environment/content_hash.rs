@@ -1,0 +1,304 @@
+//! The content hash: equal for environments that hold the same things, whatever way they came to be.
+//!
+//! BLAKE3 over this canonical encoding, version 1. Integers and floats are little-endian, floats by their bits (so -0
+//! is not 0), `text` is its length in bytes as u32, then UTF-8, `list` is its length as u32, then the items, an optional
+//! value is a byte 0, or 1 and the value. Matrices go column by column.
+//!
+//! | what | encoding |
+//! |---|---|
+//! | environment | text `presight content 1`; list of objects by rising name; list of layers by rising class |
+//! | object | text name; `world_from_object` as f64 x y z qx qy qz qw; `object_from_mesh` as 12 f64; u32 `first_source`; hash of its mesh |
+//! | mesh | text name; list of vertices, each 3 f32; list of polygons; list of hashes of its materials, in the order in which its polygons first use them |
+//! | polygon | list of corners, u32; u32 place of its material in the mesh's list; u32 `source` |
+//! | material | text name; f64 reflection; u8 one-sided; 3 f32 colour; list of (text class; u8: 1 transparent, 2 invisible) by rising class |
+//! | layer | text class; f64 tolerance; list of (text object; 36 f64 pose covariance) by rising object; list of features |
+//! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
+//!
+//! Not in it, because it is no content: numbers and slots of objects, what was deleted, the order in which things
+//! were added, materials that no polygon has, which meshes are shared, clusters and indexes.
+
+use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, Material, Mesh, Object};
+use glam::DVec3;
+use std::collections::HashMap;
+use std::fmt;
+
+/// The hash of an environment's content; prints as hexadecimal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ContentHash(pub [u8; 32]);
+
+impl fmt::Display for ContentHash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl Environment {
+    /// The hash of all it holds, equal on every machine; the encoding is told in the source of this module.
+    ///
+    /// ```
+    /// use presight::{Environment, Material};
+    /// let mut environment = Environment::new();
+    /// let empty = environment.content_hash();
+    /// environment.add_material(Material::named("paint"))?;
+    /// assert_eq!(environment.content_hash(), empty, "nothing is painted with it");
+    /// assert_eq!(empty.to_string().len(), 64);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn content_hash(&self) -> ContentHash {
+        let mut meshes: HashMap<*const Mesh, ContentHash> = HashMap::new();
+        let mut objects: Vec<&Object> = self.objects.iter().filter(|o| !o.is_deleted()).collect();
+        objects.sort_unstable_by(|a, b| a.name.cmp(&b.name));
+        let materials: Vec<ContentHash> = self.materials.iter().map(Material::content_hash).collect();
+        let mut to = Encoder::default();
+        to.text("presight content 1");
+        to.count(objects.len());
+        for object in objects {
+            let mesh = meshes
+                .entry(std::sync::Arc::as_ptr(&object.mesh))
+                .or_insert_with(|| object.mesh.content_hash(|material| materials[usize::from(material)]));
+            to.object(object, *mesh);
+        }
+        to.count(self.layers.len());
+        self.layers.iter().for_each(|layer| to.layer(layer));
+        to.hash()
+    }
+}
+
+impl Material {
+    /// The hash of all its properties.
+    pub(crate) fn content_hash(&self) -> ContentHash {
+        let mut to = Encoder::default();
+        to.text(&self.name);
+        to.f64s(&[self.reflection]);
+        to.bytes(&[u8::from(self.one_sided)]);
+        self.color.iter().for_each(|c| to.bytes(&c.to_le_bytes()));
+        // A class that sees it opaque may be named or not.
+        let special = || self.appearance.iter().filter(|(_, a)| **a != Appearance::Opaque);
+        to.count(special().count());
+        for (class, appearance) in special() {
+            to.text(class);
+            to.bytes(&[if *appearance == Appearance::Transparent { 1 } else { 2 }]);
+        }
+        to.hash()
+    }
+}
+
+impl Mesh {
+    /// The hash of vertices, polygons and materials; `material` gives the hash of the material of an index.
+    pub(crate) fn content_hash(&self, material: impl Fn(u16) -> ContentHash) -> ContentHash {
+        let mut to = Encoder::default();
+        to.text(self.name());
+        to.count(self.vertices().len());
+        for v in self.vertices() {
+            v.to_array().iter().for_each(|x| to.bytes(&x.to_le_bytes()));
+        }
+        to.count(self.polygon_count());
+        let mut used: Vec<u16> = Vec::new();
+        let mut place_of: HashMap<u16, u32> = HashMap::new();
+        for record in self.polygons() {
+            let corners = record.corners(self.all_corners());
+            to.count(corners.len());
+            corners.iter().for_each(|c| to.u32(*c));
+            let place = *place_of.entry(record.material).or_insert_with(|| {
+                used.push(record.material);
+                used.len() as u32 - 1
+            });
+            to.u32(place);
+            to.u32(record.source);
+        }
+        to.count(used.len());
+        used.into_iter().for_each(|m| to.bytes(&material(m).0));
+        to.hash()
+    }
+}
+
+/// Writes the encoding into a hash.
+#[derive(Default)]
+struct Encoder {
+    hasher: blake3::Hasher,
+    /// BLAKE3 is fast on long inputs only.
+    buffer: Vec<u8>,
+}
+
+impl Encoder {
+    fn bytes(&mut self, bytes: &[u8]) {
+        const FLUSH: usize = 1 << 16;
+        self.buffer.extend_from_slice(bytes);
+        if self.buffer.len() >= FLUSH {
+            self.hasher.update(&self.buffer);
+            self.buffer.clear();
+        }
+    }
+
+    fn u32(&mut self, value: u32) {
+        self.bytes(&value.to_le_bytes());
+    }
+
+    /// Lengths are below the limits on everything, which fit.
+    fn count(&mut self, length: usize) {
+        self.u32(length as u32);
+    }
+
+    fn text(&mut self, text: &str) {
+        self.count(text.len());
+        self.bytes(text.as_bytes());
+    }
+
+    fn f64s(&mut self, values: &[f64]) {
+        values.iter().for_each(|x| self.bytes(&x.to_le_bytes()));
+    }
+
+    fn optional<T>(&mut self, value: Option<T>, write: impl FnOnce(&mut Self, T)) {
+        self.bytes(&[u8::from(value.is_some())]);
+        if let Some(value) = value {
+            write(self, value);
+        }
+    }
+
+    fn object(&mut self, object: &Object, mesh: ContentHash) {
+        self.text(&object.name);
+        let pose = &object.world_from_object;
+        self.f64s(&pose.translation.to_array());
+        self.f64s(&pose.rotation.to_array());
+        self.f64s(&object.object_from_mesh.to_cols_array());
+        self.u32(object.first_source);
+        self.bytes(&mesh.0);
+    }
+
+    fn layer(&mut self, layer: &FeatureLayer) {
+        self.text(&layer.class);
+        self.f64s(&[layer.tolerance]);
+        let mut covariances: Vec<_> = layer.pose_covariances.iter().collect();
+        covariances.sort_unstable_by(|a, b| a.0.cmp(&b.0));
+        self.count(covariances.len());
+        for (object, covariance) in covariances {
+            self.text(object);
+            self.f64s(covariance.as_flattened());
+        }
+        self.count(layer.features.len());
+        layer.features.iter().for_each(|feature| self.feature(feature));
+    }
+
+    fn feature(&mut self, feature: &Feature) {
+        self.u32(feature.id);
+        self.optional(feature.name.as_deref(), Self::text);
+        self.optional(feature.object.as_deref(), Self::text);
+        self.shape(&feature.shape);
+        let e = &feature.existence;
+        self.f64s(&[e.p0, e.confirmed, e.rate]);
+        self.optional(feature.properties.strength, |to, x| to.f64s(&[x]));
+        self.optional(feature.properties.contrast, |to, x| to.f64s(&[x]));
+        self.optional(feature.properties.normal, |to, n: DVec3| to.f64s(&n.to_array()));
+    }
+
+    fn shape(&mut self, shape: &FeatureShape) {
+        let (kind, covariances) = match shape {
+            FeatureShape::Point { covariance, .. } => (0, vec![covariance]),
+            FeatureShape::Segment { covariances, cross, .. } => (1, vec![&covariances[0], &covariances[1], cross]),
+            FeatureShape::Patch { covariance, .. } => (2, vec![covariance]),
+            FeatureShape::Reflector { covariance, .. } => (3, vec![covariance]),
+            FeatureShape::Fiducial { covariance, .. } => (4, vec![covariance]),
+        };
+        self.bytes(&[kind]);
+        self.count(shape.points().len());
+        shape.points().iter().for_each(|p| self.f64s(&p.to_array()));
+        self.count(covariances.len());
+        covariances.into_iter().for_each(|c| self.f64s(&c.to_cols_array()));
+        if let FeatureShape::Fiducial { family, code, .. } = shape {
+            self.text(family);
+            self.u32(*code);
+        }
+    }
+
+    fn hash(mut self) -> ContentHash {
+        self.hasher.update(&self.buffer);
+        ContentHash(*self.hasher.finalize().as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::{NewObject, Polygon, PolygonOrder};
+    use crate::geometry::Pose;
+    use glam::Vec3;
+    use std::sync::Arc;
+
+    fn triangle(material: u16) -> Arc<Mesh> {
+        let corners = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+        let polygons = vec![Polygon::new(vec![0, 1, 2], material)];
+        Arc::new(Mesh::new("t", corners, polygons, PolygonOrder::Spatial).unwrap())
+    }
+
+    fn of(build: impl FnOnce(&mut Environment)) -> ContentHash {
+        let mut environment = Environment::new();
+        build(&mut environment);
+        environment.content_hash()
+    }
+
+    fn at(x: f64) -> Pose {
+        Pose { translation: DVec3::new(x, 0.0, 0.0), ..Pose::IDENTITY }
+    }
+
+    #[test]
+    fn the_way_to_a_content_does_not_count() {
+        let plain = of(|e| {
+            let paint = e.add_material(Material::named("paint")).unwrap();
+            let mesh = triangle(paint);
+            e.insert(NewObject::new("a", at(1.0), mesh.clone())).unwrap();
+            e.insert(NewObject::new("b", at(2.0), mesh)).unwrap();
+        });
+        let detour = of(|e| {
+            e.add_material(Material::named("unused")).unwrap();
+            let paint = e.add_material(Material::named("paint")).unwrap();
+            e.insert(NewObject::new("c", at(3.0), triangle(0))).unwrap();
+            e.insert(NewObject::new("b", at(1.0), triangle(paint))).unwrap();
+            e.insert(NewObject::new("a", at(1.0), triangle(paint))).unwrap();
+            e.delete("c").unwrap();
+            e.set_pose("b", at(2.0)).unwrap();
+        });
+        assert_eq!(plain, detour);
+    }
+
+    #[test]
+    fn everything_else_counts() {
+        let with = |name: &str, x: f64, material: Material, mesh: Arc<Mesh>| {
+            of(|e| {
+                e.add_material(material).unwrap();
+                e.insert(NewObject::new(name, at(x), mesh)).unwrap();
+            })
+        };
+        let paint = || Material::named("paint");
+        let plain = with("a", 0.0, paint(), triangle(0));
+        assert_eq!(plain, with("a", 0.0, paint(), triangle(0)));
+        let glass = Material { appearance: [("radar".into(), Appearance::Transparent)].into(), ..paint() };
+        let opaque = Material { appearance: [("radar".into(), Appearance::Opaque)].into(), ..paint() };
+        assert_eq!(plain, with("a", 0.0, opaque, triangle(0)));
+        let turned = Mesh::new(
+            "t",
+            vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            vec![Polygon::new(vec![1, 2, 0], 0)],
+            PolygonOrder::Spatial,
+        );
+        let others = [
+            with("b", 0.0, paint(), triangle(0)),
+            with("a", -0.0, paint(), triangle(0)),
+            with("a", f64::MIN_POSITIVE, paint(), triangle(0)),
+            with("a", 0.0, Material { reflection: 0.5, ..paint() }, triangle(0)),
+            with("a", 0.0, glass, triangle(0)),
+            with("a", 0.0, paint(), Arc::new(turned.unwrap())),
+        ];
+        for (i, other) in others.iter().enumerate() {
+            assert_ne!(plain, *other, "{i}");
+            assert!(!others[..i].contains(other), "{i}");
+        }
+    }
+
+    /// A change of the encoding changes every stored hash: it needs a new version in its first text.
+    #[test]
+    fn the_encoding_stays() {
+        let empty = Environment::new().content_hash().to_string();
+        let by_hand: Vec<u8> = [&18u32.to_le_bytes()[..], b"presight content 1", &[0; 8]].concat();
+        assert_eq!(empty, blake3::hash(&by_hand).to_hex().to_string());
+    }
+}
