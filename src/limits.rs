@@ -28,3 +28,5 @@ pub const MAX_NAME_BYTES: usize = 4096;
 pub const LISTED_PROBLEMS: usize = 20;
 /// Largest tolerance for merging triangles, relative to the size of the mesh.
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
+/// Longest line of a file of changes, in bytes.
+pub const MAX_LINE_BYTES: u64 = 64 << 20;

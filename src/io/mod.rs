@@ -14,6 +14,8 @@ mod points;
 pub mod prediction_json;
 pub mod robot_toml;
 pub mod sensor_toml;
+#[cfg(feature = "store")]
+pub mod store;
 pub(crate) mod text;
 pub mod tum;
 
