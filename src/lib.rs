@@ -38,6 +38,7 @@
 //! engine and plots; everything else works without them.
 
 pub mod acquire;
+mod change;
 #[doc(hidden)]
 pub mod cli;
 pub mod compare;
@@ -61,6 +62,7 @@ pub mod sensor;
 pub mod virtual_sensors;
 mod world;
 
+pub use change::Change;
 pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
@@ -70,7 +72,7 @@ pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, S
 pub use predict::Opening;
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
-pub use world::{Change, World};
+pub use world::World;
 
 /// The README's example is compiled and run as a doc test.
 #[cfg(doctest)]

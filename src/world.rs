@@ -1,6 +1,7 @@
 //! The world: a version of the environment with its index, which predictions read; changes make the next version.
 
-use crate::environment::{Environment, Material, NewObject};
+use crate::change::Change;
+use crate::environment::{Environment, NewObject, check_pose};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme, WorldIndex};
@@ -21,27 +22,6 @@ pub struct World {
     environment: Arc<Environment>,
     index: Arc<WorldIndex>,
     version: u64,
-}
-
-/// What [`World::apply`] does.
-#[derive(Clone, Debug)]
-pub enum Change {
-    /// Adds a material, for meshes to come.
-    AddMaterial(Material),
-    /// Adds an object.
-    InsertObject(NewObject),
-    /// Gives an object another pose.
-    MoveObject {
-        /// Its full path.
-        name: String,
-        /// The new pose.
-        world_from_object: Pose,
-    },
-    /// Takes an object out. Its number and its slots are never used again.
-    DeleteObject {
-        /// Its full path.
-        name: String,
-    },
 }
 
 impl World {
@@ -68,6 +48,11 @@ impl World {
         &self.environment
     }
 
+    /// What this version holds, without the rest.
+    pub fn into_environment(self) -> Arc<Environment> {
+        self.environment
+    }
+
     /// Finds polygons of this version.
     pub fn index(&self) -> &WorldIndex {
         &self.index
@@ -78,36 +63,166 @@ impl World {
         self.version
     }
 
-    /// Makes the next version. Environment and index change in step, in place unless a clone still holds this version.
+    /// Makes the next version; the answer is the change that undoes this one. Environment and index change in step, in
+    /// place unless a clone still holds this version.
+    ///
+    /// What is undone is the content ([`Environment::content_hash`]) to the last bit. Numbers are not: an object that
+    /// comes back has new slots.
+    ///
+    /// ```
+    /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+    /// let mut environment = Environment::new();
+    /// let paint = environment.add_material(Material::named("paint"))?;
+    /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();
+    /// let mesh = Mesh::new("sign", corners, vec![Polygon::new(vec![0, 1, 2], paint)], PolygonOrder::Given)?;
+    /// let mut world = World::new(environment);
+    /// let before = world.environment().content_hash();
+    /// let undo = world.apply(Change::InsertObject(NewObject::new("sign", Pose::IDENTITY, mesh.into())))?;
+    /// assert_ne!(world.environment().content_hash(), before);
+    /// world.apply(undo)?;
+    /// assert_eq!(world.environment().content_hash(), before);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
     ///
     /// # Errors
-    /// Those of [`Environment::insert`], [`Environment::set_pose`], [`Environment::delete`] and
-    /// [`Environment::add_material`]; the version then stays as it is.
-    pub fn apply(&mut self, change: Change) -> Result<()> {
-        // Refused before anything is copied.
-        if let Change::MoveObject { name, .. } | Change::DeleteObject { name } = &change {
-            self.environment.index_of(name)?;
+    /// [`crate::ErrorKind::Invalid`] if there is no such object or feature, an id was used before, a feature names an
+    /// object that does not exist, or a value is impossible (those of [`Environment::insert`],
+    /// [`Environment::set_pose`] and [`Environment::add_material`]). Content and version then stay as they are, of a
+    /// whole group.
+    pub fn apply(&mut self, change: Change) -> Result<Change> {
+        let inverse = match change {
+            Change::Group(_) => {
+                let before = self.clone();
+                self.step(change).inspect_err(|_| *self = before)?
+            }
+            single => self.step(single)?,
+        };
+        self.version += 1;
+        Ok(inverse)
+    }
+
+    /// A change; only a group can fail halfway.
+    fn step(&mut self, change: Change) -> Result<Change> {
+        if let Change::Group(changes) = change {
+            let mut inverses = Vec::with_capacity(changes.len());
+            for (i, change) in changes.into_iter().enumerate() {
+                inverses.push(self.step(change).map_err(|e| e.at(format!("change {} of the group", i + 1)))?);
+            }
+            inverses.reverse();
+            return Ok(Change::Group(inverses));
         }
-        let environment = Arc::make_mut(&mut self.environment);
         match change {
+            Change::InsertObject(new) => self.insert_object(new),
+            Change::MoveObject { name, world_from_object } => self.move_object(&name, world_from_object),
+            Change::SetPose { name, world_from_object } => self.set_pose(name, world_from_object),
+            Change::DeleteObject { name } => self.delete_object(name),
+            other => self.step_features(other),
+        }
+    }
+
+    fn insert_object(&mut self, new: NewObject) -> Result<Change> {
+        let environment = Arc::make_mut(&mut self.environment);
+        let object = environment.insert(new)?;
+        Arc::make_mut(&mut self.index).insert_object(environment, object);
+        Ok(Change::DeleteObject { name: environment.objects()[object as usize].name.clone() })
+    }
+
+    fn set_pose(&mut self, name: String, world_from_object: Pose) -> Result<Change> {
+        // Refused before anything is copied.
+        let object = self.environment.index_of(&name)?;
+        let before = self.environment.objects()[object as usize].world_from_object;
+        let environment = Arc::make_mut(&mut self.environment);
+        environment.set_pose(&name, world_from_object)?;
+        Arc::make_mut(&mut self.index).insert_object(environment, object);
+        Ok(Change::SetPose { name, world_from_object: before })
+    }
+
+    fn move_object(&mut self, name: &str, world_from_object: Pose) -> Result<Change> {
+        let object = self.environment.index_of(name)?;
+        let objects = self.environment.objects();
+        let new_from_old = world_from_object.then(&objects[object as usize].world_from_object.inverse());
+        let mut poses = vec![(name.to_owned(), world_from_object)];
+        for index in self.environment.below(name) {
+            let below = &objects[index as usize];
+            poses.push((below.name.clone(), new_from_old.then(&below.world_from_object)));
+        }
+        for (name, pose) in &poses {
+            check_pose(pose).map_err(|e| e.at(format!("object {name:?}")))?;
+        }
+        poses.into_iter().map(|(name, pose)| self.set_pose(name, pose)).collect::<Result<_>>().map(Change::of)
+    }
+
+    fn delete_object(&mut self, name: String) -> Result<Change> {
+        let object = self.environment.index_of(&name)?;
+        let o = &self.environment.objects()[object as usize];
+        let mut undo = vec![Change::InsertObject(NewObject {
+            name: o.name.clone(),
+            world_from_object: o.world_from_object,
+            object_from_mesh: o.object_from_mesh,
+            mesh: o.mesh.clone(),
+            first_source: o.first_source,
+        })];
+        let environment = Arc::make_mut(&mut self.environment);
+        for (class, covariance, ids) in environment.attached_to(&name) {
+            for id in ids {
+                let feature = environment.delete_feature(&class, id)?;
+                undo.push(Change::RestoreFeature { class: class.clone(), feature });
+            }
+            if covariance {
+                let covariance = environment.set_pose_covariance(&class, &name, None)?;
+                undo.push(Change::SetPoseCovariance { class, object: name.clone(), covariance });
+            }
+        }
+        Arc::make_mut(&mut self.index).remove_object(environment, object);
+        environment.delete(&name)?;
+        Ok(Change::of(undo))
+    }
+
+    fn step_features(&mut self, change: Change) -> Result<Change> {
+        let environment = Arc::make_mut(&mut self.environment);
+        Ok(match change {
             Change::AddMaterial(material) => {
                 environment.add_material(material)?;
+                Change::NOTHING
             }
-            Change::InsertObject(new) => {
-                let object = environment.insert(new)?;
-                Arc::make_mut(&mut self.index).insert_object(environment, object);
+            Change::InsertFeature { class, feature } => {
+                let id = feature.id;
+                environment.insert_feature(&class, feature, false)?;
+                Change::DeleteFeature { class, id }
             }
-            Change::MoveObject { name, world_from_object } => {
-                let object = environment.set_pose(&name, world_from_object)?;
-                Arc::make_mut(&mut self.index).insert_object(environment, object);
+            Change::RestoreFeature { class, feature } => {
+                let id = feature.id;
+                environment.insert_feature(&class, feature, true)?;
+                Change::DeleteFeature { class, id }
             }
-            Change::DeleteObject { name } => {
-                let object = environment.index_of(&name)?;
-                Arc::make_mut(&mut self.index).remove_object(environment, object);
-                environment.delete(&name)?;
+            Change::SetFeature { class, feature } => {
+                let feature = environment.replace_feature(&class, feature)?;
+                Change::SetFeature { class, feature }
             }
-        }
-        self.version += 1;
-        Ok(())
+            Change::DeleteFeature { class, id } => {
+                let feature = environment.delete_feature(&class, id)?;
+                Change::RestoreFeature { class, feature }
+            }
+            Change::SetTolerance { class, tolerance } => match environment.set_tolerance(&class, tolerance)? {
+                Some(tolerance) => Change::SetTolerance { class, tolerance },
+                None => Change::NOTHING,
+            },
+            Change::SetPoseCovariance { class, object, covariance } => {
+                let covariance = environment.set_pose_covariance(&class, &object, covariance)?;
+                Change::SetPoseCovariance { class, object, covariance }
+            }
+            // Of objects, and groups: they went another way.
+            _ => Change::NOTHING,
+        })
+    }
+
+    /// This world with another environment: after a failed write, what the disk has.
+    #[cfg(feature = "store")]
+    pub(crate) fn reset(&mut self, environment: Environment) {
+        self.index = Arc::new(WorldIndex::new(&environment, self.index.scheme(), self.index.params()));
+        self.environment = Arc::new(environment);
     }
 }
+
+#[cfg(test)]
+mod tests;

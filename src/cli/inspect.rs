@@ -63,6 +63,11 @@ fn polygons_by_material(environment: &Environment) -> Vec<u64> {
     counts
 }
 
+/// Objects that are not deleted, with their numbers.
+fn live(environment: &Environment) -> impl Iterator<Item = (usize, &Object)> {
+    environment.objects().iter().enumerate().filter(|(_, o)| !o.is_deleted())
+}
+
 fn bounds_json(b: &Aabb) -> Value {
     if b.is_empty() { Value::Null } else { json!({ "min": b.min.to_array(), "max": b.max.to_array() }) }
 }
@@ -105,7 +110,7 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
         "merges": report.merges,
         "largest_deviation_m": report.largest_deviation_m,
         "bounds": bounds_json(&environment.bounds()),
-        "objects": environment.objects().iter().enumerate().map(object).collect::<Vec<_>>(),
+        "objects": live(environment).map(object).collect::<Vec<_>>(),
         "materials": environment.materials().iter().zip(counts).map(material).collect::<Vec<_>>(),
         "problems": report.problems,
     })
@@ -115,7 +120,7 @@ fn in_words(path: &Path, scene: &Scene) -> String {
     let environment = scene.world.environment();
     let report = &scene.report;
     let mut lines = vec![path.display().to_string()];
-    lines.push(format!("objects    {}", environment.objects().len()));
+    lines.push(format!("objects    {}", live(environment).count()));
     lines.push(format!(
         "polygons   {} from {} triangles in the scene, {} from {} stored",
         report.polygons_in_scene, report.triangles_in_scene, report.polygons_stored, report.triangles_stored
@@ -124,7 +129,7 @@ fn in_words(path: &Path, scene: &Scene) -> String {
     lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
     lines.push(format!("content    {}", environment.content_hash()));
     lines.push("\nobjects (id, polygons, bounds in the world, name)".into());
-    for (index, o) in environment.objects().iter().enumerate() {
+    for (index, o) in live(environment) {
         let (polygons, bounds) = (o.mesh.polygon_count(), bounds_in_words(&o.world_bounds()));
         lines.push(format!("  {:>5}  {polygons:>8}  {bounds}  {}", index + 1, o.name));
     }

@@ -2,7 +2,7 @@
 
 use super::print;
 use crate::acquire::{ImportReport, Imported};
-#[cfg(not(feature = "script"))]
+#[cfg(not(all(feature = "script", feature = "store")))]
 use crate::error::ErrorKind;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -28,6 +28,9 @@ pub struct Scene {
 /// # Errors
 /// Those of the import.
 pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Scene> {
+    if is_store(path) {
+        return stored(path, scheme);
+    }
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let (imported, world_from_scene) = match extension.as_str() {
         "rhai" => (script(path, options)?, Pose::IDENTITY),
@@ -51,6 +54,46 @@ fn script(path: &Path, options: &ImportOptions) -> Result<Imported> {
 fn script(path: &Path, _options: &ImportOptions) -> Result<Imported> {
     let what = "this presight was built without scene scripts";
     Err(Error::new(ErrorKind::Unsupported, what, "build it with the cargo feature `script`").in_file(path))
+}
+
+/// True for a stored environment, whatever its name.
+fn is_store(path: &Path) -> bool {
+    let mut start = [0; 16];
+    let read = || std::io::Read::read_exact(&mut std::fs::File::open(path)?, &mut start);
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"))
+        || std::fs::metadata(path).is_ok_and(|m| m.is_file()) && { read }().is_ok() && start == *b"SQLite format 3\0"
+}
+
+/// A store is in presight's frame already.
+#[cfg(feature = "store")]
+fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
+    let environment = crate::io::store::read(path)?;
+    let mut report = ImportReport::default();
+    let mut seen = std::collections::HashSet::new();
+    for object in environment.objects() {
+        let polygons = object.mesh.polygon_count() as u64;
+        report.polygons_in_scene += polygons;
+        if seen.insert(std::sync::Arc::as_ptr(&object.mesh)) {
+            report.polygons_stored += polygons;
+        }
+    }
+    Ok(Scene {
+        world: World::with_index(environment, scheme, Params::tuned(scheme)),
+        world_from_gltf: Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0),
+        report,
+    })
+}
+
+#[cfg(not(feature = "store"))]
+fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
+    Err(no_store().in_file(path))
+}
+
+/// What a build without the cargo feature `store` answers.
+#[cfg(not(feature = "store"))]
+pub fn no_store() -> Error {
+    let what = "this presight was built without stored environments";
+    Error::new(ErrorKind::Unsupported, what, "build it with the cargo feature `store`")
 }
 
 /// BLAKE3 of a file, hexadecimal.

@@ -2,6 +2,8 @@
 
 mod compare;
 mod doctor;
+#[cfg(feature = "store")]
+mod env;
 mod features;
 mod index;
 mod inspect;
@@ -36,6 +38,7 @@ const EXAMPLES: &str = "Examples:
   presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
   presight compare reference.exr other.exr      do two predictions agree?
   presight doctor                               which engines work here
+  presight env create hall.presight hall.glb    keep a model, and every change to it
 
 Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
 3 no device for the asked backend, 4 the system refused.";
@@ -49,6 +52,15 @@ enum Command {
     Compare(compare::Args),
     Features(Box<features::Args>),
     Doctor(doctor::Args),
+    #[cfg(feature = "store")]
+    Env(env::Args),
+    /// Keep an environment in a file: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Env {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
 }
 
 /// Runs the command on the process's arguments.
@@ -65,6 +77,10 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "store")]
+        Command::Env(args) => env::run(&args),
+        #[cfg(not(feature = "store"))]
+        Command::Env { .. } => Err(load::no_store()),
     };
     conclude(done)
 }

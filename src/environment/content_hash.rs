@@ -6,7 +6,7 @@
 //!
 //! | what | encoding |
 //! |---|---|
-//! | environment | text `presight content 1`; list of objects by rising name; list of layers by rising class |
+//! | environment | text `presight content 1`; list of objects by rising name; list of layers that hold something, by rising class |
 //! | object | text name; `world_from_object` as f64 x y z qx qy qz qw; `object_from_mesh` as 12 f64; u32 `first_source`; hash of its mesh |
 //! | mesh | text name; list of vertices, each 3 f32; list of polygons; list of hashes of its materials, in the order in which its polygons first use them |
 //! | polygon | list of corners, u32; u32 place of its material in the mesh's list; u32 `source` |
@@ -15,7 +15,7 @@
 //! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
 //!
 //! Not in it, because it is no content: numbers and slots of objects, what was deleted, the order in which things
-//! were added, materials that no polygon has, which meshes are shared, clusters and indexes.
+//! were added, materials that no polygon has, layers without features and covariances, which meshes are shared, clusters and indexes.
 
 use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, Material, Mesh, Object};
 use glam::DVec3;
@@ -58,8 +58,9 @@ impl Environment {
                 .or_insert_with(|| object.mesh.content_hash(|material| materials[usize::from(material)]));
             to.object(object, *mesh);
         }
-        to.count(self.layers.len());
-        self.layers.iter().for_each(|layer| to.layer(layer));
+        let layers = || self.layers.iter().filter(|l| !(l.features.is_empty() && l.pose_covariances.is_empty()));
+        to.count(layers().count());
+        layers().for_each(|layer| to.layer(layer));
         to.hash()
     }
 }

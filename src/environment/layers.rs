@@ -1,6 +1,6 @@
 //! The feature layers of an environment, at most one for each sensor class.
 
-use super::{Environment, FeatureLayer};
+use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
 
 impl Environment {
@@ -55,6 +55,7 @@ impl Environment {
         for object in of_features.chain(layer.pose_covariances.iter().map(|(object, _)| object)) {
             self.index_of(object)?;
         }
+        layer.features.iter().try_for_each(|f| self.check_unused(&layer.class, f.id))?;
         let Some(present) = self.layer(&layer.class) else { return Ok(()) };
         let taken = |id: u32| present.features.binary_search_by_key(&id, |f| f.id).is_ok();
         if let Some(feature) = layer.features.iter().find(|f| taken(f.id)) {
@@ -69,5 +70,142 @@ impl Environment {
             }
             None => Ok(()),
         }
+    }
+
+    /// The feature of that class and id.
+    pub fn feature(&self, class: &str, id: u32) -> Option<&Feature> {
+        let layer = self.layer(class)?;
+        layer.features.binary_search_by_key(&id, |f| f.id).ok().map(|i| &layer.features[i])
+    }
+
+    /// Ids of deleted features of a class, rising; no new feature gets one of them.
+    pub fn retired(&self, class: &str) -> impl Iterator<Item = u32> + '_ {
+        self.retired.get(class).into_iter().flatten().copied()
+    }
+
+    /// Marks an id as that of a deleted feature.
+    pub(crate) fn retire(&mut self, class: &str, id: u32) {
+        self.retired.entry(class.to_owned()).or_default().insert(id);
+    }
+
+    fn check_unused(&self, class: &str, id: u32) -> Result<()> {
+        if self.retired.get(class).is_none_or(|ids| !ids.contains(&id)) {
+            return Ok(());
+        }
+        let what = format!("id {id} was that of a deleted feature");
+        Err(Error::invalid(what, "give each feature an id that was never used"))
+    }
+
+    /// Adds a feature; a class without a layer gets one with the default tolerance. A `restored` one may have its id again.
+    pub(crate) fn insert_feature(&mut self, class: &str, feature: Feature, restored: bool) -> Result<()> {
+        let place = format!("feature {} for class {class:?}", feature.id);
+        let check = || {
+            if !restored {
+                self.check_unused(class, feature.id)?;
+            }
+            if self.feature(class, feature.id).is_some() {
+                return Err(Error::invalid("the id is taken", "give each feature of a class an id of its own"));
+            }
+            self.check_feature(class, &feature)
+        };
+        check().map_err(|e| e.at(place))?;
+        if let Some(ids) = self.retired.get_mut(class) {
+            ids.remove(&feature.id);
+        }
+        let layer = self.layer_or_new(class)?;
+        let at = layer.features.partition_point(|f| f.id < feature.id);
+        layer.features.insert(at, feature);
+        Ok(())
+    }
+
+    /// Puts another feature in the place of the one with its id, which is the answer.
+    pub(crate) fn replace_feature(&mut self, class: &str, feature: Feature) -> Result<Feature> {
+        let place = || format!("feature {} for class {class:?}", feature.id);
+        self.check_feature(class, &feature).map_err(|e| e.at(place()))?;
+        let (layer, at) = self.find_feature(class, feature.id)?;
+        Ok(std::mem::replace(&mut self.layers[layer].features[at], feature))
+    }
+
+    /// Deletes a feature, which is the answer; its id is never used again.
+    pub(crate) fn delete_feature(&mut self, class: &str, id: u32) -> Result<Feature> {
+        let (layer, at) = self.find_feature(class, id)?;
+        self.retire(class, id);
+        Ok(self.layers[layer].features.remove(at))
+    }
+
+    /// What goes with an object: by class, whether its pose has a covariance, and the ids of its features.
+    pub(crate) fn attached_to(&self, object: &str) -> Vec<(String, bool, Vec<u32>)> {
+        let of = |layer: &FeatureLayer| {
+            let covariance = layer.pose_covariances.iter().any(|(path, _)| path == object);
+            let own = layer.features.iter().filter(|f| f.object.as_deref() == Some(object));
+            (layer.class.clone(), covariance, own.map(|f| f.id).collect())
+        };
+        self.layers.iter().map(of).collect()
+    }
+
+    fn find_feature(&self, class: &str, id: u32) -> Result<(usize, usize)> {
+        let layer = self.layers.binary_search_by(|l| l.class.as_str().cmp(class)).ok();
+        let found = layer.and_then(|l| Some((l, self.layers[l].features.binary_search_by_key(&id, |f| f.id).ok()?)));
+        found.ok_or_else(|| {
+            let what = format!("there is no feature {id} for class {class:?}");
+            Error::invalid(what, "presight env export writes all features")
+        })
+    }
+
+    fn check_feature(&self, class: &str, feature: &Feature) -> Result<()> {
+        feature.check(self.layer(class).map_or(DEFAULT_TOLERANCE, |l| l.tolerance))?;
+        feature.object.as_deref().map_or(Ok(()), |object| self.index_of(object).map(drop))
+    }
+
+    fn layer_or_new(&mut self, class: &str) -> Result<&mut FeatureLayer> {
+        let at = match self.layers.binary_search_by(|l| l.class.as_str().cmp(class)) {
+            Ok(at) => at,
+            Err(at) => {
+                let layer =
+                    FeatureLayer { class: class.to_owned(), tolerance: DEFAULT_TOLERANCE, ..FeatureLayer::default() };
+                layer.check_header()?;
+                self.layers.insert(at, layer);
+                at
+            }
+        };
+        Ok(&mut self.layers[at])
+    }
+
+    /// Gives a layer, made where there is none, another tolerance; the answer is the one before, if there was a layer.
+    pub(crate) fn set_tolerance(&mut self, class: &str, tolerance: f64) -> Result<Option<f64>> {
+        let before = self.layer(class).map(|l| l.tolerance);
+        let header = FeatureLayer { class: class.to_owned(), tolerance, ..FeatureLayer::default() };
+        header.check_header()?;
+        let features = self.layer(class).map_or(&[][..], |l| &l.features);
+        features
+            .iter()
+            .try_for_each(|f| f.check(tolerance).map_err(|e| e.at(format!("feature {} for class {class:?}", f.id))))?;
+        self.layer_or_new(class)?.tolerance = tolerance;
+        Ok(before)
+    }
+
+    /// Gives an object's pose a covariance for the features of a class, or none; the answer is the one before.
+    pub(crate) fn set_pose_covariance(
+        &mut self,
+        class: &str,
+        object: &str,
+        covariance: Option<[[f64; 6]; 6]>,
+    ) -> Result<Option<[[f64; 6]; 6]>> {
+        let place = || format!("pose covariance of object {object:?} for class {class:?}");
+        if let Some(covariance) = &covariance {
+            self.index_of(object).map_err(|e| e.at(place()))?;
+            super::check_covariance(covariance).map_err(|e| e.at(place()))?;
+        }
+        let all = &mut self.layer_or_new(class)?.pose_covariances;
+        let at = all.iter().position(|(path, _)| path == object);
+        Ok(match (at, covariance) {
+            (Some(at), Some(new)) => Some(std::mem::replace(&mut all[at].1, new)),
+            (Some(at), None) => Some(all.remove(at).1),
+            (None, Some(new)) => {
+                all.push((object.to_owned(), new));
+                None
+            }
+            (None, None) => None,
+        })
     }
 }

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::limits;
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 /// A planar convex polygon as [`Mesh::new`] takes it.
 #[derive(Clone, Debug, PartialEq)]
@@ -163,19 +163,88 @@ impl Mesh {
     }
 
     fn assemble(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
-        let Parts { corners, records, planes } = parts;
-        assert_eq!(records.len(), planes.len());
-        let boxes: Vec<Aabb> = records.iter().map(|r| r.bounds(corners, &vertices)).collect();
-        let count = records.len();
+        let count = parts.records.len();
+        let boxes: Vec<Aabb> = parts.records.iter().map(|r| r.bounds(&parts.corners, &vertices)).collect();
         let sequence: Vec<u32> = match order {
             PolygonOrder::Spatial => spatial_sequence(&boxes),
             PolygonOrder::Given => (0..count as u32).collect(),
         };
-        let mut cuts = Vec::with_capacity(2 * count / limits::CLUSTER_POLYGONS + 2);
-        match order {
-            PolygonOrder::Spatial => halving_cuts(0, count, &mut cuts),
-            PolygonOrder::Given => cuts.extend((0..count).step_by(limits::CLUSTER_POLYGONS)),
+        Self::arranged(name, vertices, parts, &boxes, &sequence, cuts_of(count, order))
+    }
+
+    /// A mesh as it was, polygons in the order in which they were kept.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the polygon or vertex: not finite, out of range, no area. That polygons are
+    /// planar and convex was checked when the mesh was made.
+    pub(crate) fn restored(
+        name: String,
+        vertices: Vec<Vec3>,
+        corners: Vec<u32>,
+        records: Vec<PolygonRecord>,
+        order: PolygonOrder,
+    ) -> Result<Self> {
+        check_vertices(&vertices)?;
+        if let Some(c) = corners.iter().find(|c| **c as usize >= vertices.len()) {
+            return Err(Error::invalid(format!("vertex {c} of {}", vertices.len()), ""));
         }
+        let mut planes = Vec::with_capacity(records.len());
+        for (i, record) in records.iter().enumerate() {
+            let n = usize::from(record.corner_count);
+            let wrong = |what: &str| Error::invalid(what, "").at(format!("polygon {i}"));
+            if !(3..=limits::MAX_CORNERS).contains(&n) || record.first_corner as usize + n > corners.len() {
+                return Err(wrong("its corners are out of range"));
+            }
+            let own = record.corners(&corners);
+            let plane = canonical_plane(n, |k| vertices[own[k] as usize].as_dvec3());
+            planes.push(plane.ok_or_else(|| wrong("it has no area"))?);
+        }
+        let boxes: Vec<Aabb> = records.iter().map(|r| r.bounds(&corners, &vertices)).collect();
+        let sequence: Vec<u32> = (0..records.len() as u32).collect();
+        let cuts = cuts_of(records.len(), order);
+        Ok(Self::arranged(name, vertices, &Parts { corners, records, planes }, &boxes, &sequence, cuts))
+    }
+
+    /// The same polygons of other materials.
+    pub(crate) fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
+        let mut mesh = self.clone();
+        mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
+        mesh.materials = materials_of(&mesh.polygons);
+        mesh
+    }
+
+    /// The same polygons turned and scaled, of other materials; rounded to f32 once. Normals follow the winding after
+    /// the transform, as they do for an object's own.
+    ///
+    /// # Errors
+    /// Those of [`Mesh::new`]: rounding may flatten what was hardly there.
+    pub(crate) fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
+        let vertices = self.vertices.iter().map(|v| (turn * v.as_dvec3()).as_vec3()).collect();
+        let polygon = |p: &PolygonRecord| {
+            let corners = p.corners(&self.corners).to_vec();
+            Polygon { corners, material: material(p.material), source: p.source }
+        };
+        let polygons = self.polygons.iter().map(polygon).collect();
+        Self::new(self.name.clone(), vertices, polygons, PolygonOrder::Spatial)
+    }
+
+    /// The order that its clusters show; where both have the same clusters it is [`PolygonOrder::Given`].
+    pub(crate) fn order(&self) -> PolygonOrder {
+        let even = self.clusters.iter().enumerate().all(|(i, c)| c.first as usize == i * limits::CLUSTER_POLYGONS);
+        if even { PolygonOrder::Given } else { PolygonOrder::Spatial }
+    }
+
+    fn arranged(
+        name: String,
+        vertices: Vec<Vec3>,
+        parts: &Parts,
+        boxes: &[Aabb],
+        sequence: &[u32],
+        mut cuts: Vec<usize>,
+    ) -> Self {
+        let Parts { corners, records, planes } = parts;
+        assert_eq!(records.len(), planes.len());
+        let count = records.len();
         let mut mesh = Self {
             name,
             vertices,
@@ -186,7 +255,7 @@ impl Mesh {
             bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
             materials: materials_of(records),
         };
-        for &i in &sequence {
+        for &i in sequence {
             let record = records[i as usize];
             mesh.polygons.push(PolygonRecord { first_corner: mesh.corners.len() as u32, ..record });
             mesh.corners.extend_from_slice(record.corners(corners));
@@ -399,6 +468,16 @@ fn halve(items: &mut [(Vec3, u32)]) {
         halve(left);
         halve(right);
     }
+}
+
+/// Where the clusters of so many polygons start.
+fn cuts_of(count: usize, order: PolygonOrder) -> Vec<usize> {
+    let mut cuts = Vec::with_capacity(2 * count / limits::CLUSTER_POLYGONS + 2);
+    match order {
+        PolygonOrder::Spatial => halving_cuts(0, count, &mut cuts),
+        PolygonOrder::Given => cuts.extend((0..count).step_by(limits::CLUSTER_POLYGONS)),
+    }
+    cuts
 }
 
 /// Where the runs of [`halve`] start: it depends on nothing but the count.

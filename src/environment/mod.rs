@@ -18,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::limits;
 use glam::{DAffine3, DMat3, DVec3};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// A named rigid thing with a pose in the world and a mesh in its own frame.
@@ -134,7 +135,10 @@ pub struct Environment {
     objects: Vec<Object>,
     materials: Vec<Material>,
     layers: Vec<FeatureLayer>,
-    names: std::collections::HashMap<String, u32>,
+    /// In order: what is below a path follows it.
+    names: BTreeMap<String, u32>,
+    /// Ids of deleted features, by class: no feature gets one of them again.
+    retired: BTreeMap<String, BTreeSet<u32>>,
     next_slot: u32,
 }
 
@@ -161,9 +165,14 @@ impl Environment {
     /// Adds an object; the answer is its index. Its `object_id` in images is one more.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the mesh names a material the environment lacks, or a limit is passed.
+    /// [`crate::ErrorKind::Invalid`] if the mesh names a material the environment lacks, the pose is not finite or out
+    /// of bounds, or a limit is passed.
     pub fn insert(&mut self, new: NewObject) -> Result<u32> {
         let place = || format!("object {:?}", new.name);
+        check_pose(&new.world_from_object).map_err(|e| e.at(place()))?;
+        if !new.object_from_mesh.is_finite() {
+            return Err(Error::invalid("its scale is not finite", "give a finite object_from_mesh").at(place()));
+        }
         if let Some(material) = new.mesh.materials().iter().find(|m| usize::from(**m) >= self.materials.len()) {
             return Err(Error::invalid(
                 format!("material {material} does not exist"),
@@ -201,13 +210,7 @@ impl Environment {
     /// [`crate::ErrorKind::Invalid`] if there is no such object or the pose is not finite or out of bounds.
     pub fn set_pose(&mut self, name: &str, world_from_object: Pose) -> Result<u32> {
         let index = self.index_of(name)?;
-        let sound = world_from_object.rotation.is_finite()
-            && world_from_object.rotation.is_normalized()
-            && world_from_object.translation.abs().max_element() <= limits::MAX_COORDINATE;
-        if !sound {
-            let what = format!("pose {world_from_object:?} is not finite, not a rotation, or too far away");
-            return Err(Error::invalid(what, "give a finite pose").at(format!("object {name:?}")));
-        }
+        check_pose(&world_from_object).map_err(|e| e.at(format!("object {name:?}")))?;
         self.objects[index as usize].world_from_object = world_from_object;
         Ok(index)
     }
@@ -231,6 +234,45 @@ impl Environment {
     pub fn index_of(&self, name: &str) -> Result<u32> {
         let remedy = "presight inspect lists the objects";
         self.names.get(name).copied().ok_or_else(|| Error::invalid(format!("there is no object {name:?}"), remedy))
+    }
+
+    /// Indices of the objects below a path: those whose path starts with it and a slash.
+    pub fn below(&self, path: &str) -> impl Iterator<Item = u32> + '_ {
+        let prefix = format!("{path}/");
+        let from = self.names.range(prefix.clone()..);
+        from.take_while(move |(name, _)| name.starts_with(&prefix)).map(|(_, index)| *index)
+    }
+
+    /// Adds an object under the index and the slots that it had before; what lies between is gone for good.
+    pub(crate) fn insert_at(&mut self, index: u32, first_slot: u32, new: NewObject) -> Result<()> {
+        let name = new.name.clone();
+        if self.names.contains_key(&name) {
+            return Err(Error::invalid(format!("two objects are named {name:?}"), ""));
+        }
+        self.skip_to(index, first_slot)?;
+        self.insert(new).map(drop)
+    }
+
+    /// Fills up with deleted objects, so that the next one gets this index and this slot.
+    pub(crate) fn skip_to(&mut self, index: u32, slot: u32) -> Result<()> {
+        let known = self.objects.len();
+        if (index as usize) < known || slot < self.next_slot || index as usize > limits::MAX_OBJECTS {
+            let what =
+                format!("object number {index} with slot {slot} after {known} objects and {} slots", self.next_slot);
+            return Err(Error::invalid(what, "numbers and slots rise"));
+        }
+        let gone = Object {
+            name: String::new(),
+            world_from_object: Pose::IDENTITY,
+            object_from_mesh: DAffine3::IDENTITY,
+            mesh: Arc::new(Mesh::empty("")),
+            first_slot: self.next_slot,
+            first_source: 0,
+            deleted: true,
+        };
+        self.objects.resize(index as usize, gone);
+        self.next_slot = slot;
+        Ok(())
     }
 
     fn unique_name(&self, wanted: &str) -> String {
@@ -284,6 +326,17 @@ impl Environment {
     pub fn bounds(&self) -> Aabb {
         self.objects.iter().fold(Aabb::EMPTY, |b, o| b.union(o.world_bounds()))
     }
+}
+
+pub(crate) fn check_pose(pose: &Pose) -> Result<()> {
+    // As exact as quaternions are written, so that reading one never has to change its bits.
+    let sound = pose.rotation.is_finite()
+        && (pose.rotation.length_squared() - 1.0).abs() <= 1e-9
+        && pose.translation.abs().max_element() <= limits::MAX_COORDINATE;
+    if sound {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("pose {pose:?} is not finite, not a rotation, or too far away"), "give a finite pose"))
 }
 
 #[cfg(test)]

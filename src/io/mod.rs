@@ -17,6 +17,8 @@ pub mod robot_toml;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;
+#[cfg(feature = "store")]
+pub mod store;
 pub(crate) mod text;
 pub mod tum;
 

@@ -7,12 +7,17 @@
 
 mod accessor;
 mod container;
+mod exact;
 mod mesh;
 mod nodes;
+mod write;
+
+pub use write::write_glb;
 
 use crate::acquire::{self, Edges, ImportReport, Imported, ProblemBook, ProblemKind, ProblemList, TriangleMesh};
 use crate::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
 use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::Pose;
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
 use accessor::Document;
@@ -265,13 +270,40 @@ struct Built {
 }
 
 impl Built {
+    /// Our own polygons, as they were.
+    fn exact(mesh: Mesh, triangles: u64) -> Self {
+        Self {
+            mesh: Arc::new(mesh),
+            // Below the limit on all triangles.
+            source_count: triangles as u32,
+            primitive_ends: Vec::new(),
+            problems: ProblemList::default(),
+            notes: Vec::new(),
+            merges: 0,
+            deviation: 0.0,
+        }
+    }
+
     fn place_of(&self, source: u32) -> (u32, u32) {
         acquire::place_of(&self.primitive_ends, source)
     }
 }
 
 fn build_mesh(document: &Document<'_>, index: usize, default_material: u16, options: &ImportOptions) -> Result<Built> {
-    let mesh::Read { triangles, notes } = document.read_mesh(index, default_material)?;
+    let exact = if options.merge { document.exact_mesh(index) } else { exact::Exact::None };
+    let stale = match exact {
+        exact::Exact::Mesh(mesh) => return Ok(Built::exact(mesh, document.claimed_triangles(index)?)),
+        exact::Exact::Stale => true,
+        exact::Exact::None => false,
+    };
+    let mesh::Read { triangles, mut notes } = document.read_mesh(index, default_material)?;
+    if stale {
+        let what = format!(
+            "{}: its polygons are of other vertices: its triangles are used",
+            mesh_words(&document.root, index)
+        );
+        notes.push((ProblemKind::IgnoredFeature, what));
+    }
     let edges = Edges::of(&triangles);
     let twins = edges.twins();
     let problems = triangles.problems(&edges, &twins);
@@ -318,11 +350,18 @@ fn insert_objects(
             book.note(ProblemKind::EmptyMesh, place);
         } else {
             let world_from_mesh = world_from_gltf * node.scene_from_mesh;
-            let new = NewObject::from_affine(node.path.clone(), world_from_mesh, built.mesh.clone())
-                .map_err(|e| e.at(place()))?;
+            let exact = node.placed.as_ref().filter(|_| sidecar.world_from_scene == Pose::IDENTITY);
+            let new = match exact.and_then(|placed| placed.object(&node, built.mesh.clone())) {
+                Some(new) => new,
+                None => NewObject {
+                    first_source,
+                    ..NewObject::from_affine(node.path.clone(), world_from_mesh, built.mesh.clone())
+                        .map_err(|e| e.at(place()))?
+                },
+            };
             let deviation = built.deviation * largest_stretch(&world_from_mesh.matrix3);
             report.largest_deviation_m = report.largest_deviation_m.max(deviation);
-            let object = environment.insert(NewObject { first_source, ..new }).map_err(|e| e.at(place()))?;
+            let object = environment.insert(new).map_err(|e| e.at(place()))?;
             let bounds = environment.objects()[object as usize].world_bounds();
             let reach = bounds.min.abs().max(bounds.max.abs());
             if !reach.is_finite() || reach.max_element() > limits::MAX_COORDINATE {

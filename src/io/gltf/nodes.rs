@@ -1,5 +1,6 @@
 //! The node hierarchy, read and composed in f64: an f32 matrix would lose a site in UTM metres.
 
+use super::exact::Placed;
 use super::quoted;
 use crate::error::{Error, Result};
 use crate::limits;
@@ -35,6 +36,7 @@ struct Node {
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
+    extras: Option<serde_json::Value>,
 }
 
 /// One node of the default scene that carries a mesh.
@@ -47,6 +49,8 @@ pub(super) struct MeshNode {
     /// glTF scene axes, y up.
     pub scene_from_mesh: DAffine3,
     pub skinned: bool,
+    /// What our own writer says besides, of a root.
+    pub placed: Option<Placed>,
 }
 
 impl NodeText {
@@ -91,6 +95,7 @@ impl NodeText {
                     mesh,
                     scene_from_mesh: scene_from_node,
                     skinned,
+                    placed: node.extras.as_ref().filter(|_| depth == 0).and_then(Placed::of),
                 });
             }
             let length = path.len();

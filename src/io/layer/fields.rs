@@ -22,7 +22,7 @@ pub(super) struct LayerFields {
 /// A feature of any kind, or the removal of one.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct FeatureFields {
+pub(crate) struct FeatureFields {
     pub id: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<Kind>,
@@ -54,7 +54,7 @@ pub(super) struct FeatureFields {
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Kind {
+pub(crate) enum Kind {
     Point,
     Segment,
     Patch,
@@ -64,7 +64,7 @@ pub(super) enum Kind {
 
 #[derive(Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct PropertyFields {
+pub(crate) struct PropertyFields {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub strength: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -80,7 +80,7 @@ pub(super) struct PropertyFields {
 /// One standard deviation, or three; kept as three. An untagged enum would lose the line of errors.
 #[derive(Clone, Copy, Serialize)]
 #[serde(transparent)]
-pub(super) struct Sigma(pub [f64; 3]);
+pub(crate) struct Sigma(pub [f64; 3]);
 
 impl<'de> Deserialize<'de> for Sigma {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {

@@ -60,9 +60,15 @@ mod schema;
 mod tests;
 mod write;
 
+#[cfg(feature = "store")]
+pub(crate) use fields::FeatureFields;
 pub use merge::{Loaded, load, merge};
+#[cfg(feature = "store")]
+pub(crate) use read::from_fields;
 pub use read::{LayerFile, parse, read};
 pub use schema::schema;
+#[cfg(feature = "store")]
+pub(crate) use write::fields as to_fields;
 pub use write::{entry, to_string, write};
 
 /// The newest version that this build reads; there is no older one.

@@ -97,6 +97,14 @@ fn check_format(text: &str) -> Result<()> {
     }
 }
 
+/// The feature that an entry tells, for a layer of that tolerance.
+#[cfg(feature = "store")]
+pub(crate) fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
+    let id = fields.id;
+    let gone = || Error::invalid("\"remove\" is for layer files", "delete it with delete_feature");
+    fields.feature(tolerance)?.ok_or_else(gone).map_err(|e| e.at(format!("feature {id}")))
+}
+
 impl FeatureFields {
     /// The feature, or `None` if it is to be removed.
     fn feature(self, tolerance: f64) -> Result<Option<Feature>> {

@@ -1,0 +1,195 @@
+//! `presight env`: the stored environment.
+
+mod apply;
+mod export;
+mod show;
+
+use super::load;
+use super::{Verdict, print};
+use crate::change::Change;
+use crate::environment::Environment;
+use crate::error::{Error, Result};
+use crate::index::Scheme;
+use crate::io::gltf::ImportOptions;
+use crate::io::layer;
+use crate::io::store::{self, Note, Store};
+use crate::world::World;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+const EXAMPLES: &str = "Examples:
+  A store of a model, with the features that a camera may find:
+    presight env create hall.presight hall.glb
+    presight env import hall.presight hall.video.layer.json
+
+  A machine was moved, and one was taken away; both or none:
+    echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"press 1\",\"pose\":[3,1,0,0,0,90]},
+      {\"op\":\"delete_object\",\"object\":\"press 2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
+
+  What was done, and the last change undone:
+    presight env log hall.presight
+    presight env undo hall.presight 1
+
+  Every command takes a store as its scene:
+    presight predict hall.presight --sensor laser-scanner --pose 2,1,0.5,0,0,90 --png view.png";
+
+/// Keep an environment in a file that never loses an update: create, change, explain, undo
+///
+/// A store (.presight) is one SQLite file: objects, meshes, materials, feature layers, and a log of every change with its
+/// time and cause. A change that was acknowledged is on the disk.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Make a store of a scene; its log is empty
+    Create {
+        /// The file to make, such as hall.presight
+        store: PathBuf,
+        /// The scene: .glb, .gltf, or whatever else is read as a scene
+        scene: PathBuf,
+        #[command(flatten)]
+        note: NoteArgs,
+    },
+    /// Merge a scene or a layer file (.json), as one change
+    ///
+    /// What is there already, equal in everything, stays as it is; an object of the same path but another content is an
+    /// error. Features of the file win by id, `"remove": true` deletes.
+    Import {
+        /// The store
+        store: PathBuf,
+        /// The scene or layer file
+        file: PathBuf,
+        #[command(flatten)]
+        note: NoteArgs,
+    },
+    Export(export::Args),
+    Apply(apply::Args),
+    /// Show what a store is and holds
+    Info {
+        /// The store
+        store: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// List all changes: number, time, cause, and what was changed
+    Log {
+        /// The store
+        store: PathBuf,
+        /// Print JSON, one change a line, with what undoes it
+        #[arg(long)]
+        json: bool,
+    },
+    /// Undo a change by appending what undoes it; the log only grows
+    Undo {
+        /// The store
+        store: PathBuf,
+        /// The number of the change, as the log has it
+        change: u64,
+        /// Undo later changes of the same objects and features, too, newest first
+        #[arg(long)]
+        cascade: bool,
+        #[command(flatten)]
+        note: NoteArgs,
+    },
+    /// Prove every row, the whole log and the file's structure
+    Check {
+        /// The store
+        store: PathBuf,
+    },
+}
+
+/// What goes into the log besides a change.
+#[derive(Debug, clap::Args)]
+struct NoteArgs {
+    /// Why, for the log [default: the command]
+    #[arg(long, value_name = "TEXT")]
+    cause: Option<String>,
+
+    /// When, UTC seconds, for the log [default: now]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    time: Option<f64>,
+}
+
+impl NoteArgs {
+    /// The note of a change made now; the command is the only place that asks the clock.
+    fn note(&self, cause: impl FnOnce() -> String) -> Result<Note> {
+        if let Some(time) = self.time.filter(|t| !t.is_finite()) {
+            return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
+        }
+        let now = || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64());
+        Ok(Note::new(self.cause.clone().unwrap_or_else(cause), self.time.unwrap_or_else(now)))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the store.
+pub fn run(args: &Args) -> Result<Verdict> {
+    match &args.command {
+        Command::Create { store, scene, note } => create(store, scene, note)?,
+        Command::Import { store, file, note } => import(store, file, note)?,
+        Command::Export(args) => export::run(args)?,
+        Command::Apply(args) => apply::run(args)?,
+        Command::Info { store, json } => show::info(store, *json)?,
+        Command::Log { store, json } => show::log(store, *json)?,
+        Command::Undo { store, change, cascade, note } => undo(store, *change, *cascade, note)?,
+        Command::Check { store } => {
+            let info = store::check(store)?;
+            print::data(&format!(
+                "sound: {} objects, {} changes\n",
+                show::live(&info.environment).count(),
+                info.changes
+            ))?;
+        }
+    }
+    Ok(Verdict::Done)
+}
+
+fn environment_of(scene: &Path) -> Result<Environment> {
+    let world = load::scene(scene, &ImportOptions::default(), Scheme::None)?.world;
+    Ok(std::sync::Arc::unwrap_or_clone(world.into_environment()))
+}
+
+/// A world for changes: nothing is predicted, so it needs no index.
+fn unindexed(environment: Environment) -> World {
+    World::with_index(environment, Scheme::None, crate::index::Params::default())
+}
+
+fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
+    let note = note.note(|| format!("create of {}", scene.display()))?;
+    let environment = environment_of(scene)?;
+    store::create(store, &environment, &note)?;
+    print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
+}
+
+fn import(path: &Path, file: &Path, note: &NoteArgs) -> Result<()> {
+    let note = note.note(|| format!("import of {}", file.display()))?;
+    let (mut store, environment) = Store::open(path)?;
+    let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    let change = if is_layer {
+        Store::merging_layer(&environment, &layer::read(file)?)
+    } else {
+        Store::merging_scene(&environment, &environment_of(file)?).map_err(|e| e.in_file(file))?
+    };
+    if matches!(&change, Change::Group(changes) if changes.is_empty()) {
+        return print::data("nothing to change\n");
+    }
+    let mut world = unindexed(environment);
+    let number = store.apply(&mut world, change, &note).map_err(|e| e.in_file(file))?;
+    print::data(&format!("change {number}\n"))
+}
+
+fn undo(path: &Path, change: u64, cascade: bool, note: &NoteArgs) -> Result<()> {
+    let note = note.note(|| format!("undo of {change}"))?;
+    let (mut store, environment) = Store::open(path)?;
+    let made = store.undo(&mut unindexed(environment), change, cascade, &note)?;
+    let made: Vec<String> = made.iter().map(u64::to_string).collect();
+    print::data(&format!("change {}\n", made.join(", ")))
+}

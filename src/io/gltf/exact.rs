@@ -1,0 +1,112 @@
+//! What [`super::write_glb`] leaves in `extras.presight`, so that nothing is lost: polygons of meshes, poses of nodes.
+
+use super::accessor::Document;
+use super::nodes::MeshNode;
+use super::write::{matrix_of, mesh_hash};
+use crate::environment::{Mesh, NewObject, PolygonOrder, PolygonRecord};
+use crate::geometry::Pose;
+use glam::{DAffine3, DQuat, DVec3, Vec3};
+use gltf::json;
+use json::mesh::Semantic;
+use json::validation::Checked;
+use serde::Deserialize;
+use std::sync::Arc;
+
+/// The polygons of a mesh, if our own writer left them.
+pub(super) enum Exact {
+    /// It did not.
+    None,
+    /// They are of other vertices: another program changed the mesh.
+    Stale,
+    /// As they were.
+    Mesh(Mesh),
+}
+
+#[derive(Deserialize)]
+struct MeshExtras {
+    presight: Option<Polygons>,
+}
+
+/// See [`super::write_glb`].
+#[derive(Deserialize)]
+struct Polygons {
+    rows: u32,
+    corners: u32,
+    order: Order,
+    blake3: String,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Order {
+    Spatial,
+    Given,
+}
+
+impl Document<'_> {
+    /// A mesh as our own writer left it.
+    pub fn exact_mesh(&self, index: usize) -> Exact {
+        let mesh = &self.root.meshes[index];
+        let extras = mesh.extras.as_ref().and_then(|raw| serde_json::from_str::<MeshExtras>(raw.get()).ok());
+        let Some(polygons) = extras.and_then(|e| e.presight) else { return Exact::None };
+        // What another program left of it may point anywhere: then its triangles count.
+        self.polygons_of(mesh, &polygons).map_or(Exact::Stale, Exact::Mesh)
+    }
+
+    fn polygons_of(&self, mesh: &json::Mesh, polygons: &Polygons) -> Option<Mesh> {
+        let first = mesh.primitives.first()?;
+        let positions = *first.attributes.get(&Checked::Valid(Semantic::Positions))?;
+        let positions = self.positions(positions).ok()?;
+        let vertices: Vec<Vec3> = (0..positions.count()).map(|i| positions.get(i)).collect();
+        let rows = self.indices(json::Index::new(polygons.rows)).ok()?;
+        let corners = self.indices(json::Index::new(polygons.corners)).ok()?;
+        if mesh_hash(&vertices, &rows, &corners) != polygons.blake3 {
+            return None;
+        }
+        let mut records = Vec::with_capacity(rows.len() / 3);
+        let mut first_corner = 0u32;
+        for row in rows.as_chunks::<3>().0 {
+            let [count, material, source] = *row;
+            let material = u16::try_from(material).ok().filter(|m| usize::from(*m) < self.root.materials.len())?;
+            records.push(PolygonRecord { first_corner, source, material, corner_count: u8::try_from(count).ok()? });
+            first_corner = first_corner.checked_add(count)?;
+        }
+        let order = match polygons.order {
+            Order::Spatial => PolygonOrder::Spatial,
+            Order::Given => PolygonOrder::Given,
+        };
+        let name = mesh.name.clone().unwrap_or_default();
+        Mesh::restored(name, vertices, corners, records, order).ok()
+    }
+}
+
+/// Where our own writer says that an object is.
+#[derive(Deserialize)]
+pub(super) struct Placed {
+    world_from_object: [f64; 7],
+    object_from_mesh: [f64; 12],
+    first_source: u32,
+}
+
+impl Placed {
+    /// Of a node's extras.
+    pub fn of(extras: &serde_json::Value) -> Option<Self> {
+        Self::deserialize(extras.get("presight")?).ok()
+    }
+
+    /// The object, if the node is still where it was written.
+    pub fn object(&self, node: &MeshNode, mesh: Arc<Mesh>) -> Option<NewObject> {
+        let [x, y, z, qx, qy, qz, qw] = self.world_from_object;
+        let pose = Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) };
+        let new = NewObject {
+            object_from_mesh: DAffine3::from_cols_array(&self.object_from_mesh),
+            first_source: self.first_source,
+            ..NewObject::new(node.path.clone(), pose, mesh)
+        };
+        let matrix = matrix_of(&(new.world_from_object.to_affine() * new.object_from_mesh));
+        let column = |i: usize| DVec3::new(matrix[i], matrix[i + 1], matrix[i + 2]);
+        let here = &node.scene_from_mesh;
+        let same = [0, 4, 8].map(column) == [here.matrix3.x_axis, here.matrix3.y_axis, here.matrix3.z_axis];
+        (same && column(12) == here.translation).then_some(new)
+    }
+}

@@ -1,0 +1,85 @@
+//! A new store.
+
+use super::hash::Digest;
+use super::rows::Meta;
+use super::schema::{APPLICATION_ID, FORMAT, TABLES, refusal};
+use super::{Meshes, Note, Store};
+use crate::environment::Environment;
+use crate::error::{Error, ErrorKind, Result};
+use rusqlite::Connection;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// Makes a store that holds an environment; its log is empty. The file appears under its name when it is whole and on
+/// the disk.
+///
+/// # Errors
+/// [`ErrorKind::Usage`] if there is a file of this name; [`ErrorKind::System`] if the system refuses.
+pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()> {
+    if !note.time.is_finite() {
+        return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
+    }
+    if path.symlink_metadata().is_ok() {
+        let remedy = "choose another name, or remove the file; presight env import adds to a store";
+        return Err(Error::usage("there is a file of this name", remedy).in_file(path));
+    }
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder.to_owned(),
+        _ => PathBuf::from("."),
+    };
+    let refused = |e: std::io::Error| {
+        let remedy = "create the folder first, check its permissions, or write elsewhere";
+        Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".presight-").suffix(".part");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let temporary = builder.tempfile_in(&folder).map_err(refused)?.into_temp_path();
+    fill(&temporary, path, environment, note)?;
+    std::fs::File::open(&temporary).and_then(|f| f.sync_all()).map_err(refused)?;
+    temporary.persist_noclobber(path).map_err(|e| refused(e.error))?;
+    // A folder is a file on Unix only.
+    #[cfg(unix)]
+    std::fs::File::open(&folder).and_then(|f| f.sync_all()).map_err(refused)?;
+    Ok(())
+}
+
+/// Fills the file; errors speak of the one that it will be.
+fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Result<()> {
+    let wrap = |e| refusal(path, "create the store", e);
+    let connection = Connection::open(file).map_err(wrap)?;
+    connection.set_prepared_statement_cache_capacity(64);
+    // Nobody sees the file before it is whole, and then it is synced in one go.
+    let mut sql = format!(
+        "PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA application_id = {APPLICATION_ID}; \
+         PRAGMA user_version = {FORMAT}; BEGIN;"
+    );
+    TABLES.iter().for_each(|(_, table)| sql += &format!("{table};"));
+    connection.execute_batch(&sql).map_err(wrap)?;
+    let mut meta = Meta {
+        created: note.time + 0.0,
+        cause: note.cause.clone(),
+        genesis: environment.content_hash().0,
+        next_object: 0,
+        next_slot: 0,
+        changes: 0,
+        head: [0; 32],
+        digest: Digest::default(),
+    };
+    meta.head = meta.first_head();
+    let mut store = Store {
+        connection,
+        path: path.to_owned(),
+        meta,
+        locked: true,
+        objects: HashMap::new(),
+        materials: 0,
+        meshes: Meshes { next: 1, ..Meshes::default() },
+        ids: HashMap::new(),
+    };
+    store.write_all(environment)?;
+    store.write_meta()?;
+    store.connection.execute_batch("COMMIT").map_err(wrap)?;
+    store.connection.close().map_err(|(_, e)| refusal(path, "create the store", e))
+}

@@ -1,0 +1,317 @@
+//! The stored environment: one SQLite file, `.presight`, that keeps the environment and every change it ever saw.
+//!
+//! | table | a row |
+//! |---|---|
+//! | `meta` | the one: `created` (UTC seconds) and `cause`, `genesis` (hash of the content it was created with), `next_object` and `next_slot` (numbers never used so far), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
+//! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
+//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, laid out as told in the source of `blob`); shared by objects, kept when no object has it any more, for the log may bring one back |
+//! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
+//! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
+//! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
+//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON: [`op`](self) of the lines that `presight env apply` reads) |
+//!
+//! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`, each
+//! entry of the log in a hash over the entry before and itself; opening compares all of them with what is there.
+//! Nothing is secret or signed: this finds damage, not forgery.
+//!
+//! What was committed is on the disk when the call returns: rollback journal, `synchronous = EXTRA`. Between commits the
+//! file alone is complete and may be copied. A [`Store`] holds SQLite's write lock as long as it lives: a second writer
+//! is refused at once. Readers load one version in one transaction and work in memory.
+
+mod blob;
+mod create;
+mod hash;
+mod log;
+mod merge;
+mod op;
+mod read;
+mod rows;
+mod schema;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub use create::create;
+pub use log::LogEntry;
+pub use write::{Batch, Note};
+
+use crate::change::Change;
+use crate::environment::{Environment, Mesh};
+use crate::error::{Error, ErrorKind, Result};
+use crate::io::layer::LayerFile;
+use crate::world::World;
+use rows::Meta;
+use rusqlite::Connection;
+use schema::{Access, connect, refusal};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Weak};
+
+/// A store opened for changes; it holds the write lock until it is dropped.
+///
+/// ```
+/// use presight::io::store::{self, Note, Store};
+/// use presight::{Change, Environment, Material, World};
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("hall.presight");
+/// store::create(&path, &Environment::new(), &Note::new("a new hall", 0.0))?;
+///
+/// let (mut store, environment) = Store::open(&path)?;
+/// let mut world = World::new(environment);
+/// let paint = Change::AddMaterial(Material::named("paint"));
+/// let number = store.apply(&mut world, paint, &Note::new("delivered", 12.5))?;
+/// assert_eq!((number, store.changes()), (1, 1));
+/// drop(store);
+/// assert_eq!(store::read(&path)?.materials().len(), 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Store {
+    connection: Connection,
+    path: PathBuf,
+    meta: Meta,
+    /// True while the write lock is held.
+    locked: bool,
+    /// Stored objects by name.
+    objects: HashMap<String, u32>,
+    materials: usize,
+    meshes: Meshes,
+    /// Entries of the log by their caller's id.
+    ids: HashMap<String, u64>,
+}
+
+/// Which meshes are stored.
+#[derive(Default)]
+struct Meshes {
+    next: i64,
+    by_content: HashMap<(String, [u8; 32]), i64>,
+    by_number: HashMap<i64, Weak<Mesh>>,
+    by_pointer: HashMap<usize, i64>,
+}
+
+impl Meshes {
+    fn remember(&mut self, number: i64, mesh: &Arc<Mesh>) {
+        self.by_number.insert(number, Arc::downgrade(mesh));
+        self.by_pointer.insert(Arc::as_ptr(mesh) as usize, number);
+    }
+
+    /// The number of a mesh that was seen before and lives.
+    fn known(&self, mesh: &Arc<Mesh>) -> Option<i64> {
+        let number = *self.by_pointer.get(&(Arc::as_ptr(mesh) as usize))?;
+        let same = self.by_number.get(&number)?.upgrade().is_some_and(|known| Arc::ptr_eq(&known, mesh));
+        same.then_some(number)
+    }
+}
+
+/// Reads a store into memory; its writer goes on.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] if the file is not there, no store, or damaged, [`ErrorKind::Unsupported`] if it is of a newer
+/// version, [`ErrorKind::System`] if the system refuses.
+pub fn read(path: &Path) -> Result<Environment> {
+    let connection = connect(path, Access::Read)?;
+    in_one_version(&connection, path, |c| read::load(c, path)).map(|loaded| loaded.environment)
+}
+
+/// What `presight env info` tells.
+#[derive(Clone, Debug)]
+pub struct Info {
+    /// When it was created, UTC seconds.
+    pub created: f64,
+    /// Out of what.
+    pub cause: String,
+    /// Length of the log.
+    pub changes: u64,
+    /// Hash of the last entry of the log.
+    pub head: String,
+    /// What it holds.
+    pub environment: Environment,
+}
+
+/// Reads a store with its log, all of it proven.
+///
+/// # Errors
+/// As [`read`].
+pub fn info(path: &Path) -> Result<Info> {
+    let connection = connect(path, Access::Read)?;
+    in_one_version(&connection, path, |c| {
+        let read::Loaded { environment, meta, .. } = read::load(c, path)?;
+        log::walk(c, path, &meta, |_| Ok(()))?;
+        let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
+        Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
+    })
+}
+
+/// Hands every entry of the log to `visit`, in order, each proven.
+///
+/// # Errors
+/// As [`read`], and those of `visit`.
+pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()> {
+    let connection = connect(path, Access::Read)?;
+    in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
+}
+
+/// Proves all that is stored, and SQLite's own structures.
+///
+/// # Errors
+/// As [`read`]; [`ErrorKind::Invalid`] names what is not sound.
+pub fn check(path: &Path) -> Result<Info> {
+    let found = info(path)?;
+    let connection = connect(path, Access::Read)?;
+    let verdict: String = connection
+        .query_row("PRAGMA integrity_check(1)", [], |row| row.get(0))
+        .map_err(|e| refusal(path, "check the store", e))?;
+    if verdict != "ok" {
+        return Err(schema::damaged(verdict).in_file(path));
+    }
+    Ok(found)
+}
+
+/// Runs `read` in one transaction: all it sees is of one version.
+fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
+    let wrap = |e| refusal(path, "read the store", e);
+    let transaction = connection.unchecked_transaction().map_err(wrap)?;
+    let answer = read(&transaction)?;
+    transaction.commit().map_err(wrap)?;
+    Ok(answer)
+}
+
+impl Store {
+    /// Opens a store for changes, and gives what it holds now.
+    ///
+    /// # Errors
+    /// As [`read`]; [`ErrorKind::System`] if another writer has it, or it is read-only.
+    pub fn open(path: &Path) -> Result<(Self, Environment)> {
+        let connection = connect(path, Access::Write)?;
+        let wrap = |e| refusal(path, "open the store for writing", e);
+        connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
+        let loaded = read::load(&connection, path)?;
+        let mut ids = HashMap::new();
+        log::walk(&connection, path, &loaded.meta, |entry| {
+            ids.extend(entry.id.map(|id| (id, entry.number)));
+            Ok(())
+        })?;
+        let mut store = Self {
+            connection,
+            path: path.to_owned(),
+            meta: loaded.meta.clone(),
+            locked: true,
+            objects: HashMap::new(),
+            materials: 0,
+            meshes: Meshes::default(),
+            ids,
+        };
+        let environment = store.take_in(loaded);
+        Ok((store, environment))
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Length of the log.
+    pub fn changes(&self) -> u64 {
+        self.meta.changes as u64
+    }
+
+    /// Applies a change to the world and the store; it is on the disk when this returns. The answer is its number in the
+    /// log.
+    ///
+    /// # Errors
+    /// Those of [`World::apply`]; [`ErrorKind::System`] if the system refuses. World and store then are as before.
+    pub fn apply(&mut self, world: &mut World, change: Change, note: &Note) -> Result<u64> {
+        let mut batch = self.batch(world)?;
+        let number = batch.apply(change, note)?;
+        batch.commit()?;
+        Ok(number)
+    }
+
+    /// Begins several changes that become durable together. `world` must hold what the store holds.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if another writer came between.
+    pub fn batch<'a>(&'a mut self, world: &'a mut World) -> Result<Batch<'a>> {
+        self.lock()?;
+        Ok(Batch::new(self, world))
+    }
+
+    /// Undoes an entry of the log by appending what undoes it; the answer is the numbers of the new entries. With
+    /// `cascade` later changes that stand in the way are undone before, newest first.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
+    pub fn undo(&mut self, world: &mut World, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
+        self.lock()?;
+        let mut entries = Vec::new();
+        log::walk(&self.connection, &self.path, &self.meta, |entry| {
+            entries.push(entry);
+            Ok(())
+        })?;
+        let plan = log::undo_plan(&entries, number, cascade).map_err(|e| e.in_file(&self.path))?;
+        let mut batch = self.batch(world)?;
+        let mut made = Vec::with_capacity(plan.len());
+        for n in plan {
+            let place = |e: Error| e.at(format!("undoing change {n}"));
+            let inverse = &entries[n as usize - 1].inverse;
+            let change = batch.change_of_log(inverse).map_err(place)?;
+            let note = Note { undoes: Some(n), ..note.clone() };
+            made.push(batch.apply(change, &note).map_err(place)?);
+        }
+        batch.commit()?;
+        Ok(made)
+    }
+
+    /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there.
+    pub fn merging_scene(environment: &Environment, scene: &Environment) -> Result<Change> {
+        merge::merge_scene(environment, scene)
+    }
+
+    /// The change that a layer file says; later features win by id.
+    pub fn merging_layer(environment: &Environment, file: &LayerFile) -> Change {
+        merge::merge_layer(environment, file)
+    }
+
+    /// Commits without waiting for the disk: the planted fault that the tests of durability must find.
+    #[doc(hidden)]
+    pub fn without_sync(&mut self) -> Result<()> {
+        let sql = "ROLLBACK; PRAGMA synchronous = OFF; BEGIN IMMEDIATE";
+        self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))
+    }
+
+    /// Takes the write lock again if it was lost, and proves that nothing was written meanwhile.
+    fn lock(&mut self) -> Result<()> {
+        if self.locked {
+            return Ok(());
+        }
+        let wrap = |e| refusal(&self.path, "write to the store", e);
+        self.connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
+        if Meta::read(&self.connection, &self.path)? != self.meta {
+            let _ = self.connection.execute_batch("ROLLBACK");
+            let what = "another program changed the store since it was opened";
+            return Err(Error::new(ErrorKind::System, what, "open it again").in_file(&self.path));
+        }
+        self.locked = true;
+        Ok(())
+    }
+
+    /// Takes note of what the file holds.
+    fn take_in(&mut self, loaded: read::Loaded) -> Environment {
+        let read::Loaded { environment, meta, meshes } = loaded;
+        self.meta = meta;
+        self.materials = environment.materials().len();
+        let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());
+        self.objects = live.map(|(o, number)| (o.name.clone(), number)).collect();
+        self.meshes = Meshes { next: 1, ..Meshes::default() };
+        for (number, loaded) in meshes {
+            self.meshes.next = self.meshes.next.max(number + 1);
+            self.meshes.by_content.insert((loaded.name, loaded.content), number);
+            if let Some(mesh) = &loaded.mesh {
+                self.meshes.remember(number, mesh);
+            }
+        }
+        environment
+    }
+}

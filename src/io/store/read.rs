@@ -1,0 +1,198 @@
+//! From the file to an environment, every row proven.
+
+use super::blob;
+use super::hash::{Digest, Hash};
+use super::op::{MaterialFields, affine_of, pose_of};
+use super::rows::{Meta, feature_hash, from_json, layer_hash, material_hash, mesh_hash, object_hash};
+use super::schema::{damaged, refusal};
+use crate::environment::{Environment, FeatureLayer, Mesh, NewObject};
+use crate::error::Result;
+use crate::io::layer::{FeatureFields, from_fields};
+use rayon::prelude::*;
+use rusqlite::{Connection, Row};
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// A version of the store, in memory.
+pub(super) struct Loaded {
+    pub environment: Environment,
+    pub meta: Meta,
+    pub meshes: HashMap<i64, LoadedMesh>,
+}
+
+pub(super) struct LoadedMesh {
+    pub name: String,
+    /// BLAKE3 of the blob.
+    pub content: Hash,
+    /// None where no object has it.
+    pub mesh: Option<Arc<Mesh>>,
+}
+
+/// Reads within the caller's transaction.
+pub(super) fn load(connection: &Connection, path: &Path) -> Result<Loaded> {
+    let reader = Reader { connection, path, digest: std::cell::Cell::default() };
+    reader.load().map_err(|e| e.in_file(path))
+}
+
+struct Reader<'a> {
+    connection: &'a Connection,
+    path: &'a Path,
+    digest: std::cell::Cell<Digest>,
+}
+
+impl Reader<'_> {
+    fn load(&self) -> Result<Loaded> {
+        let meta = Meta::read(self.connection, self.path)?;
+        let mut environment = Environment::new();
+        self.materials(&mut environment)?;
+        let meshes = self.meshes(environment.materials().len())?;
+        self.objects(&mut environment, &meshes)?;
+        let number = |n: i64| u32::try_from(n).map_err(|_| damaged("a number is out of range"));
+        environment.skip_to(number(meta.next_object)?, number(meta.next_slot)?).map_err(damaged)?;
+        self.layers(&mut environment)?;
+        if self.digest.get() != meta.digest {
+            return Err(damaged("rows are missing, or there are too many"));
+        }
+        Ok(Loaded { environment, meta, meshes })
+    }
+
+    /// Each row through `read`, whose error names table and row.
+    fn each(&self, table: &str, columns: &str, mut read: impl FnMut(&Row<'_>) -> Result<()>) -> Result<()> {
+        let wrap = |e| refusal(self.path, "read the store", e);
+        let mut statement = self.connection.prepare(&format!("SELECT {columns} FROM {table}")).map_err(wrap)?;
+        let mut rows = statement.query([]).map_err(wrap)?;
+        let mut count = 0;
+        while let Some(row) = rows.next().map_err(wrap)? {
+            count += 1;
+            read(row).map_err(|e| e.at(format!("table {table}, row {count}")))?;
+        }
+        Ok(())
+    }
+
+    /// Compares a row's hash with the one it carries, and counts it.
+    fn prove(&self, found: Hash, stored: Hash) -> Result<()> {
+        if found != stored {
+            return Err(damaged("the row is not what was written"));
+        }
+        let mut digest = self.digest.get();
+        digest.add(&found);
+        self.digest.set(digest);
+        Ok(())
+    }
+
+    fn materials(&self, environment: &mut Environment) -> Result<()> {
+        self.each("materials", "number, name, properties, hash", |row| {
+            let (number, name, properties): (i64, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
+            self.prove(material_hash(number, &name, &properties), get(row, 3)?)?;
+            let material = MaterialFields { name, ..from_json(&properties)? }.material()?;
+            let added = environment.add_material(material)?;
+            if i64::from(added) != number { Err(damaged("a number is left out")) } else { Ok(()) }
+        })
+    }
+
+    /// Meshes that no object has are proven and not kept.
+    fn meshes(&self, materials: usize) -> Result<HashMap<i64, LoadedMesh>> {
+        let mut used = std::collections::HashSet::new();
+        self.each("objects", "mesh", |row| {
+            used.insert(get::<i64>(row, 0)?);
+            Ok(())
+        })?;
+        let mut raw = Vec::new();
+        let columns = "number, name, vertices, polygons, content, hash";
+        self.each("meshes", columns, |row| {
+            let number: i64 = get(row, 0)?;
+            let (name, vertices, polygons): (String, i64, i64) = (get(row, 1)?, get(row, 2)?, get(row, 3)?);
+            let (content, hash): (Vec<u8>, Hash) = (get(row, 4)?, get(row, 5)?);
+            raw.push((number, name, vertices, polygons, content, hash));
+            Ok(())
+        })?;
+        let decode = |(number, name, vertices, polygons, bytes, hash): (i64, String, i64, i64, Vec<u8>, Hash)| {
+            let content = *blake3::hash(&bytes).as_bytes();
+            if mesh_hash(number, &name, vertices, polygons, &content) != hash {
+                return Err(damaged("it is not what was written").at(format!("mesh {number} {name:?}")));
+            }
+            let mesh = match used.contains(&number) {
+                true => Some(Arc::new(blob::decode(&name, &bytes, materials)?)),
+                false => None,
+            };
+            Ok((number, LoadedMesh { name, content, mesh }, hash))
+        };
+        let decoded: Vec<Result<_>> = raw.into_par_iter().map(decode).collect();
+        let mut meshes = HashMap::with_capacity(decoded.len());
+        for one in decoded {
+            let (number, mesh, hash) = one?;
+            self.prove(hash, hash)?;
+            meshes.insert(number, mesh);
+        }
+        Ok(meshes)
+    }
+
+    fn objects(&self, environment: &mut Environment, meshes: &HashMap<i64, LoadedMesh>) -> Result<()> {
+        let columns = "number, name, pose, object_from_mesh, mesh, first_slot, first_source, hash";
+        self.each("objects", columns, |row| {
+            let (number, name, pose): (i64, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
+            let affine: Option<String> = get(row, 3)?;
+            let rest: (i64, i64, i64) = (get(row, 4)?, get(row, 5)?, get(row, 6)?);
+            self.prove(object_hash(number, &name, (&pose, affine.as_deref()), rest), get(row, 7)?)?;
+            let mesh = meshes.get(&rest.0).and_then(|m| m.mesh.clone()).ok_or_else(|| damaged("it has no mesh"))?;
+            let affine: Option<Vec<f64>> = affine.as_deref().map(from_json).transpose()?;
+            let [number, slot, source] = [number, rest.1, rest.2].map(u32::try_from);
+            let (Ok(number), Ok(slot), Ok(first_source)) = (number, slot, source) else {
+                return Err(damaged("a number is out of range"));
+            };
+            let new = NewObject {
+                object_from_mesh: affine_of(affine.as_deref())?,
+                first_source,
+                ..NewObject::new(name, pose_of(&from_json::<Vec<f64>>(&pose)?)?, mesh)
+            };
+            environment.insert_at(number, slot, new)
+        })
+    }
+
+    fn layers(&self, environment: &mut Environment) -> Result<()> {
+        let mut layers: HashMap<String, FeatureLayer> = HashMap::new();
+        self.each("layers", "class, tolerance, pose_covariances, hash", |row| {
+            let (class, tolerance, covariances): (String, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
+            self.prove(layer_hash(&class, &tolerance, &covariances), get(row, 3)?)?;
+            let pose_covariances: Vec<(String, [[f64; 6]; 6])> = from_json(&covariances)?;
+            let tolerance = from_json(&tolerance)?;
+            let layer = FeatureLayer { class: class.clone(), tolerance, pose_covariances, features: Vec::new() };
+            layers.insert(class, layer);
+            Ok(())
+        })?;
+        self.each("features", "class, id, kind, object, feature, hash", |row| {
+            let (class, id): (String, i64) = (get(row, 0)?, get(row, 1)?);
+            let columns: [Option<String>; 3] = [get(row, 2)?, get(row, 3)?, get(row, 4)?];
+            let texts = columns.each_ref().map(|c| c.as_deref());
+            self.prove(feature_hash(&class, id, texts), get(row, 5)?)?;
+            let Some(text) = texts[2] else {
+                environment.retire(&class, u32::try_from(id).map_err(|_| damaged("an id is out of range"))?);
+                return Ok(());
+            };
+            let layer = layers.get_mut(&class).ok_or_else(|| damaged("its layer is missing"))?;
+            let fields: FeatureFields = from_json(text)?;
+            layer.features.push(from_fields(fields, layer.tolerance)?);
+            Ok(())
+        })?;
+        layers.into_values().try_for_each(|layer| environment.add_layer(layer))
+    }
+}
+
+/// A column; another type than was written is damage.
+pub(super) fn get<T: rusqlite::types::FromSql>(row: &Row<'_>, column: usize) -> Result<T> {
+    row.get(column).map_err(|e| damaged(e.to_string()))
+}
+
+/// A mesh's row alone, proven.
+pub(super) fn mesh(connection: &Connection, path: &Path, number: i64, materials: usize) -> Result<Arc<Mesh>> {
+    let sql = "SELECT name, vertices, polygons, content, hash FROM meshes WHERE number = ?1";
+    let columns = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?));
+    let (name, vertices, polygons, bytes, hash): (String, i64, i64, Vec<u8>, Hash) =
+        connection.query_row(sql, [number], columns).map_err(|e| refusal(path, "read the store", e))?;
+    let content = *blake3::hash(&bytes).as_bytes();
+    if mesh_hash(number, &name, vertices, polygons, &content) != hash {
+        return Err(damaged(format!("mesh {number} is not what was written")).in_file(path));
+    }
+    blob::decode(&name, &bytes, materials).map(Arc::new)
+}

@@ -1,0 +1,406 @@
+//! Changes on their way to the disk.
+
+use super::hash::Hash;
+use super::log::LogEntry;
+use super::op::{Context, Key, Op, Touched};
+use super::rows::{
+    Meta, ObjectRow, feature_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
+};
+use super::schema::refusal;
+use super::{Store, blob, read};
+use crate::change::Change;
+use crate::environment::{Environment, Mesh};
+use crate::error::{Error, Result};
+use crate::io::layer::to_fields;
+use crate::world::World;
+use rusqlite::{OptionalExtension, Params, ToSql, params};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Why and when a change was made, for the log. The time is the caller's: nothing here asks a clock.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Note {
+    /// In words.
+    pub cause: String,
+    /// UTC seconds.
+    pub time: f64,
+    /// The caller's own name for the change: applying it again under the same one does nothing.
+    pub id: Option<String>,
+    pub(super) undoes: Option<u64>,
+}
+
+impl Note {
+    /// A cause and a time.
+    pub fn new(cause: impl Into<String>, time: f64) -> Self {
+        Self { cause: cause.into(), time, ..Self::default() }
+    }
+}
+
+/// Changes that become durable together, by [`Batch::commit`]. Dropped before that, or after the system refused, world
+/// and store are again what they were.
+pub struct Batch<'a> {
+    store: &'a mut Store,
+    world: &'a mut World,
+    /// Something was changed that is not committed.
+    open: bool,
+    /// The store refused.
+    taken_back: bool,
+    /// Ids used in this batch.
+    ids: Vec<String>,
+}
+
+impl<'a> Batch<'a> {
+    pub(super) fn new(store: &'a mut Store, world: &'a mut World) -> Self {
+        Self { store, world, open: false, taken_back: false, ids: Vec::new() }
+    }
+
+    /// The world with all changes so far.
+    pub fn world(&self) -> &World {
+        self.world
+    }
+
+    /// False once the store refused a change: then nothing of the batch is left.
+    pub fn is_whole(&self) -> bool {
+        !self.taken_back
+    }
+
+    /// The number under which a change of this id is in the log already.
+    pub fn number_of(&self, id: &str) -> Option<u64> {
+        self.store.ids.get(id).copied()
+    }
+
+    /// Applies a change; the answer is its number in the log. One that is there already, by its id, does nothing.
+    ///
+    /// # Errors
+    /// Those of [`World::apply`], which leave the changes before in the batch; [`crate::ErrorKind::System`] and
+    /// [`crate::ErrorKind::Invalid`] of the store, after which the whole batch is taken back.
+    pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
+        if let Some(number) = note.id.as_deref().and_then(|id| self.number_of(id)) {
+            return Ok(number);
+        }
+        if self.taken_back {
+            return Err(Error::invalid("the batch was taken back", "begin another one"));
+        }
+        if !note.time.is_finite() {
+            return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
+        }
+        let inverse = self.world.apply(change.clone())?;
+        self.open = true;
+        let environment = self.world.environment().clone();
+        let written = self.store.write(&environment, &change, &inverse, note);
+        drop(environment);
+        match written {
+            Ok(number) => {
+                self.ids.extend(note.id.clone());
+                Ok(number)
+            }
+            Err(e) => {
+                self.take_back();
+                Err(e)
+            }
+        }
+    }
+
+    /// Applies a line as `presight env apply` reads it; files that it names are looked for in `folder`. The answer is
+    /// its number in the log, and whether it is new.
+    ///
+    /// # Errors
+    /// As [`Batch::apply`]; [`crate::ErrorKind::Invalid`] if the line is no change.
+    pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
+        let wrong = |e: serde_json::Error| {
+            let what = e.to_string();
+            let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
+            Error::invalid(what, "presight env apply --help tells the changes").caused_by(e)
+        };
+        let mut value: serde_json::Value = serde_json::from_str(line).map_err(wrong)?;
+        let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
+        let cause = match take("cause") {
+            None => note.cause.clone(),
+            Some(serde_json::Value::String(cause)) => cause,
+            Some(_) => return Err(Error::invalid("the cause is no text", "say why in words")),
+        };
+        let id = match take("id") {
+            None => None,
+            Some(serde_json::Value::String(id)) => Some(id),
+            Some(serde_json::Value::Number(id)) => Some(id.to_string()),
+            Some(_) => return Err(Error::invalid("the id is neither text nor number", "give text")),
+        };
+        if let Some(number) = id.as_deref().and_then(|id| self.number_of(id)) {
+            return Ok((number, false));
+        }
+        let op: Op = serde_json::from_value(value).map_err(wrong)?;
+        let mut mesh = |_| Err(Error::invalid("mesh numbers are for the log", "give \"like\""));
+        let environment = self.world.environment();
+        let mut context = Context { environment, folder: Some(folder), mesh: &mut mesh, added: Vec::new() };
+        let change = context.change(op)?;
+        Ok((self.apply(change, &Note { id, cause, ..note.clone() })?, true))
+    }
+
+    /// The change that the log tells by this JSON.
+    pub(super) fn change_of_log(&self, text: &str) -> Result<Change> {
+        let store = &*self.store;
+        let environment = self.world.environment();
+        let materials = environment.materials().len();
+        let mut mesh = |number: i64| match store.meshes.by_number.get(&number).and_then(std::sync::Weak::upgrade) {
+            Some(mesh) => Ok(mesh),
+            None => read::mesh(&store.connection, &store.path, number, materials),
+        };
+        let op: Op = super::rows::from_json(text)?;
+        Context { environment, folder: None, mesh: &mut mesh, added: Vec::new() }.change(op)
+    }
+
+    /// Makes all of them durable: they are on the disk when this returns.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses: world and store are again what they were.
+    pub fn commit(mut self) -> Result<()> {
+        if !self.open {
+            return Ok(());
+        }
+        let done = self.store.commit();
+        if done.is_ok() {
+            self.open = false;
+        }
+        done
+    }
+
+    /// Back to what the disk has.
+    fn take_back(&mut self) {
+        (self.open, self.taken_back) = (false, true);
+        for id in self.ids.drain(..) {
+            self.store.ids.remove(&id);
+        }
+        if let Some(environment) = self.store.roll_back() {
+            self.world.reset(environment);
+        }
+    }
+}
+
+impl Drop for Batch<'_> {
+    fn drop(&mut self) {
+        if self.open {
+            self.take_back();
+        }
+    }
+}
+
+impl Store {
+    /// Writes what a change has changed, and its entry of the log.
+    fn write(&mut self, now: &Environment, change: &Change, inverse: &Change, note: &Note) -> Result<u64> {
+        self.write_materials(now)?;
+        let (change, inverse) = {
+            let mut number_of = |mesh: &Arc<Mesh>| self.number_of(mesh);
+            (Op::of(change, &mut number_of)?, Op::of(inverse, &mut number_of)?)
+        };
+        for key in Touched::of(&[&change, &inverse]).writes {
+            match key {
+                Key::Object(name) => self.write_object(now, &name)?,
+                Key::Feature(class, id) => self.write_feature(now, &class, id)?,
+                Key::Layer(class) => self.write_layer(now, &class)?,
+                Key::Existence(_) => {}
+            }
+        }
+        (self.meta.next_object, self.meta.next_slot) = (now.objects().len() as i64, i64::from(now.slot_count()));
+        self.append(&change, &inverse, note)
+    }
+
+    fn write_materials(&mut self, now: &Environment) -> Result<()> {
+        for (number, material) in now.materials().iter().enumerate().skip(self.materials) {
+            let (number, properties) = (number as i64, material_json(material)?);
+            let hash = material_hash(number, &material.name, &properties);
+            let sql = "INSERT INTO materials VALUES(?1, ?2, ?3, ?4)";
+            self.run(sql, params![number, material.name, properties, hash])?;
+            self.meta.digest.add(&hash);
+        }
+        self.materials = now.materials().len();
+        Ok(())
+    }
+
+    fn append(&mut self, change: &Op, inverse: &Op, note: &Note) -> Result<u64> {
+        let number = self.meta.changes as u64 + 1;
+        let mut entry = LogEntry {
+            number,
+            // Not -0, which SQLite would not keep.
+            time: note.time + 0.0,
+            cause: note.cause.clone(),
+            id: note.id.clone(),
+            undoes: note.undoes,
+            change: json(change)?,
+            inverse: json(inverse)?,
+            hash: [0; 32],
+        };
+        entry.hash = entry.hash_after(&self.meta.head);
+        let undoes = entry.undoes.map(|n| n as i64);
+        let LogEntry { time, cause, id, change, inverse, hash, .. } = &entry;
+        let sql = "INSERT INTO log VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+        self.run(sql, params![number as i64, time, cause, id, undoes, change, inverse, hash])?;
+        (self.meta.changes, self.meta.head) = (number as i64, entry.hash);
+        self.ids.extend(entry.id.map(|id| (id, number)));
+        Ok(number)
+    }
+
+    /// The row of a mesh, written if it is new.
+    fn number_of(&mut self, mesh: &Arc<Mesh>) -> Result<i64> {
+        if let Some(number) = self.meshes.known(mesh) {
+            return Ok(number);
+        }
+        let bytes = blob::encode(mesh);
+        let content = *blake3::hash(&bytes).as_bytes();
+        let key = (mesh.name().to_owned(), content);
+        let number = match self.meshes.by_content.get(&key) {
+            Some(number) => *number,
+            None => {
+                let number = self.meshes.next;
+                let (vertices, polygons) = (mesh.vertices().len() as i64, mesh.polygon_count() as i64);
+                let hash = mesh_hash(number, mesh.name(), vertices, polygons, &content);
+                let sql = "INSERT INTO meshes VALUES(?1, ?2, ?3, ?4, ?5, ?6)";
+                self.run(sql, params![number, mesh.name(), vertices, polygons, bytes, hash])?;
+                self.meta.digest.add(&hash);
+                self.meshes.next += 1;
+                self.meshes.by_content.insert(key, number);
+                number
+            }
+        };
+        self.meshes.remember(number, mesh);
+        Ok(number)
+    }
+
+    fn write_object(&mut self, now: &Environment, name: &str) -> Result<()> {
+        let number = now.index_of(name).ok();
+        if let Some(before) = self.objects.get(name).copied().filter(|before| Some(*before) != number) {
+            self.remove("DELETE FROM objects WHERE number = ?1 RETURNING hash", params![before])?;
+            self.objects.remove(name);
+        }
+        let Some(number) = number else { return Ok(()) };
+        let object = &now.objects()[number as usize];
+        let ObjectRow { pose, object_from_mesh } = ObjectRow::of(object);
+        let mesh = self.number_of(&object.mesh)?;
+        let (slot, source) = (i64::from(object.first_slot), i64::from(object.first_source));
+        let hash = object_hash(i64::from(number), name, (&pose, object_from_mesh.as_deref()), (mesh, slot, source));
+        if self.objects.contains_key(name) {
+            let old = self.old_hash("SELECT hash FROM objects WHERE number = ?1", params![number])?;
+            self.meta.digest.subtract(&old);
+            let sql = "UPDATE objects SET pose = ?2, hash = ?3 WHERE number = ?1";
+            self.run(sql, params![number, pose, hash])?;
+        } else {
+            let sql = "INSERT INTO objects VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+            self.run(sql, params![number, name, pose, object_from_mesh, mesh, slot, source, hash])?;
+            self.objects.insert(name.to_owned(), number);
+        }
+        self.meta.digest.add(&hash);
+        Ok(())
+    }
+
+    fn write_feature(&mut self, now: &Environment, class: &str, id: u32) -> Result<()> {
+        let feature = now.feature(class, id);
+        if feature.is_none() && !now.retired(class).any(|retired| retired == id) {
+            return Ok(());
+        }
+        let kind = feature.map(|f| f.shape.kind());
+        let object = feature.and_then(|f| f.object.as_deref());
+        let text = feature.map(|f| json(&to_fields(f))).transpose()?;
+        let hash = feature_hash(class, i64::from(id), [kind, object, text.as_deref()]);
+        self.remove("DELETE FROM features WHERE class = ?1 AND id = ?2 RETURNING hash", params![class, id])?;
+        let sql = "INSERT INTO features VALUES(?1, ?2, ?3, ?4, ?5, ?6)";
+        self.run(sql, params![class, id, kind, object, text, hash])?;
+        self.meta.digest.add(&hash);
+        // A class may be new.
+        self.write_layer(now, class)
+    }
+
+    fn write_layer(&mut self, now: &Environment, class: &str) -> Result<()> {
+        let Some(layer) = now.layer(class) else { return Ok(()) };
+        let (tolerance, covariances) = (json(&layer.tolerance)?, json(&layer.pose_covariances)?);
+        let hash = layer_hash(class, &tolerance, &covariances);
+        self.remove("DELETE FROM layers WHERE class = ?1 RETURNING hash", params![class])?;
+        self.run("INSERT INTO layers VALUES(?1, ?2, ?3, ?4)", params![class, tolerance, covariances, hash])?;
+        self.meta.digest.add(&hash);
+        Ok(())
+    }
+
+    /// Writes everything that an environment holds, into empty tables.
+    pub(super) fn write_all(&mut self, now: &Environment) -> Result<()> {
+        self.write_materials(now)?;
+        for object in now.objects().iter().filter(|o| !o.is_deleted()) {
+            self.write_object(now, &object.name)?;
+        }
+        for layer in now.layers() {
+            self.write_layer(now, &layer.class)?;
+            for id in layer.features.iter().map(|f| f.id).chain(now.retired(&layer.class)) {
+                self.write_feature(now, &layer.class, id)?;
+            }
+        }
+        (self.meta.next_object, self.meta.next_slot) = (now.objects().len() as i64, i64::from(now.slot_count()));
+        Ok(())
+    }
+
+    /// Removes a row, if it is there, from table and digest.
+    fn remove(&mut self, sql: &str, params: impl Params) -> Result<()> {
+        let found = self.connection.prepare_cached(sql).and_then(|mut s| {
+            let mut rows = s.query(params)?;
+            let hash = rows.next()?.map(|row| row.get::<_, Hash>(0)).transpose()?;
+            // To its end, or nothing is removed.
+            while rows.next()?.is_some() {}
+            Ok(hash)
+        });
+        if let Some(hash) = found.map_err(|e| refusal(&self.path, "write to the store", e))? {
+            self.meta.digest.subtract(&hash);
+        }
+        Ok(())
+    }
+
+    fn old_hash(&self, sql: &str, params: &[&dyn ToSql]) -> Result<Hash> {
+        let found = self
+            .connection
+            .prepare_cached(sql)
+            .and_then(|mut s| s.query_row(params, |row| row.get::<_, Hash>(0)).optional());
+        let found = found.map_err(|e| refusal(&self.path, "write to the store", e))?;
+        found.ok_or_else(|| super::schema::damaged("a row is gone").in_file(&self.path))
+    }
+
+    fn run(&self, sql: &str, params: &[&dyn ToSql]) -> Result<()> {
+        let done = self.connection.prepare_cached(sql).and_then(|mut s| s.execute(params));
+        done.map(drop).map_err(|e| refusal(&self.path, "write to the store", e))
+    }
+
+    pub(super) fn write_meta(&self) -> Result<()> {
+        let m = &self.meta;
+        let sql = "INSERT OR REPLACE INTO meta VALUES(1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
+        let (digest, hash) = (m.digest.to_bytes(), m.hash());
+        let values =
+            params![m.created, m.cause, m.genesis, m.next_object, m.next_slot, m.changes, m.head, digest, hash];
+        self.run(sql, values)
+    }
+
+    /// Commits, and takes the write lock again.
+    fn commit(&mut self) -> Result<()> {
+        self.write_meta()?;
+        let commit = self.connection.execute_batch("COMMIT");
+        commit.map_err(|e| refusal(&self.path, "commit to the store", e))?;
+        // Whoever came between is found when the next batch begins.
+        self.locked = self.connection.execute_batch("BEGIN IMMEDIATE").is_ok();
+        Ok(())
+    }
+
+    /// Drops what is not committed; the answer is what the disk has. None if it cannot be read: then every further
+    /// batch is refused.
+    fn roll_back(&mut self) -> Option<Environment> {
+        // SQLite may have rolled back by itself, on a full disk.
+        if !self.connection.is_autocommit() {
+            let _ = self.connection.execute_batch("ROLLBACK");
+        }
+        self.locked = false;
+        let locked =
+            self.connection.execute_batch("BEGIN IMMEDIATE").is_ok() || self.connection.execute_batch("BEGIN").is_ok();
+        let loaded = read::load(&self.connection, &self.path);
+        let _ = self.connection.execute_batch("ROLLBACK");
+        match loaded {
+            Ok(loaded) if locked => Some(self.take_in(loaded)),
+            _ => {
+                // No file has this one: the check before the next batch fails.
+                self.meta = Meta { changes: -1, ..self.meta.clone() };
+                None
+            }
+        }
+    }
+}
