@@ -268,14 +268,6 @@ impl Mesh {
         mesh
     }
 
-    /// The same mesh with other material indices: what an environment with other materials needs.
-    pub(crate) fn with_materials(&self, index_of: impl Fn(u16) -> u16) -> Self {
-        let mut mesh = self.clone();
-        mesh.polygons.iter_mut().for_each(|p| p.material = index_of(p.material));
-        mesh.materials = materials_of(&mesh.polygons);
-        mesh
-    }
-
     /// Name in the source file; need not be unique.
     pub fn name(&self) -> &str {
         &self.name

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::environment::{Mesh, Polygon, PolygonOrder};
-use crate::error::ErrorKind;
+use crate::error::{ErrorKind, Result};
 use glam::DVec2;
 use proptest::prelude::*;
 use std::collections::HashMap;
@@ -65,7 +65,7 @@ fn fault(solid: &Solid) -> Option<String> {
     if volume(solid) <= 0.0 { Some("inside out".into()) } else { None }
 }
 
-fn mesh(solid: &Solid) -> crate::Result<Mesh> {
+fn mesh(solid: &Solid) -> Result<Mesh> {
     let vertices = solid.vertices.iter().map(|v| v.as_vec3()).collect();
     let polygons = solid.polygons().map(|c| Polygon::new(c.to_vec(), 0)).collect();
     Mesh::new("test", vertices, polygons, PolygonOrder::Given)
