@@ -215,6 +215,8 @@ fn a_marker_alone_fixes_a_pose_in_space() {
     assert_eq!((found.landmarks[0].code, found.landmarks[0].corners_robot.len()), (Some(4), 4));
     let sigmas = found.sigmas.unwrap();
     assert!(sigmas.iter().all(|s| *s > 0.0 && *s < 0.2), "{sigmas:?}");
-    // Its tilt is told by 1 cm over 0.2 m, its place by four of them.
-    assert!((0.001..0.006).contains(&sigmas[0]), "{sigmas:?}");
+    // Its tilt is told by 1 cm over 0.1 m at four corners; the robot, 2 m before it and 0.8 m below, swings with that.
+    assert!((sigmas[5] / 0.05 - 1.0).abs() < 0.1 && (sigmas[4] / 0.05 - 1.0).abs() < 0.1, "{sigmas:?}");
+    assert!((sigmas[1] / (2.0 * sigmas[5]) - 1.0).abs() < 0.02, "{sigmas:?}");
+    assert!((sigmas[0] / (0.8 * sigmas[4]) - 1.0).abs() < 0.05, "{sigmas:?}");
 }
