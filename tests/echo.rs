@@ -83,13 +83,14 @@ fn bits(image: &[f32]) -> Vec<u32> {
     image.iter().map(|v| v.to_bits()).collect()
 }
 
+type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
+
 #[test]
 fn engines_agree_and_a_planted_fault_is_caught() {
     let world = world();
-    let mut renderers: Vec<(Precision, Box<dyn FnMut(&FramePlan) -> Images>)> =
-        vec![(Precision::F64, Box::new(engines::cpu(2)))];
+    let mut renderers: Vec<(Precision, Renderer)> = vec![(Precision::F64, Box::new(engines::cpu(2)))];
     #[cfg(feature = "gpu")]
-    renderers.extend(engines::gpu().map(|gpu| (Precision::F32, Box::new(gpu) as Box<dyn FnMut(&FramePlan) -> Images>)));
+    renderers.extend(engines::gpu().map(|gpu| (Precision::F32, Box::new(gpu) as Renderer)));
     for (precision, render) in &mut renderers {
         for sensor in [scenes::camera(97, 61), scenes::scanner(120, 31), scenes::all_round(40, 21)] {
             for outputs in [Outputs::ALL, Outputs::of(&[Output::Echo])] {

@@ -21,6 +21,8 @@ pub struct Corridor {
     half_width: f64,
     z_min: f64,
     z_max: f64,
+    /// Around everything inside, seen from above: most points are outside.
+    bounds: [DVec2; 2],
 }
 
 /// Its fields as files have them.
@@ -37,7 +39,7 @@ pub(crate) struct CorridorFields {
 }
 
 /// Most points of a line.
-const MAX_POINTS: usize = 100_000;
+const MAX_POINTS: usize = 10_000;
 
 impl Corridor {
     /// From a line in the robot's x-y plane, half the width, and least and greatest height over the robot's origin, metres.
@@ -50,7 +52,7 @@ impl Corridor {
         let wrong = |what: String, remedy: &str, place: &str| Err(Error::invalid(what, remedy).at(place.to_owned()));
         if !(2..=MAX_POINTS).contains(&polyline_in_robot.len()) {
             let what = format!("has {} points", polyline_in_robot.len());
-            return wrong(what, "give 2 to 100,000 points [x, y]", "polyline_in_robot");
+            return wrong(what, "give 2 to 10,000 points [x, y]", "polyline_in_robot");
         }
         if let Some(i) = polyline_in_robot.iter().position(|p| !p.iter().all(|x| sound(*x))) {
             let what = format!("{:?} is not finite or too far away", polyline_in_robot[i]);
@@ -62,8 +64,11 @@ impl Corridor {
         if !(z_min < z_max && sound(z_min) && sound(z_max)) {
             return wrong(format!("are {z_min} and {z_max}"), "give z_min < z_max, metres", "z_min, z_max");
         }
-        let polyline_in_robot = polyline_in_robot.into_iter().map(DVec2::from).collect();
-        let corridor = Self { polyline_in_robot, half_width, z_min, z_max };
+        let polyline_in_robot: Vec<DVec2> = polyline_in_robot.into_iter().map(DVec2::from).collect();
+        let least = polyline_in_robot.iter().copied().fold(DVec2::INFINITY, DVec2::min);
+        let most = polyline_in_robot.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+        let bounds = [least - half_width, most + half_width];
+        let corridor = Self { polyline_in_robot, half_width, z_min, z_max, bounds };
         if corridor.length() > 0.0 {
             return Ok(corridor);
         }
@@ -79,10 +84,11 @@ impl Corridor {
     /// the line that comes as near as half the width. `None` outside.
     pub fn arc_length_at(&self, p_in_robot: [f64; 3]) -> Option<f64> {
         let [x, y, z] = p_in_robot;
-        if !(z >= self.z_min && z <= self.z_max) {
+        let p = DVec2::new(x, y);
+        let inside = p.cmpge(self.bounds[0]).all() && p.cmple(self.bounds[1]).all();
+        if !(inside && z >= self.z_min && z <= self.z_max) {
             return None;
         }
-        let p = DVec2::new(x, y);
         let mut before = 0.0;
         for piece in self.polyline_in_robot.windows(2) {
             let along = piece[1] - piece[0];

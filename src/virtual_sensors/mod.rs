@@ -223,6 +223,32 @@ impl VirtualSensor {
 
     /// Makes its answer from a prediction: a pure function.
     ///
+    /// ```
+    /// use presight::virtual_sensors::{Answer, Input, Settings, VirtualSensor};
+    /// use presight::{Backend, Environment, IdScheme, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+    /// use presight::{Pose, Predictor, Request, World};
+    /// // A wall 2 m ahead of a radar, 4 m wide.
+    /// let mut environment = Environment::new();
+    /// let paint = environment.add_material(Material::named("paint"))?;
+    /// let corners = [[2.0, -2.0, -1.0], [2.0, -2.0, 1.0], [2.0, 2.0, 1.0], [2.0, 2.0, -1.0]].map(glam::Vec3::from);
+    /// let face = Polygon::new(vec![0, 1, 2, 3], paint);
+    /// let mesh = Mesh::new("wall", corners.to_vec(), vec![face], PolygonOrder::Given)?;
+    /// environment.insert(NewObject::new("wall", Pose::IDENTITY, mesh.into()))?;
+    /// let world = World::new(environment);
+    ///
+    /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
+    /// let request = Request { outputs: task.outputs(), ids: IdScheme::Model };
+    /// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 })?;
+    /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &request)?;
+    /// let environment = world.environment();
+    /// let input = Input { environment, prediction: &prediction, ids: request.ids, features: None };
+    /// let reading = task.reduce(&input, &Settings::default())?;
+    /// let Answer::RadarLines(found) = &reading.answer else { unreachable!() };
+    /// assert!(found.lines.len() == 1 && (found.lines[0].length - 4.0).abs() < 0.01);
+    /// assert_eq!(found.lines[0].objects, ["wall"]);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// Those of [`VirtualSensor::check`]; [`crate::ErrorKind::Usage`] if features are needed and none were predicted;
     /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's.

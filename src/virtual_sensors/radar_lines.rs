@@ -4,7 +4,7 @@
 //! another within [`COLLINEAR`]. A segment ends at the hits of its first and last beam: as far as the sensor can say, which
 //! is up to a beam short of the surface's own end. One beam alone gives no segment and is counted.
 
-use super::view::{Surface, View, of_surfaces};
+use super::view::{PARALLEL, Surface, View, of_surfaces};
 use super::{Input, scan_row};
 use crate::error::Result;
 use crate::sensor::Geometry;
@@ -13,8 +13,6 @@ use serde::Serialize;
 
 /// Lines are one if the ends of one are no farther off the other, metres. They lean by less than half a degree, too.
 pub const COLLINEAR: f64 = 1e-3;
-/// Cosine of the angle that the normals of lines in one may differ by.
-const PARALLEL: f64 = 0.999_961_923_064_171_3;
 
 /// Line segments in the scan plane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -4,7 +4,7 @@
 //! seam of a full circle too) belong together if they show the same polygon, or polygons in one plane within [`COPLANAR`].
 
 use super::Input;
-use super::view::{Surface, View, of_surfaces};
+use super::view::{PARALLEL, Surface, View, of_surfaces};
 use crate::error::Result;
 use glam::DVec3;
 use serde::Serialize;
@@ -14,8 +14,6 @@ pub const VERTICAL: f64 = 2.0 * std::f64::consts::PI / 180.0;
 /// Planes are one if where the sensor sees the one is no farther off the other, metres; they lean by less than half a
 /// degree, too.
 pub const COPLANAR: f64 = 1e-3;
-/// Cosine of the angle that normals of one plane may differ by.
-const PARALLEL: f64 = 0.999_961_923_064_171_3;
 
 /// The vertical planes that are seen.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -9,6 +9,9 @@ use crate::sensor::Sensor;
 use glam::{DMat3, DVec3};
 use std::collections::HashMap;
 
+/// Cosine of the angle that normals of one plane may differ by: half a degree.
+pub const PARALLEL: f64 = 0.999_961_923_064_171_3;
+
 /// The plane of a polygon as the sensor has it in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {

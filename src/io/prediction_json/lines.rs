@@ -13,7 +13,7 @@ pub fn to_string(value: &impl Serialize) -> serde_json::Result<String> {
     let mut bytes = Vec::new();
     let lines = Lines { depth: 0, pretty: PrettyFormatter::new(), compact: CompactFormatter };
     value.serialize(&mut Serializer::with_formatter(&mut bytes, lines))?;
-    String::from_utf8(bytes).map_err(|e| serde::ser::Error::custom(e))
+    String::from_utf8(bytes).map_err(serde::ser::Error::custom)
 }
 
 struct Lines {
