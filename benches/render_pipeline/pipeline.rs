@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DVec3};
-use presight::{Environment, FramePlan, Geometry, Images, Mesh, Output, Outputs};
+use presight::{Environment, FramePlan, Geometry, Images, Mesh, Outputs};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
