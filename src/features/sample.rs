@@ -25,6 +25,10 @@ pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
 const COARSE: f64 = 8.0;
 /// Most pieces of arc that are looked at first.
 const MAX_COARSE: f64 = 4096.0;
+/// A piece of an image no longer than this may be sampled as a straight line, pixels.
+const RUN: f64 = 12.0;
+/// If its middle is no farther than this from that line's, pixels.
+const BENT: f64 = 1.0 / 64.0;
 /// How often arcs are halved: beyond a pole's neighbourhood nothing needs as many.
 const MAX_DEPTH: u32 = 40;
 /// Directions this far off the cone of a row without height are still on it, radians.
@@ -255,7 +259,7 @@ impl<'a> Sampler<'a> {
         let end = |phi: f64| {
             let t = t_at(phi);
             let at = a + t * (b - a);
-            End { phi, t: span[0] + t * (span[1] - span[0]), at, pixel: self.project(at) }
+            End { phi, t: span[0] + t * (span[1] - span[0]), at, range: at.length(), pixel: self.project(at) }
         };
         let pieces = (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE);
         let mut left = MAX_SEGMENT_SAMPLES;
@@ -296,6 +300,9 @@ impl<'a> Sampler<'a> {
                 None => self.outside(m.at, t),
             });
         }
+        if apart.is_some_and(|d| d <= RUN) && self.run(from, to, &middle(), left, visit) {
+            return;
+        }
         let off = |pixel: DVec2| {
             let out = (DVec2::splat(-0.5) - pixel).max(pixel - (self.size - 0.5)).max(DVec2::ZERO);
             out.max_element()
@@ -311,6 +318,39 @@ impl<'a> Sampler<'a> {
         let m = middle();
         self.halve(from, &m, depth - 1, end, left, visit);
         self.halve(&m, to, depth - 1, end, left, visit);
+    }
+
+    /// Samples a piece of an arc whose image is straight but for [`BENT`]; false if it is not.
+    ///
+    /// Samples are at equal angles: at share s of it the arc is at share s p / (s p + (1 - s) q) of the straight line between
+    /// its ends in space, at ranges p and q, but for the square of the angle.
+    fn run(&self, from: &End, to: &End, middle: &End, left: &mut usize, visit: &mut impl FnMut(Piece)) -> bool {
+        let (Some(p), Some(q), Some(m)) = (from.pixel, to.pixel, middle.pixel) else { return false };
+        // Beams are tall or thin: samples are held to them one by one.
+        let plain = self.cone.is_none() && self.beams.is_none();
+        let length = p.distance(q);
+        let count = (length / STEP).ceil().max(1.0);
+        if !(plain && m.distance(0.5 * (p + q)) <= BENT && count as usize <= *left) || length > RUN {
+            return false;
+        }
+        *left -= count as usize;
+        let step = 1.0 / count;
+        let along = |s: f64| s * from.range / (s * from.range + (1.0 - s) * to.range);
+        let (mut t0, mut p0) = (from.t, p);
+        for i in 0..count as u32 {
+            let s = f64::from(i + 1) * step;
+            let last = f64::from(i + 1) == count;
+            let (t1, p1) = if last { (to.t, q) } else { (from.t + along(s) * (to.t - from.t), p.lerp(q, s)) };
+            let half = s - 0.5 * step;
+            let (at, pixel, t) = (from.at.lerp(to.at, along(half)), p.lerp(q, half), [t0, t1]);
+            visit(if self.holds(at, pixel) {
+                Piece::Inside(Sample { t, at, pixel, ends: [p0, p1], weight: length * step })
+            } else {
+                self.outside(at, t)
+            });
+            (t0, p0) = (t1, p1);
+        }
+        true
     }
 
     /// Distance in the image, over the seam if that is nearer.
@@ -415,6 +455,7 @@ struct End {
     phi: f64,
     t: f64,
     at: DVec3,
+    range: f64,
     pixel: Option<DVec2>,
 }
 
