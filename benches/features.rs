@@ -27,7 +27,9 @@ fn main() {
     let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
     let text = std::fs::read_to_string(root.join("benches/peers/poses.json")).expect("poses.json is in the repository");
     let poses: serde_json::Value = serde_json::from_str(&text).expect("poses.json is JSON");
-    println!("| scene, pose, sensor, which | segments (seen) | samples | image space, ns a sample | rays, ns a sample | times as fast | image, ms |");
+    println!(
+        "| scene, pose, sensor, which | segments (seen) | samples | image space, ns a sample | rays, ns a sample | times as fast | image, ms |"
+    );
     println!("|---|---|---|---|---|---|---|");
     for scene in ["hospital", "factory_hall"] {
         let path = data.join("env").join(scene).with_extension("glb");

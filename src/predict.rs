@@ -61,11 +61,13 @@ pub struct Prediction {
 /// # Ok::<(), presight::Error>(())
 /// ```
 pub struct Predictor {
+    #[cfg(feature = "gpu")]
     options: Options,
     #[cfg(feature = "gpu")]
     opening: Opening,
     engine: Engine,
     /// Threads of a predictor whose engine has none.
+    #[cfg(feature = "gpu")]
     pool: Option<rayon::ThreadPool>,
     plan: Option<FramePlan>,
     /// What befell the GPU, once something did.
@@ -117,10 +119,12 @@ impl Predictor {
             },
         };
         Ok(Self {
+            #[cfg(feature = "gpu")]
             options,
             #[cfg(feature = "gpu")]
             opening,
             engine,
+            #[cfg(feature = "gpu")]
             pool: None,
             plan: None,
             notice,
@@ -239,14 +243,17 @@ impl Predictor {
     /// # Errors
     /// [`ErrorKind::System`] if threads cannot be started.
     pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
-        if let Engine::Cpu(engine) = &self.engine {
-            return Ok(engine.on_threads(work));
+        match &self.engine {
+            Engine::Cpu(engine) => Ok(engine.on_threads(work)),
+            #[cfg(feature = "gpu")]
+            Engine::Gpu(_) => {
+                let pool = match self.pool.take() {
+                    Some(pool) => pool,
+                    None => cpu::threads(self.options.threads)?,
+                };
+                Ok(self.pool.insert(pool).install(work))
+            }
         }
-        let pool = match self.pool.take() {
-            Some(pool) => pool,
-            None => cpu::threads(self.options.threads)?,
-        };
-        Ok(self.pool.insert(pool).install(work))
     }
 
     /// What the images on the device say of the samples of features; `None` if they are not there.
@@ -290,7 +297,10 @@ impl Predictor {
         });
         let told: Vec<Vec<Option<u32>>> =
             asking.iter().map(|samples| slots.by_ref().take(samples.len()).collect()).collect();
-        stats.count("feature samples in doubt on the device", told.iter().flatten().filter(|t| t.is_none()).count() - seen);
+        stats.count(
+            "feature samples in doubt on the device",
+            told.iter().flatten().filter(|t| t.is_none()).count() - seen,
+        );
         stats.stage("features on the device", start);
         Ok(Some(told))
     }

@@ -8,9 +8,11 @@ mod common;
 use common::{Random, data, hard, scenes};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeatureOptions, FeaturePrediction, FeatureStats, PlacedFeature, SeenFeature, predict_features};
-use presight::predict::Opening;
-use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
+use presight::features::{
+    FeatureOptions, FeaturePrediction, FeatureStats, PlacedFeature, SeenFeature, predict_features,
+};
+
+use presight::{Backend, Images, Opening, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 
@@ -111,7 +113,10 @@ fn check(
 
 /// What the device proposes is what the CPU finds in the same images, but for ties.
 fn proposes_as_much(name: &str, [device, host]: [FeatureStats; 2]) {
-    eprintln!("{name}: {} of {} samples hidden, {} on the host", device.hidden_by_neighbours, device.samples, host.hidden_by_neighbours);
+    eprintln!(
+        "{name}: {} of {} samples hidden, {} on the host",
+        device.hidden_by_neighbours, device.samples, host.hidden_by_neighbours
+    );
     let apart = device.hidden_by_neighbours.abs_diff(host.hidden_by_neighbours);
     assert!(host.hidden_by_neighbours > 500 && apart * 50 <= host.hidden_by_neighbours, "{name}: {device:?} {host:?}");
 }
@@ -182,7 +187,7 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
         .unwrap();
     assert!(none.features.is_empty() && none.stats == FeatureStats::default());
     assert_eq!(predictor.made().unwrap(), before, "without features");
-    let mut round = |predictor: &mut Predictor| {
+    let round = |predictor: &mut Predictor| {
         for i in 0..4 {
             on_device(predictor, &world, &sensors[i % 2], &pose(i), &placed);
         }

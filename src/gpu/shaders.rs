@@ -19,8 +19,8 @@ pub(super) const VISIBLE: &str = unit!("common.wgsl", "visible.wgsl");
 
 #[cfg(test)]
 mod tests {
-    use super::super::visible;
     use super::super::layout::{self, Counters, Instance, Params, Survivor};
+    use super::super::visible;
     use super::*;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};

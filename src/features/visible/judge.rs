@@ -484,7 +484,8 @@ impl<'a> Judge<'a> {
     /// Whatever has a point between the sensor and a convex patch.
     fn space_over(&mut self, corners: &[DVec3], left: std::ops::Range<usize>, own: &Own<'_>) {
         let n = corners.len();
-        let turned: DVec3 = (1..n.max(2) - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+        let turned: DVec3 =
+            (1..n.max(2) - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
         let side = turned.dot(corners[0]);
         if left.len() < 9 || side == 0.0 {
             return self.by_rays(own, left);

@@ -29,6 +29,7 @@ use crate::plan::{IdScheme, Images};
 use crate::sensor::Sensor;
 use crate::world::World;
 use frame::Frame;
+#[cfg(feature = "gpu")]
 use glam::DVec3;
 use judge::Judge;
 use rayon::prelude::*;
@@ -107,6 +108,7 @@ pub(crate) struct Prepared<'a> {
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
+#[cfg(feature = "gpu")]
 pub(crate) type Asking = Vec<(DVec3, u32)>;
 
 impl<'a> Prepared<'a> {
@@ -138,7 +140,8 @@ impl<'a> Prepared<'a> {
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
         let mut keys = vec![u64::MAX; pixels];
-        let mut prediction = FeaturePrediction { features: Vec::with_capacity(self.placed.len()), ..Default::default() };
+        let mut prediction =
+            FeaturePrediction { features: Vec::with_capacity(self.placed.len()), ..Default::default() };
         let judged = self.by_judges(|judge, i, placed| judge.feature(placed, told.map(|told| told[i].as_slice())));
         for (judged, placed) in judged.into_iter().zip(self.placed) {
             prediction.stats.add(&judged.stats);
@@ -169,7 +172,8 @@ impl<'a> Prepared<'a> {
             idle_ones().push(judge);
             done
         };
-        let batches: Vec<Vec<T>> = self.placed.par_chunks(BATCH).enumerate().map(|(i, some)| batch((i, some))).collect();
+        let batches: Vec<Vec<T>> =
+            self.placed.par_chunks(BATCH).enumerate().map(|(i, some)| batch((i, some))).collect();
         batches.into_iter().flatten().collect()
     }
 }

@@ -161,7 +161,10 @@ fn the_device_answers_as_its_twin() {
                     let own = random.uniform(0.0, 400.0) as u32;
                     asked.begin(&[own, own / 2][..(own % 3) as usize]);
                 }
-                let (u, v) = (random.uniform(-0.5, f64::from(sensor.width()) - 0.5), random.uniform(-0.5, f64::from(sensor.height()) - 0.5));
+                let (u, v) = (
+                    random.uniform(-0.5, f64::from(sensor.width()) - 0.5),
+                    random.uniform(-0.5, f64::from(sensor.height()) - 0.5),
+                );
                 let Some(ray) = sensor.ray_at(u, v) else { continue };
                 let pixel = ((v + 0.5) as u32) * sensor.width() + (u + 0.5) as u32;
                 asked.push(ray * 10f64.powf(random.uniform(-0.5, 1.2)), pixel);
