@@ -520,7 +520,7 @@ fn visible_fractions_agree_in_five_environments() {
         let (mut long, mut short, mut partly) = (0, 0, 0);
         let (mut worst_share, mut worst_pixels) = (0.0f64, 0.0f64);
         for pose in data::poses(&world, 2, env_number("PRESIGHT_SEED", 1)) {
-            let placed = near_edges(&world, &pose, 500, &mut random);
+            let placed = near_edges(&world, &pose, 1500, &mut random);
             let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
             let (prediction, _) = predict(&world, &sensor, &pose, &placed);
             let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
@@ -551,6 +551,6 @@ fn visible_fractions_agree_in_five_environments() {
             "{scene}: {long} features over 50 pixels, off by {worst_share:.4} at most; {short} shorter, {worst_pixels:.3} \
              pixels; {partly} seen in part"
         );
-        assert!(long > 20 && short > 20 && partly > 0, "{scene}");
+        assert!(long >= 10 && short >= 10 && partly > 0, "{scene}");
     }
 }

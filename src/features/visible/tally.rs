@@ -23,7 +23,7 @@ pub(super) struct Tally {
     pub seen: [f64; 2],
     by_state: Vec<(State, [f64; 2])>,
     pub bounds: Option<[DVec2; 2]>,
-    /// The nearest sample seen: its range and place.
+    /// The nearest sample seen: its range squared, and its place.
     pub nearest: Option<(f64, DVec3)>,
     pub pixels: Vec<u32>,
 }
@@ -70,9 +70,9 @@ impl Tally {
     }
 
     fn see(&mut self, frame: &Frame<'_>, sample: &Sample) {
-        let range = sample.at.length();
-        if self.nearest.is_none_or(|n| range < n.0) {
-            self.nearest = Some((range, sample.at));
+        let squared = sample.at.length_squared();
+        if self.nearest.is_none_or(|n| squared < n.0) {
+            self.nearest = Some((squared, sample.at));
         }
         let pixel = sample.pixel;
         let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
