@@ -24,6 +24,16 @@ pub(super) struct Own<'a> {
 }
 
 impl Own<'_> {
+    /// Only what is in between decides.
+    pub fn is_plain(&self) -> bool {
+        self.reason.is_none() && self.front.is_none()
+    }
+
+    /// How far its points may be off by rounding, metres.
+    pub fn rounding(&self) -> f64 {
+        self.rounding
+    }
+
     /// Of the surfaces it lies on, the one seen most directly.
     pub fn cosine(&self, ray: DVec3) -> Option<f64> {
         self.normals.iter().map(|n| n.dot(ray).abs().min(1.0)).reduce(f64::max)
@@ -68,18 +78,20 @@ struct Line {
 
 /// One worker with its memory.
 pub(super) struct Judge<'a> {
-    frame: &'a Frame<'a>,
-    faces: Faces,
+    pub(super) frame: &'a Frame<'a>,
+    pub(super) faces: Faces,
     pieces: Vec<Piece>,
     states: Vec<State>,
     open: Vec<Open>,
     /// Polygons of the image that may hide what is asked for, by number in `faces`.
-    near: Vec<u32>,
+    pub(super) near: Vec<u32>,
+    /// Slots of what hides the samples of a straight segment.
+    pub(super) by: Vec<u32>,
     center: Option<(i64, i64)>,
     /// Number of the feature, or of the pixel, that asks.
     asking: u32,
     found: Found,
-    stats: FeatureStats,
+    pub(super) stats: FeatureStats,
 }
 
 impl<'a> Judge<'a> {
@@ -91,6 +103,7 @@ impl<'a> Judge<'a> {
             states: Vec::new(),
             open: Vec::new(),
             near: Vec::new(),
+            by: Vec::new(),
             center: None,
             asking: 0,
             found: Found::default(),
@@ -101,7 +114,8 @@ impl<'a> Judge<'a> {
     /// The samples that only what is in between decides.
     #[cfg(feature = "gpu")]
     pub fn asking(&mut self, placed: &PlacedFeature) -> super::Asking {
-        self.sample(placed);
+        let (own, points) = self.prepare(placed);
+        self.sample(&placed.feature.shape, &own, &points);
         let width = i64::from(self.frame.images.width);
         let number = |i: usize| {
             let (column, row) = self.nearest_pixel(self.pixel_of(i));
@@ -114,13 +128,22 @@ impl<'a> Judge<'a> {
     pub fn feature(&mut self, placed: &PlacedFeature, told: Option<&[Option<u32>]>) -> Judged {
         let frame = self.frame;
         let shape = &placed.feature.shape;
-        let (own, points) = self.sample(placed);
-        self.decide(&own, shape, &points, told);
-        self.close();
-        let mut tally = Tally::default();
-        for (piece, state) in self.pieces.iter().zip(&self.states) {
-            tally.take(frame, piece, *state);
-        }
+        let (own, points) = self.prepare(placed);
+        let straight = match shape {
+            FeatureShape::Segment { .. } => self.straight([points[0], points[1]], &own, told),
+            _ => None,
+        };
+        let mut tally = straight.unwrap_or_else(|| {
+            self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
+            self.sample(shape, &own, &points);
+            self.decide(&own, shape, &points, told);
+            self.close();
+            let mut tally = Tally::default();
+            for (piece, state) in self.pieces.iter().zip(&self.states) {
+                tally.take(frame, piece, *state);
+            }
+            tally
+        });
         let area = matches!(shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. });
         let (visible, hidden) = if area { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         let world_from_object = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
@@ -146,21 +169,24 @@ impl<'a> Judge<'a> {
         Judged { seen, stats: self.stats, pixels: tally.pixels }
     }
 
-    /// Samples a feature: `open` are those left open.
-    fn sample<'p>(&mut self, placed: &'p PlacedFeature) -> (Own<'p>, Vec<DVec3>) {
-        let frame = self.frame;
-        let (points, image_from_object, rounding) = frame.in_image(placed);
-        let own = self.own(placed, &points, image_from_object, rounding);
+    /// What is known of a feature, and its points in the image frame.
+    fn prepare<'p>(&mut self, placed: &'p PlacedFeature) -> (Own<'p>, Vec<DVec3>) {
+        let (points, image_from_object, rounding) = self.frame.in_image(placed);
         self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
+        (self.own(placed, &points, image_from_object, rounding), points)
+    }
+
+    /// Samples a feature: `open` are those left open.
+    fn sample(&mut self, shape: &FeatureShape, own: &Own<'_>, points: &[DVec3]) {
+        let sampler = &self.frame.sampler;
         self.pieces.clear();
         let mut take = |piece: Piece| self.pieces.push(piece);
-        match &placed.feature.shape {
-            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => take(frame.sampler.point(points[0])),
-            FeatureShape::Segment { .. } => frame.sampler.segment(points[0], points[1], &mut take),
-            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => frame.sampler.patch(&points, &mut take),
+        match shape {
+            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => take(sampler.point(points[0])),
+            FeatureShape::Segment { .. } => sampler.segment(points[0], points[1], &mut take),
+            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => sampler.patch(points, &mut take),
         }
-        self.open(&own, &points);
-        (own, points)
+        self.open(own, points);
     }
 
     /// What holds for all of a feature.
@@ -333,7 +359,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    fn take_told(&mut self, told: &[Option<u32>], own: &Own<'_>) {
+    pub(super) fn take_told(&mut self, told: &[Option<u32>], own: &Own<'_>) {
         let mut last = None;
         for slot in told.iter().flatten() {
             if last.replace(*slot) != Some(*slot) {
@@ -342,7 +368,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    fn begin(&mut self) {
+    pub(super) fn begin(&mut self) {
         self.asking = self.asking.wrapping_add(1).max(1);
         self.near.clear();
         self.center = None;
@@ -367,7 +393,7 @@ impl<'a> Judge<'a> {
 
     /// Adds the polygons of the nine pixels around a place to `near`: those that cover rays, and that the feature does not
     /// lie on, once each.
-    fn gather(&mut self, pixel: DVec2, own: &Own<'_>) {
+    pub(super) fn gather(&mut self, pixel: DVec2, own: &Own<'_>) {
         let frame = self.frame;
         let (column, row) = self.nearest_pixel(pixel);
         let before = self.center.replace((column, row));
@@ -466,19 +492,33 @@ impl<'a> Judge<'a> {
 
     /// Whatever has a point between the sensor and a part of a segment, by one query of the index for all of it.
     fn space_along(&mut self, line: Line, left: std::ops::Range<usize>, own: &Own<'_>) {
-        /// Below this angle the plane of the sensor and the segment is not known well enough.
-        const LEAST_SINE: f64 = 1e-6;
-        let (a, b) = (self.open[left.start].at, self.open[left.end - 1].at);
-        let normal = a.cross(b);
-        if left.len() < 3 || !(normal.length() > LEAST_SINE * a.length() * b.length()) {
+        let ends = [self.open[left.start].at, self.open[left.end - 1].at];
+        let farthest = self.farthest(left.clone());
+        if left.len() < 3 || !self.query_triangle(ends, farthest, own) {
             return self.by_rays(own, left);
         }
-        let normal = normal.normalize();
-        let planes = [normal, -normal, normal.cross(a).normalize(), b.cross(normal).normalize()];
-        self.query(&planes, left.clone(), own);
         for i in 0..self.near.len() {
             self.hide_along(self.near[i] as usize, line, left.clone(), own);
         }
+    }
+
+    /// Fills `near` with all polygons that may have a point in the triangle of the sensor and two places; false if it has no
+    /// area.
+    pub(super) fn query_triangle(&mut self, [a, b]: [DVec3; 2], farthest: f64, own: &Own<'_>) -> bool {
+        /// Below this angle the plane of the sensor and the segment is not known well enough.
+        const LEAST_SINE: f64 = 1e-6;
+        let normal = a.cross(b);
+        if !(normal.length() > LEAST_SINE * a.length() * b.length()) {
+            return false;
+        }
+        let normal = normal.normalize();
+        let planes = [normal, -normal, normal.cross(a).normalize(), b.cross(normal).normalize()];
+        self.query(&planes, farthest, own);
+        true
+    }
+
+    fn farthest(&self, left: std::ops::Range<usize>) -> f64 {
+        self.open[left].iter().map(|o| o.range).fold(0.0, f64::max)
     }
 
     /// Whatever has a point between the sensor and a convex patch.
@@ -493,7 +533,7 @@ impl<'a> Judge<'a> {
         // More sides than a frustum has planes: leaving some out keeps too much.
         let plane = |k: usize| side.signum() * corners[k].cross(corners[(k + 1) % n] - corners[k]).normalize_or_zero();
         let planes: Vec<DVec3> = (0..n.min(Region::MAX_PLANES)).map(plane).collect();
-        self.query(&planes, left.clone(), own);
+        self.query(&planes, self.farthest(left.clone()), own);
         // The polygon's share is linear over the patch: what is nearer nowhere at its corners is so nowhere.
         let known = &self.faces.known;
         self.near.retain(|face| corners.iter().any(|c| known[*face as usize].inverse.dot(*c) > 1.0));
@@ -502,11 +542,10 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Fills `near` with all polygons that may have a point in a pyramid, up to the farthest of some samples.
-    fn query(&mut self, planes_in_image: &[DVec3], left: std::ops::Range<usize>, own: &Own<'_>) {
+    /// Fills `near` with all polygons that may have a point in a pyramid, up to a range.
+    fn query(&mut self, planes_in_image: &[DVec3], farthest: f64, own: &Own<'_>) {
         let frame = self.frame;
         self.begin();
-        let farthest = self.open[left].iter().map(|o| o.range).fold(0.0, f64::max);
         let world_from_image = frame.image_from_world.transpose();
         let mut planes = [DVec3::ZERO; Region::MAX_PLANES];
         for (to, from) in planes.iter_mut().zip(planes_in_image) {

@@ -40,18 +40,23 @@ impl Known {
     /// ([`crate::compare::Precision`]), k > 1 / r + off is `share` = r k > 1 + r off.
     #[inline]
     pub fn nearer(&self, share: f64, range: f64, rounding: f64) -> Nearer {
-        let least = 1.0 + rounding / range + 8.0 * f64::EPSILON;
-        if !(share > least) {
+        if !(share > 1.0 + rounding / range + 8.0 * f64::EPSILON) {
             return Nearer::No;
         }
-        let off = self.off[0] * range + self.off[1] * share;
-        if share > least + off {
+        let least = self.least_share(share, range, rounding);
+        if share > least {
             Nearer::Yes
-        } else if off.is_finite() {
+        } else if least.is_finite() {
             Nearer::No
         } else {
             Nearer::Unknown
         }
+    }
+
+    /// The share above which it is.
+    #[inline]
+    pub fn least_share(&self, share: f64, range: f64, rounding: f64) -> f64 {
+        1.0 + rounding / range + 8.0 * f64::EPSILON + self.off[0] * range + self.off[1] * share
     }
 }
 

@@ -19,6 +19,7 @@
 mod frame;
 mod judge;
 mod known;
+mod straight;
 mod tally;
 
 use super::{FeaturePrediction, PlacedFeature};

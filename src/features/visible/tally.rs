@@ -69,21 +69,49 @@ impl Tally {
         }
     }
 
-    fn see(&mut self, frame: &Frame<'_>, sample: &Sample) {
-        let squared = sample.at.length_squared();
-        if self.nearest.is_none_or(|n| squared < n.0) {
-            self.nearest = Some((squared, sample.at));
+    /// Takes several samples of a segment at once: how many, their part of the length and of the image.
+    pub fn take_run(&mut self, frame: &Frame<'_>, state: State, count: usize, [t0, t1]: [f64; 2], pixels: [DVec2; 2]) {
+        let more = [pixels[0].distance(pixels[1]), count as f64];
+        let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
+        add(&mut self.inside);
+        self.last = None;
+        match state {
+            State::Seen => {
+                add(&mut self.seen);
+                self.visible.push(VisibleInterval { t: [t0, t1], pixels });
+            }
+            State::Hidden(reason, slot) => {
+                let by = slot.and_then(|slot| frame.occluder(slot));
+                self.hidden.push(HiddenInterval { t: [t0, t1], reason, by });
+            }
         }
+    }
+
+    /// Keeps a place that is seen if it is the nearest so far.
+    pub fn see_at(&mut self, at: DVec3) {
+        let squared = at.length_squared();
+        if self.nearest.is_none_or(|n| squared < n.0) {
+            self.nearest = Some((squared, at));
+        }
+    }
+
+    fn see(&mut self, frame: &Frame<'_>, sample: &Sample) {
+        self.see_at(sample.at);
         let pixel = sample.pixel;
         let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
         self.bounds = Some([low.min(pixel), high.max(pixel)]);
         if frame.options.feature_id {
-            let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
-            let inside = |x: f64, n: i64| ((x + 0.5) as i64).min(n - 1);
-            let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
-            if self.pixels.last() != Some(&at) {
-                self.pixels.push(at);
-            }
+            self.mark(frame, pixel);
+        }
+    }
+
+    /// The pixel is one in which it shows.
+    pub fn mark(&mut self, frame: &Frame<'_>, pixel: DVec2) {
+        let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
+        let inside = |x: f64, n: i64| ((x + 0.5) as i64).min(n - 1);
+        let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
+        if self.pixels.last() != Some(&at) {
+            self.pixels.push(at);
         }
     }
 
