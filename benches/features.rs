@@ -104,7 +104,7 @@ fn pieces(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature])
     let mut all = Vec::new();
     for p in placed {
         let place = p.object.map(|o| world.environment().objects()[o as usize].world_from_object);
-        let ends: Vec<DVec3> = p.feature.shape.points();
+        let ends = p.feature.shape.points();
         let [a, b] = [ends[0], ends[1]].map(|e| {
             let at = place.map_or(e, |pose| pose.transform_point(e));
             image_from_world * (at - pose.translation)

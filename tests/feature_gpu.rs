@@ -72,13 +72,22 @@ fn shown(f: &SeenFeature) -> SeenFeature {
     f
 }
 
-fn agree(name: &str, device: &FeaturePrediction, host: &FeaturePrediction) {
+/// Features that are not the same on both sides.
+fn differing(device: &FeaturePrediction, host: &FeaturePrediction) -> usize {
     assert_eq!(device.features.len(), host.features.len());
-    for (a, b) in device.features.iter().zip(&host.features) {
-        assert_eq!(shown(a), shown(b), "{name}");
-    }
+    device.features.iter().zip(&host.features).filter(|(a, b)| shown(a) != shown(b)).count()
+}
+
+fn agree(name: &str, device: &FeaturePrediction, host: &FeaturePrediction) {
+    assert_eq!(differing(device, host), 0, "{name}");
     assert_eq!(device.feature_id, host.feature_id, "{name}");
     assert_eq!((device.stats.samples, device.stats.visible), (host.stats.samples, host.stats.visible), "{name}");
+    // Planted: one visible interval is dropped.
+    let mut less = device.clone();
+    if let Some(seen) = less.features.iter_mut().find(|f| !f.visible.is_empty()) {
+        seen.visible.pop();
+        assert_eq!(differing(&less, host), 1, "{name}");
+    }
 }
 
 fn on_device(
