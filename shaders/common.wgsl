@@ -51,7 +51,7 @@ struct Params {
     // Metres.
     range_min: f32,
     range_max: f32,
-    // Number of this frame, never 0.
+    // Number of this frame, with the highest bit set: no place of a record is as large.
     stamp: u32,
     padding: u32,
 }
@@ -128,8 +128,8 @@ const ITEM_WORDS: u32 = 2u;
 const ITEMS_PER_POLYGON: u32 = 256u;
 const LINES_PER_ITEM: u32 = 4u;
 
-// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1, and the stamp of the
-// last frame in which the CPU set it up.
+// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1, and where the record
+// is, or, with the highest bit set, the stamp of the last frame in which the CPU set it up.
 const SLOT_WORDS: u32 = 4u;
 
 // Stands for infinity where comparisons must stay well-defined.

@@ -100,10 +100,11 @@ fn write_head(at: u32, instance: Instance, polygon: u32, corner_count: u32, norm
     put(at, to_line(normal / distance));
     records[at + 3u] = slot;
     records[at + 4u] = corner_count;
-    // What the resolve stage asks of the winner.
+    // What the resolve stage asks of the winner, and where the visible stage finds it.
     let seen = slot * SLOT_WORDS;
     seen_slots[seen] = bitcast<u32>(abs(distance) / length(normal));
     seen_slots[seen + 1u] = instance.object_id;
+    seen_slots[seen + 3u] = at;
     if params.source_ids != 0u {
         seen_slots[seen + 2u] = instance.first_source + polygon_word(instance, polygon, 2u) + 1u;
     }

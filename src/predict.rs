@@ -2,6 +2,9 @@
 
 use crate::cpu;
 use crate::error::{Error, ErrorKind, Result};
+#[cfg(feature = "gpu")]
+use crate::features::Visibility;
+use crate::features::{FeatureOptions, FeaturePrediction, PlacedFeature, Prepared};
 use crate::geometry::Pose;
 #[cfg(feature = "gpu")]
 use crate::gpu;
@@ -63,6 +66,9 @@ pub struct Predictor {
     #[cfg(feature = "gpu")]
     opening: Opening,
     engine: Engine,
+    /// Threads of a predictor whose engine has none.
+    #[cfg(feature = "gpu")]
+    pool: Option<rayon::ThreadPool>,
     plan: Option<FramePlan>,
     /// What befell the GPU, once something did.
     notice: Option<String>,
@@ -78,6 +84,8 @@ pub struct Opening {
     pub largest_binding: Option<u64>,
     /// Nothing is found, as after a driver's crash.
     pub nothing: bool,
+    /// Every stage runs on the device, even on a software adapter.
+    pub all_on_device: bool,
 }
 
 enum Engine {
@@ -116,6 +124,8 @@ impl Predictor {
             #[cfg(feature = "gpu")]
             opening,
             engine,
+            #[cfg(feature = "gpu")]
+            pool: None,
             plan: None,
             notice,
         })
@@ -191,6 +201,110 @@ impl Predictor {
         rendered.map(|()| stats)
     }
 
+    /// Predicts what the sensor sees of features, from the images of a prediction of the same world, sensor and pose, as
+    /// [`crate::features::predict_features`] does, on the predictor's own threads.
+    ///
+    /// If that was its last prediction and the GPU made it, the images are asked where they are, on the device.
+    ///
+    /// # Errors
+    /// As [`crate::features::predict_features`]; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] of a GPU that
+    /// was asked for by name; [`ErrorKind::System`] if threads cannot be started.
+    #[expect(clippy::too_many_arguments, reason = "those of a prediction, its images, and where its cost is told")]
+    pub fn predict_features(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        images: &Images,
+        placed: &[PlacedFeature],
+        options: &FeatureOptions,
+        stats: &mut Stats,
+    ) -> Result<FeaturePrediction> {
+        let start = Instant::now();
+        let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
+        #[cfg(feature = "gpu")]
+        let told = if placed.is_empty() || options.visibility == Visibility::Rays {
+            None
+        } else {
+            self.told(&prepared, world, sensor, world_from_sensor, placed, stats)?
+        };
+        #[cfg(not(feature = "gpu"))]
+        let told: Option<Vec<Vec<Option<u32>>>> = None;
+        let prediction = self.on_threads(|| prepared.finish(told.as_deref()))?;
+        stats.stage("features", start);
+        for (name, n) in prediction.stats.counts() {
+            stats.count(name, n);
+        }
+        Ok(prediction)
+    }
+
+    /// Does something on the predictor's own threads.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if threads cannot be started.
+    pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
+        match &self.engine {
+            Engine::Cpu(engine) => Ok(engine.on_threads(work)),
+            #[cfg(feature = "gpu")]
+            Engine::Gpu(_) => {
+                let pool = match self.pool.take() {
+                    Some(pool) => pool,
+                    None => cpu::threads(self.options.threads)?,
+                };
+                Ok(self.pool.insert(pool).install(work))
+            }
+        }
+    }
+
+    /// What the images on the device say of the samples of features; `None` if they are not there.
+    #[cfg(feature = "gpu")]
+    fn told(
+        &mut self,
+        prepared: &Prepared<'_>,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        placed: &[PlacedFeature],
+        stats: &mut Stats,
+    ) -> Result<Option<Vec<Vec<Option<u32>>>>> {
+        let same = |plan: &FramePlan| {
+            std::sync::Arc::ptr_eq(plan.environment(), world.environment())
+                && std::ptr::eq(plan.sensor.grid(), sensor.grid())
+                && plan.world_from_sensor == *world_from_sensor
+        };
+        let there = matches!(&self.engine, Engine::Gpu(engine) if engine.proposes());
+        if !there || !self.plan.as_ref().is_some_and(same) {
+            return Ok(None);
+        }
+        let start = Instant::now();
+        let asking = self.on_threads(|| prepared.asking())?;
+        let mut asked = gpu::Asked::new(asking.iter().map(Vec::len).sum(), sensor);
+        for (samples, placed) in asking.iter().zip(placed) {
+            asked.begin(&placed.slots);
+            samples.iter().for_each(|(at, pixel)| asked.push(*at, *pixel));
+        }
+        let Engine::Gpu(engine) = &mut self.engine else { return Ok(None) };
+        let proposals = match engine.propose(&asked) {
+            Ok(proposals) => proposals,
+            // The images at hand say the same; the next prediction opens the device again.
+            Err(_) if self.options.backend == Backend::Auto => return Ok(None),
+            Err(e) => return Err(e),
+        };
+        let seen = proposals.iter().filter(|p| **p == gpu::Proposal::Seen).count();
+        let mut slots = proposals.iter().map(|p| match p {
+            gpu::Proposal::Hidden(slot) => Some(*slot),
+            _ => None,
+        });
+        let told: Vec<Vec<Option<u32>>> =
+            asking.iter().map(|samples| slots.by_ref().take(samples.len()).collect()).collect();
+        stats.count(
+            "feature samples in doubt on the device",
+            told.iter().flatten().filter(|t| t.is_none()).count() - seen,
+        );
+        stats.stage("features on the device", start);
+        Ok(Some(told))
+    }
+
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         match &mut self.engine {
             Engine::Cpu(engine) => engine.render(plan, images, stats),
@@ -232,6 +346,15 @@ impl Predictor {
         Ok(())
     }
 
+    /// What the GPU engine has made on its device so far; `None` of the CPU engine.
+    #[cfg(feature = "gpu")]
+    pub fn made(&self) -> Option<gpu::Made> {
+        match &self.engine {
+            Engine::Cpu(_) => None,
+            Engine::Gpu(engine) => Some(engine.made()),
+        }
+    }
+
     /// Changes how the GPU is opened when it has to be again.
     #[cfg(feature = "gpu")]
     #[doc(hidden)]
@@ -271,6 +394,7 @@ fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
     let engine = gpu::Engine::new(gpu::DeviceOptions {
         hardware_only: options.backend == Backend::Auto && !opening.any_adapter,
         largest_binding: opening.largest_binding,
+        all_on_device: opening.all_on_device,
         ..Default::default()
     })?;
     Ok(Engine::Gpu(Box::new(engine)))

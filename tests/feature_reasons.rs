@@ -219,3 +219,23 @@ fn what_cannot_be_placed_is_refused() {
     let e = predict_features(&world, &lone, &Pose::IDENTITY, &images, &good, &options).unwrap_err();
     assert!(e.to_string().contains("without a nearest ray"), "{e}");
 }
+
+/// On as many threads as it was given, to the same answers.
+#[test]
+fn a_predictor_predicts_features_on_its_own_threads() {
+    use presight::{Backend, Options, Predictor, Request, Stats};
+    let (world, camera) = (wall(Appearance::Opaque, false), scenes::camera(101, 81));
+    let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
+    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 3 }).unwrap();
+    assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
+    let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
+    assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")), "none were asked for");
+    let (options, mut stats) = (FeatureOptions::default(), Stats::default());
+    let found = predictor
+        .predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options, &mut stats)
+        .unwrap();
+    let again = predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options).unwrap();
+    assert_eq!(found, again);
+    assert!(stats.stages_ms.iter().any(|(stage, _)| stage == "features"));
+    assert!(stats.counts.contains(&("feature samples".into(), 2)), "{:?}", stats.counts);
+}

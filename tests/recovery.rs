@@ -60,8 +60,8 @@ fn on(backend: Backend, opening: Opening) -> Predictor {
     Predictor::opened(Options { backend, threads: 1 }, opening).unwrap()
 }
 
-const ANY: Opening = Opening { any_adapter: true, largest_binding: None, nothing: false };
-const NOTHING: Opening = Opening { any_adapter: true, largest_binding: None, nothing: true };
+const ANY: Opening = Opening { any_adapter: true, largest_binding: None, nothing: false, all_on_device: false };
+const NOTHING: Opening = Opening { nothing: true, ..ANY };
 
 #[test]
 fn a_lost_gpu_is_opened_again_and_shows_the_same() {

@@ -16,7 +16,10 @@ use presight::features::{
     FeatureOptions, FeaturePrediction, FeatureStats, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility,
     predict_features,
 };
-use presight::{Angles, Camera, Distortion, Environment, Geometry, Images, Pose, Scanner, Sensor, SensorSpec, World};
+use presight::{
+    Angles, Camera, Distortion, Environment, Geometry, Images, NewObject, Pose, RayTable, Scanner, Sensor, SensorSpec,
+    World,
+};
 use std::collections::BTreeMap;
 
 /// Hits nearer than the sample by this part of its range hide: what is coplanar within rounding does not. Real scenes hold
@@ -202,7 +205,22 @@ fn sensors() -> Vec<Sensor> {
         row(0.0, 0.0),
         row(4.0, 0.0),
         row(0.0, 20.0),
+        // Tables of rays have places between them by their nearest ray.
+        scenes::all_round(144, 73),
+        lens_as_table(),
     ]
+}
+
+/// What a lens sees, as a list of rays.
+fn lens_as_table() -> Sensor {
+    let camera = Camera {
+        distortion: Distortion::PlumbBob([-0.28, 0.07, 1e-3, -5e-4, 0.0]),
+        ..Camera::pinhole(120, 90, 90.0, 92.0, 58.0, 46.0)
+    };
+    let lens = Sensor::new(SensorSpec::new("lens", "video", Geometry::Camera(camera))).unwrap();
+    let ray = |i: u32| lens.body_from_image() * lens.ray(i % 120, i / 120).expect("the lens reaches its corners");
+    let table = RayTable::new(120, 90, (0..120 * 90).map(ray).collect()).unwrap();
+    Sensor::new(SensorSpec::new("table", "video", Geometry::Rays(table))).unwrap()
 }
 
 /// By neighbouring pixels, then with a ray for every sample.
@@ -213,12 +231,6 @@ fn in_both_ways(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFea
         predict_features(world, sensor, pose, &images, placed, &options).unwrap()
     })
 }
-
-/// Neighbouring pixels may all miss an occluder smaller than a pixel: this share of samples may be wrong, as it was when
-/// the method was tried out.
-const MISSED: f64 = 0.003;
-/// The same in rooms of boxes.
-const MISSED_IN_ROOMS: f64 = 0.0003;
 
 #[derive(Debug, Default)]
 struct Total {
@@ -248,7 +260,7 @@ impl Total {
         assert!(self.by_pixels.samples >= 50 && self.by_pixels.excluded_share() < left_out, "{name}");
         let some = |wrong: &[String]| format!("{:#?}", &wrong[..wrong.len().min(10)]);
         assert!(self.by_rays.wrong.is_empty(), "{name}: {}", some(&self.by_rays.wrong));
-        assert!(self.by_pixels.wrong_share() <= MISSED_IN_ROOMS, "{name}: {}", some(&self.by_pixels.wrong));
+        assert!(self.by_pixels.wrong.is_empty(), "{name}: {}", some(&self.by_pixels.wrong));
     }
 
     fn take(
@@ -291,6 +303,20 @@ fn rooms_agree_with_rays_in_space() {
     }
 }
 
+/// Edges that are large to a sensor at a pose: most of a hall's are too small to be sampled more than once.
+fn near_edges(world: &World, pose: &Pose, most: usize, random: &mut Random) -> Vec<PlacedFeature> {
+    let mut placed = edges(world.environment(), usize::MAX, random);
+    placed.retain(|p| {
+        let pose_of = world.environment().objects()[p.object.unwrap() as usize].world_from_object;
+        let [a, b] = [0, 1].map(|i| pose_of.transform_point(p.feature.shape.points()[i]) - pose.translation);
+        a.distance(b) / a.length().min(b.length()) > 0.1
+    });
+    while placed.len() > most {
+        placed.swap_remove(random.below(placed.len()));
+    }
+    placed
+}
+
 #[test]
 fn real_scenes_agree_with_rays_in_space() {
     let wanted = std::env::var("PRESIGHT_FEATURE_SCENES").unwrap_or_else(|_| "factory_hall,hospital".into());
@@ -299,17 +325,7 @@ fn real_scenes_agree_with_rays_in_space() {
         let Some(world) = data::scene(scene, true) else { return };
         let mut total = Total::default();
         for pose in data::poses(&world, 3, env_number("PRESIGHT_SEED", 1)) {
-            // Near ones: most of a hall's edges are too small to be sampled more than once.
-            let mut placed = edges(world.environment(), usize::MAX, &mut random);
-            let near = |p: &PlacedFeature| {
-                let pose_of = world.environment().objects()[p.object.unwrap() as usize].world_from_object;
-                let [a, b] = [0, 1].map(|i| pose_of.transform_point(p.feature.shape.points()[i]) - pose.translation);
-                a.distance(b) / a.length().min(b.length()) > 0.1
-            };
-            placed.retain(near);
-            while placed.len() > 600 {
-                placed.swap_remove(random.below(placed.len()));
-            }
+            let placed = near_edges(&world, &pose, 600, &mut random);
             let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
             for sensor in [scenes::camera(512, 384), scenes::scanner(360, 91)] {
                 total.take(&world, &oracle, &sensor, &pose, &placed, SHORT_IN_F32);
@@ -318,8 +334,10 @@ fn real_scenes_agree_with_rays_in_space() {
         total.say(scene);
         assert!(total.by_pixels.samples > 1000, "{scene}");
         let some = |a: &Agreement| format!("{scene}: {:#?}", &a.wrong[..a.wrong.len().min(10)]);
-        assert!(total.by_pixels.wrong_share() <= MISSED, "{}", some(&total.by_pixels));
+        assert!(total.by_pixels.wrong.is_empty(), "{}", some(&total.by_pixels));
         assert!(total.by_rays.wrong.is_empty(), "{}", some(&total.by_rays));
+        let stats = total.stats;
+        assert!(2 * stats.hidden_by_neighbours > stats.samples - stats.visible, "images propose little: {stats:?}");
     }
 }
 
@@ -330,7 +348,7 @@ fn planted_faults_are_caught() {
     let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
     let placed = edges(world.environment(), usize::MAX, &mut Random(1));
     let (right, _) = predict(&world, &sensor, &pose, &placed);
-    assert!(check(&oracle, &sensor, &pose, &placed, &right, SHORT).wrong_share() <= MISSED);
+    assert!(check(&oracle, &sensor, &pose, &placed, &right, SHORT).wrong.is_empty());
 
     // Every feature 2 pixels to the right of where it is.
     let aside = pose.rotation * (sensor.body_from_image() * DVec3::X);
@@ -428,7 +446,111 @@ fn generated_layers_agree_with_rays_in_space() {
         total.say(&format!("{scene}, generated"));
         let some = |a: &Agreement| format!("{scene}: {:#?}", &a.wrong[..a.wrong.len().min(10)]);
         assert!(total.by_pixels.samples > 1000 && total.by_pixels.excluded_share() < 0.05, "{scene}");
-        assert!(total.by_pixels.wrong_share() <= MISSED, "{}", some(&total.by_pixels));
-        assert!(total.by_rays.wrong_share() <= MISSED_IN_ROOMS, "{}", some(&total.by_rays));
+        assert!(total.by_pixels.wrong.is_empty(), "{}", some(&total.by_pixels));
+        assert!(total.by_rays.wrong.is_empty(), "{}", some(&total.by_rays));
+    }
+}
+
+/// A wall 5 m ahead, something 2 m ahead, and an edge on the wall, 80 pixels long, every half pixel of it a sample.
+fn behind(occluder: &[Vec<glam::Vec3>]) -> (World, Vec<PlacedFeature>) {
+    let mut environment = scenes::empty();
+    let at = |x: f32, y: f32, z: f32| glam::Vec3::new(x, y, z);
+    let wall = vec![at(5.0, -4.0, -4.0), at(5.0, 4.0, -4.0), at(5.0, 4.0, 4.0), at(5.0, -4.0, 4.0)];
+    for (name, polygons) in [("wall", vec![wall].as_slice()), ("occluder", occluder)] {
+        let new = NewObject::new(name, Pose::IDENTITY, std::sync::Arc::new(scenes::mesh(polygons)));
+        environment.insert(new).unwrap();
+    }
+    let ends = [DVec3::new(5.0, 1.0, 0.1), DVec3::new(5.0, -1.0, 0.1)];
+    let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+    let (existence, properties) = (Existence::default(), Properties::default());
+    let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
+    (World::new(environment), vec![PlacedFeature { feature, object: None, slots: vec![0] }])
+}
+
+fn hidden_pixels_behind(occluder: &[Vec<glam::Vec3>]) -> (f64, Images) {
+    let (world, placed) = behind(occluder);
+    let (seen, images) = predict(&world, &scenes::camera(200, 150), &Pose::IDENTITY, &placed);
+    let [f] = &seen.features[..] else { panic!("one feature") };
+    assert!(f.hidden.iter().all(|h| h.reason == Reason::Occluded && h.by.is_some_and(|by| by.object == 1)));
+    (80.0 * (1.0 - f.visible_fraction), images)
+}
+
+/// Six tenths of a pixel wide, between two columns of pixel centres: no image shows it.
+#[test]
+fn a_wire_between_the_pixels_hides() {
+    let at = |y: f32, z: f32| glam::Vec3::new(2.0, y, z);
+    let (hidden, images) =
+        hidden_pixels_behind(&[vec![at(-0.003, -1.0), at(0.003, -1.0), at(0.003, 1.0), at(-0.003, 1.0)]]);
+    assert!(!images.polygon_id.contains(&2), "the image shows it");
+    assert!((hidden - 1.0).abs() < 1e-9, "{hidden}");
+}
+
+/// The tip of a triangle that pixels show only far from where it hides.
+#[test]
+fn a_tip_between_the_pixels_hides() {
+    let at = |y: f32, z: f32| glam::Vec3::new(2.0, y, z);
+    // The edge is in row 70, the tip half a pixel above it, over a sample between two columns of pixel centres.
+    let tip = vec![at(-0.0475, -0.6), at(0.0525, -0.6), at(0.0025, 0.045)];
+    let (hidden, images) = hidden_pixels_behind(&[tip]);
+    let shown = images.polygon_id.chunks(200).position(|row| row.contains(&2)).unwrap();
+    assert!(shown > 71, "row {shown} shows it");
+    assert!((hidden - 0.5).abs() < 1e-9, "{hidden}");
+}
+
+/// A screen of facets smaller than pixels, of which pixels see but some.
+#[test]
+fn facets_under_a_pixel_hide() {
+    let facet = |i: i32, j: i32| {
+        let at = |a: i32, b: i32| glam::Vec3::new(2.0, (i + a) as f32 * 0.002, 0.03 + (j + b) as f32 * 0.002);
+        [vec![at(0, 0), at(1, 0), at(1, 1)], vec![at(0, 0), at(1, 1), at(0, 1)]]
+    };
+    let screen: Vec<_> = (-50..50).flat_map(|i| (0..10).flat_map(move |j| facet(i, j))).collect();
+    let (hidden, _) = hidden_pixels_behind(&screen);
+    assert!((hidden - 20.0).abs() < 1e-9, "{hidden}");
+}
+
+/// Shares of the image length that are seen, against the oracle's, in the five environments: within 0.02 for features longer than 50
+/// pixels, within a pixel of length below that.
+#[test]
+fn visible_fractions_agree_in_five_environments() {
+    let mut random = Random(env_number("PRESIGHT_SEED", 1));
+    for scene in data::SCENES {
+        let Some(world) = data::scene(scene, true) else { return };
+        let sensor = scenes::camera(512, 384);
+        let (mut long, mut short, mut partly) = (0, 0, 0);
+        let (mut worst_share, mut worst_pixels) = (0.0f64, 0.0f64);
+        for pose in data::poses(&world, 2, env_number("PRESIGHT_SEED", 1)) {
+            let placed = near_edges(&world, &pose, 1500, &mut random);
+            let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+            let (prediction, _) = predict(&world, &sensor, &pose, &placed);
+            let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
+            for (placed, seen) in placed.iter().zip(&prediction.features) {
+                let [a, b] = [0, 1].map(|i| world_from_image.transpose() * (seen.points_world[i] - pose.translation));
+                let (mut length, mut clear) = (0.0, 0.0);
+                Sampler::new(&sensor).segment(a, b, &mut |piece| {
+                    let Piece::Inside(s) = piece else { return };
+                    let (range, ray) = (s.at.length(), world_from_image * s.at.normalize());
+                    length += s.weight;
+                    let end = range * (1.0 - SHORT_IN_F32);
+                    clear += if oracle.hides(pose.translation, ray, end, &placed.slots) { 0.0 } else { s.weight };
+                });
+                if length == 0.0 {
+                    continue;
+                }
+                let off = (clear / length - seen.visible_fraction).abs();
+                let (worst, most) = if length > 50.0 { (&mut worst_share, 0.02) } else { (&mut worst_pixels, 1.0) };
+                let off = if length > 50.0 { off } else { off * length };
+                *worst = worst.max(off);
+                assert!(off <= most, "{scene} {}: {off} off of {length} pixels", seen.feature.id);
+                long += usize::from(length > 50.0);
+                short += usize::from(length <= 50.0);
+                partly += usize::from((0.01..0.99).contains(&seen.visible_fraction));
+            }
+        }
+        eprintln!(
+            "{scene}: {long} features over 50 pixels, off by {worst_share:.4} at most; {short} shorter, {worst_pixels:.3} \
+             pixels; {partly} seen in part"
+        );
+        assert!(long >= 10 && short >= 10 && partly > 0, "{scene}");
     }
 }

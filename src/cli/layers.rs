@@ -6,11 +6,11 @@ use super::pose_cov;
 use super::print;
 use crate::error::{Error, Result};
 use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature};
-use crate::features::{add_boxes, place, predict_features};
+use crate::features::{add_boxes, place};
 use crate::geometry::Pose;
 use crate::io::{layer, prediction_json};
 use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
-use crate::predict::Prediction;
+use crate::predict::{Prediction, Predictor};
 use crate::sensor::Sensor;
 use crate::virtual_sensors::{VirtualReading, VirtualSensor};
 use std::path::PathBuf;
@@ -178,22 +178,19 @@ impl Layers {
     /// Predicts them from images just made, notes what it cost, and puts `feature_id` among the images.
     pub fn predict(
         &self,
+        predictor: &mut Predictor,
         scene: &Scene,
         prediction: &Prediction,
         images: &mut Images,
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
-        let start = Instant::now();
         let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
-        let mut features = predict_features(&scene.world, sensor, pose, images, &self.placed, &self.options)?;
+        let (world, placed) = (&scene.world, &self.placed);
+        let mut features = predictor.predict_features(world, sensor, pose, images, placed, &self.options, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
-        stats.stage("features", start);
         let start = Instant::now();
-        add_boxes(&mut features, &self.placed, &scene.world, sensor, pose, &self.boxes)?;
+        predictor.on_threads(|| add_boxes(&mut features, placed, world, sensor, pose, &self.boxes))??;
         stats.stage("regions of interest", start);
-        for (name, n) in features.stats.counts() {
-            stats.count(name, n);
-        }
         Ok(features)
     }
 }

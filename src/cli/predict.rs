@@ -274,7 +274,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
-    let mut features = of_layers(layers.as_ref(), &scene, &mut prediction)?;
+    let mut features = of_layers(layers.as_ref(), &mut predictor, &scene, &mut prediction)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
     let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
@@ -282,7 +282,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         let start = Instant::now();
         let images = &mut prediction.images;
         prediction.stats = predictor.predict_into(&scene.world, &sensor, &world_from_sensor, &request, images)?;
-        features = of_layers(layers.as_ref(), &scene, &mut prediction)?;
+        features = of_layers(layers.as_ref(), &mut predictor, &scene, &mut prediction)?;
         times_ms.push(start.elapsed().as_secs_f64() * 1e3);
         runs.push(prediction.stats.clone());
     }
@@ -315,10 +315,15 @@ pub fn run(args: &Args) -> Result<Verdict> {
 }
 
 /// What is seen of the features of layers, if there are layers.
-fn of_layers(layers: Option<&Layers>, scene: &Scene, prediction: &mut Prediction) -> Result<Option<FeaturePrediction>> {
+fn of_layers(
+    layers: Option<&Layers>,
+    predictor: &mut Predictor,
+    scene: &Scene,
+    prediction: &mut Prediction,
+) -> Result<Option<FeaturePrediction>> {
     let Some(layers) = layers else { return Ok(None) };
     let (mut images, mut stats) = (std::mem::take(&mut prediction.images), std::mem::take(&mut prediction.stats));
-    let features = layers.predict(scene, prediction, &mut images, &mut stats);
+    let features = layers.predict(predictor, scene, prediction, &mut images, &mut stats);
     (prediction.images, prediction.stats) = (images, stats);
     features.map(Some)
 }

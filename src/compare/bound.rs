@@ -81,6 +81,41 @@ impl Precision {
     }
 }
 
+/// The error bounds of a polygon's plane, and what they are made of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlaneBound {
+    /// Error of n . u.
+    pub cosine: f64,
+    /// Error of d, metres: arithmetic and plane.
+    pub distance: f64,
+    /// An engine need not have proven the side that the sensor is on.
+    may_be_edge_on: bool,
+    /// What the centre's own rounding adds, metres.
+    centre: f64,
+    /// What the plane's own tilt adds at its farthest corner, metres.
+    tilt: f64,
+}
+
+impl PlaneBound {
+    /// Works them out; `centre_in_mesh` is c.
+    pub fn new(face: &Face, centre_in_mesh: DVec3, precision: Precision) -> Self {
+        let eps = precision.unit_roundoff();
+        let centre = 4.0 * face.norm * centre_in_mesh.length() * (UNIT_ROUNDOFF + eps * eps);
+        let arithmetic = 12.0 * eps * face.nearest * (1.0 + face.normal_condition);
+        let farthest = face.relative.iter().map(|p| p.length()).fold(0.0, f64::max) * face.norm;
+        let tilt = 8.0 * UNIT_ROUNDOFF * farthest * (1.0 + face.aspect);
+        let deviation = face.spread();
+        Self {
+            cosine: 6.0 * eps * face.normal_condition + 6.0 * eps,
+            distance: arithmetic + centre + tilt + 2.0 * deviation,
+            may_be_edge_on: face.edge_on()
+                || face.distance.abs() <= 4.0 * arithmetic + 8.0 * centre + tilt + 2.0 * deviation,
+            centre,
+            tilt,
+        }
+    }
+}
+
 /// The error bounds of one polygon.
 #[derive(Clone, Debug)]
 pub(crate) struct FaceBound {
@@ -100,20 +135,14 @@ impl FaceBound {
     /// Works the bounds out; `centre_in_mesh` is c.
     pub fn new(face: &Face, centre_in_mesh: DVec3, precision: Precision) -> Self {
         let eps = precision.unit_roundoff();
-        let normal = 6.0 * eps * face.normal_condition;
-        let centre = 4.0 * face.norm * centre_in_mesh.length() * (UNIT_ROUNDOFF + eps * eps);
-        let arithmetic = 12.0 * eps * face.nearest * (1.0 + face.normal_condition);
-        let deviation = face.spread();
-        let farthest = face.relative.iter().map(|p| p.length()).fold(0.0, f64::max) * face.norm;
+        let plane = PlaneBound::new(face, centre_in_mesh, precision);
         let size = face.corners.iter().map(|v| v.distance(face.corners[0])).fold(0.0, f64::max);
-        let tilt = 8.0 * UNIT_ROUNDOFF * farthest * (1.0 + face.aspect);
         Self {
-            edges: face.edges.iter().map(|e| edge_bound(face, e, centre, eps)).collect(),
-            cosine: normal + 6.0 * eps,
-            shown_cosine: normal + 6.0 * eps + tilt / size,
-            distance: arithmetic + centre + tilt + 2.0 * deviation,
-            may_be_edge_on: face.edge_on()
-                || face.distance.abs() <= 4.0 * arithmetic + 8.0 * centre + tilt + 2.0 * deviation,
+            edges: face.edges.iter().map(|e| edge_bound(face, e, plane.centre, eps)).collect(),
+            cosine: plane.cosine,
+            shown_cosine: plane.cosine + plane.tilt / size,
+            distance: plane.distance,
+            may_be_edge_on: plane.may_be_edge_on,
         }
     }
 

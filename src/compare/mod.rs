@@ -12,7 +12,7 @@ pub mod bound;
 mod candidates;
 mod pixel;
 
-pub(crate) use bound::FaceBound;
+pub(crate) use bound::PlaneBound;
 pub use bound::Precision;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{Allowed, Shares, Values};

@@ -50,15 +50,13 @@ impl Engine {
     /// # Errors
     /// [`ErrorKind::System`] if the threads cannot be started.
     pub fn new(threads: usize) -> Result<Self> {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .thread_name(|i| format!("presight-{i}"))
-            .build()
-            .map_err(|e| {
-                Error::new(ErrorKind::System, "cannot start the threads of the CPU engine", "lower --threads")
-                    .caused_by(e)
-            })?;
+        let pool = self::threads(threads)?;
         Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+    }
+
+    /// Does something else on its threads.
+    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        self.pool.install(work)
     }
 
     /// Fills the asked images.
@@ -91,6 +89,14 @@ impl Engine {
         plan.finish(images);
         Ok(())
     }
+}
+
+/// So many threads; 0 takes all cores.
+pub(crate) fn threads(count: usize) -> Result<rayon::ThreadPool> {
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(count).thread_name(|i| format!("presight-{i}"));
+    threads.build().map_err(|e| {
+        Error::new(ErrorKind::System, "cannot start the threads of the CPU engine", "lower --threads").caused_by(e)
+    })
 }
 
 /// Sets up and draws all runs, nearest first; the answer is the number of batches in use.

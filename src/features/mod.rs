@@ -12,6 +12,7 @@ pub use boxes::{BoxOptions, add_boxes, sensor_covariance};
 pub use place::place;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
+pub(crate) use visible::Prepared;
 pub use visible::{FeatureOptions, Visibility, predict_features};
 
 use crate::environment::Feature;

@@ -132,11 +132,11 @@ pub struct FeatureStats {
     pub samples: usize,
     /// Hidden by a polygon of the nine neighbouring pixels.
     pub hidden_by_neighbours: usize,
-    /// Visible by their own polygon, or a farther one of the nine.
-    pub visible_by_neighbours: usize,
-    /// In doubt: decided by a ray through the index.
-    pub decided_by_ray: usize,
-    /// Not decided by that either.
+    /// Hidden by another that the nine pixels missed, found by asking the index.
+    pub hidden_in_space: usize,
+    /// Visible: the index has nothing in between.
+    pub visible: usize,
+    /// Covered by a polygon whose range is not known.
     pub undecided: usize,
 }
 
@@ -146,8 +146,8 @@ impl FeatureStats {
         self.features += other.features;
         self.samples += other.samples;
         self.hidden_by_neighbours += other.hidden_by_neighbours;
-        self.visible_by_neighbours += other.visible_by_neighbours;
-        self.decided_by_ray += other.decided_by_ray;
+        self.hidden_in_space += other.hidden_in_space;
+        self.visible += other.visible;
         self.undecided += other.undecided;
     }
 
@@ -157,8 +157,8 @@ impl FeatureStats {
             ("features", self.features),
             ("feature samples", self.samples),
             ("feature samples hidden by neighbours", self.hidden_by_neighbours),
-            ("feature samples visible by neighbours", self.visible_by_neighbours),
-            ("feature samples decided by ray", self.decided_by_ray),
+            ("feature samples hidden in space", self.hidden_in_space),
+            ("feature samples visible", self.visible),
             ("feature samples undecided", self.undecided),
         ]
     }

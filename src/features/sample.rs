@@ -25,6 +25,10 @@ pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
 const COARSE: f64 = 8.0;
 /// Most pieces of arc that are looked at first.
 const MAX_COARSE: f64 = 4096.0;
+/// A piece of an image no longer than this may be sampled as a straight line, pixels.
+const RUN: f64 = 12.0;
+/// If its middle is no farther than this from that line's, pixels.
+const BENT: f64 = 1.0 / 64.0;
 /// How often arcs are halved: beyond a pole's neighbourhood nothing needs as many.
 const MAX_DEPTH: u32 = 40;
 /// Directions this far off the cone of a row without height are still on it, radians.
@@ -149,6 +153,25 @@ impl<'a> Sampler<'a> {
 
     /// A pinhole camera: the image of a segment is straight.
     fn straight(&self, camera: &Camera, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        let Some(part) = self.clip(camera, a, b) else { return before_camera(a, b, [0.0, 1.0], visit) };
+        part.before(a, b, visit);
+        let (mut t0, mut p0) = part.bound(0);
+        for i in 0..part.count {
+            let (t1, p1) = part.bound(i + 1);
+            let weight = part.length * part.step;
+            let (at, pixel) = part.middle(i);
+            visit(Piece::Inside(Sample { t: [t0, t1], at, pixel, ends: [p0, p1], weight }));
+            (t0, p0) = (t1, p1);
+        }
+        part.after(a, b, visit);
+    }
+
+    /// The part of a segment in the image of a pinhole camera; `None` for other sensors, and if there is none.
+    pub(crate) fn straight_part(&self, a: DVec3, b: DVec3) -> Option<Straight> {
+        self.clip(self.pinhole?, a, b)
+    }
+
+    fn clip(&self, camera: &Camera, a: DVec3, b: DVec3) -> Option<Straight> {
         // Positive inside the four sides of the image: linear along the segment. Together they put it in front.
         let sides = |p: DVec3| {
             let (x, y) = (camera.fx * p.x, camera.fy * p.y);
@@ -167,36 +190,13 @@ impl<'a> Sampler<'a> {
         let at = |t: f64| if t == 1.0 { b } else { a + t * (b - a) };
         let (start, end) = (at(from), at(to.max(0.0)));
         if !(from < to && start.z > 0.0 && end.z > 0.0) {
-            return before_camera(a, b, [0.0, 1.0], visit);
+            return None;
         }
         let place = |p: DVec3| DVec2::new(camera.fx * (p.x / p.z) + camera.cx, camera.fy * (p.y / p.z) + camera.cy);
-        let (first, last) = (place(start), place(end));
-        if from > 0.0 {
-            before_camera(a, b, [0.0, from], visit);
-        }
-        let length = first.distance(last);
+        let pixels = [place(start), place(end)];
+        let length = pixels[0].distance(pixels[1]);
         let count = (length / STEP).ceil().clamp(1.0, MAX_SEGMENT_SAMPLES as f64);
-        // Equal steps in the image are unequal ones in space: 1 / z is linear in the image.
-        let along = |s: f64| s * start.z / (s * start.z + (1.0 - s) * end.z);
-        let (by, step) = (end - start, 1.0 / count);
-        let (mut t0, mut p0) = (from, first);
-        for i in 0..count as usize {
-            let s = (i as f64 + 1.0) * step;
-            let last_one = i + 1 == count as usize;
-            let (t1, p1) = if last_one { (to, last) } else { (from + along(s) * (to - from), first.lerp(last, s)) };
-            let middle = (i as f64 + 0.5) * step;
-            visit(Piece::Inside(Sample {
-                t: [t0, t1],
-                at: start + along(middle) * by,
-                pixel: first.lerp(last, middle),
-                ends: [p0, p1],
-                weight: length * step,
-            }));
-            (t0, p0) = (t1, p1);
-        }
-        if to < 1.0 {
-            before_camera(a, b, [to, 1.0], visit);
-        }
+        Some(Straight { t: [from, to], ends: [start, end], pixels, count: count as usize, length, step: 1.0 / count })
     }
 
     /// A single row: cuts with the cones above and below it.
@@ -255,7 +255,7 @@ impl<'a> Sampler<'a> {
         let end = |phi: f64| {
             let t = t_at(phi);
             let at = a + t * (b - a);
-            End { phi, t: span[0] + t * (span[1] - span[0]), at, pixel: self.project(at) }
+            End { phi, t: span[0] + t * (span[1] - span[0]), at, range: at.length(), pixel: self.project(at) }
         };
         let pieces = (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE);
         let mut left = MAX_SEGMENT_SAMPLES;
@@ -296,6 +296,9 @@ impl<'a> Sampler<'a> {
                 None => self.outside(m.at, t),
             });
         }
+        if apart.is_some_and(|d| d <= RUN) && self.run(from, to, &middle(), left, visit) {
+            return;
+        }
         let off = |pixel: DVec2| {
             let out = (DVec2::splat(-0.5) - pixel).max(pixel - (self.size - 0.5)).max(DVec2::ZERO);
             out.max_element()
@@ -311,6 +314,39 @@ impl<'a> Sampler<'a> {
         let m = middle();
         self.halve(from, &m, depth - 1, end, left, visit);
         self.halve(&m, to, depth - 1, end, left, visit);
+    }
+
+    /// Samples a piece of an arc whose image is straight but for [`BENT`]; false if it is not.
+    ///
+    /// Samples are at equal angles: at share s of it the arc is at share s p / (s p + (1 - s) q) of the straight line between
+    /// its ends in space, at ranges p and q, but for the square of the angle.
+    fn run(&self, from: &End, to: &End, middle: &End, left: &mut usize, visit: &mut impl FnMut(Piece)) -> bool {
+        let (Some(p), Some(q), Some(m)) = (from.pixel, to.pixel, middle.pixel) else { return false };
+        // Beams are tall or thin: samples are held to them one by one.
+        let plain = self.cone.is_none() && self.beams.is_none();
+        let length = p.distance(q);
+        let count = (length / STEP).ceil().max(1.0);
+        if !(plain && m.distance(0.5 * (p + q)) <= BENT && count as usize <= *left) || length > RUN {
+            return false;
+        }
+        *left -= count as usize;
+        let step = 1.0 / count;
+        let along = |s: f64| s * from.range / (s * from.range + (1.0 - s) * to.range);
+        let (mut t0, mut p0) = (from.t, p);
+        for i in 0..count as u32 {
+            let s = f64::from(i + 1) * step;
+            let last = f64::from(i + 1) == count;
+            let (t1, p1) = if last { (to.t, q) } else { (from.t + along(s) * (to.t - from.t), p.lerp(q, s)) };
+            let half = s - 0.5 * step;
+            let (at, pixel, t) = (from.at.lerp(to.at, along(half)), p.lerp(q, half), [t0, t1]);
+            visit(if self.holds(at, pixel) {
+                Piece::Inside(Sample { t, at, pixel, ends: [p0, p1], weight: length * step })
+            } else {
+                self.outside(at, t)
+            });
+            (t0, p0) = (t1, p1);
+        }
+        true
     }
 
     /// Distance in the image, over the seam if that is nearer.
@@ -410,11 +446,76 @@ impl<'a> Sampler<'a> {
     }
 }
 
+/// What a pinhole camera sees of a segment, in equal steps of its straight image.
+pub(crate) struct Straight {
+    /// Part of the segment's length, and where it begins and ends, image frame.
+    pub t: [f64; 2],
+    pub ends: [DVec3; 2],
+    /// The same in the image, pixels.
+    pub pixels: [DVec2; 2],
+    /// Samples.
+    pub count: usize,
+    /// Pixels.
+    pub length: f64,
+    /// One by the count.
+    pub step: f64,
+}
+
+impl Straight {
+    /// At a share of the image's length the part of the length in space: 1 / z is linear in the image.
+    #[inline]
+    fn along(&self, s: f64) -> f64 {
+        let [p, q] = self.ends;
+        s * p.z / (s * p.z + (1.0 - s) * q.z)
+    }
+
+    /// Where sample `i` begins and the one before it ends, on the segment and in the image.
+    #[inline]
+    pub fn bound(&self, i: usize) -> (f64, DVec2) {
+        let s = i as f64 * self.step;
+        match i {
+            0 => (self.t[0], self.pixels[0]),
+            i if i == self.count => (self.t[1], self.pixels[1]),
+            _ => (self.t[0] + self.along(s) * (self.t[1] - self.t[0]), self.pixels[0].lerp(self.pixels[1], s)),
+        }
+    }
+
+    /// The middle of sample `i` in space and in the image.
+    #[inline]
+    pub fn middle(&self, i: usize) -> (DVec3, DVec2) {
+        let s = (i as f64 + 0.5) * self.step;
+        let [p, q] = self.ends;
+        (p + self.along(s) * (q - p), self.pixels[0].lerp(self.pixels[1], s))
+    }
+
+    /// At which sample, with a fraction, a part of the length of what is seen lies: whole numbers are middles.
+    #[inline]
+    pub fn number(&self, part: f64) -> f64 {
+        let [p, q] = self.ends;
+        part * q.z / (part * q.z + (1.0 - part) * p.z) * self.count as f64 - 0.5
+    }
+
+    /// What of the segment a to b comes before what is seen.
+    pub fn before(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        if self.t[0] > 0.0 {
+            before_camera(a, b, [0.0, self.t[0]], visit);
+        }
+    }
+
+    /// What of the segment a to b comes after it.
+    pub fn after(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        if self.t[1] < 1.0 {
+            before_camera(a, b, [self.t[1], 1.0], visit);
+        }
+    }
+}
+
 /// A place on an arc.
 struct End {
     phi: f64,
     t: f64,
     at: DVec3,
+    range: f64,
     pixel: Option<DVec2>,
 }
 

@@ -1,6 +1,7 @@
 //! The GPU engine: exact spans in compute shaders, by wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see `stages`.
+//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see `stages`. Features are
+//! asked for afterwards: see `visible`.
 
 mod buffers;
 mod device;
@@ -14,8 +15,10 @@ mod shaders;
 mod stage;
 mod stages;
 mod store;
+mod visible;
 
 pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters};
+pub use visible::{Asked, Proposal};
 
 use crate::error::{ErrorKind, Result};
 use crate::plan::{FramePlan, Images, Output, Stats};
@@ -28,6 +31,7 @@ use layout::Counters;
 use stages::Stages;
 use std::time::Instant;
 use store::{Readback, Store};
+use visible::Visible;
 
 /// Most sensors whose tables are kept.
 const MOST_SENSORS: usize = 8;
@@ -43,6 +47,7 @@ const MOST_SENSORS: usize = 8;
 pub struct Engine {
     gpu: Gpu,
     stages: Stages,
+    visible: Visible,
     store: Store,
     arena: Arena,
     frame: Frame,
@@ -64,11 +69,13 @@ impl Engine {
     pub fn new(options: DeviceOptions) -> Result<Self> {
         let gpu = Gpu::open(options)?;
         let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
+        let visible = Visible::new(&gpu);
         gpu.check()?;
         let software = !gpu.adapter.hardware && !options.all_on_device;
         Ok(Self {
             gpu,
             stages,
+            visible,
             store,
             arena,
             frame: Frame::default(),
@@ -133,6 +140,26 @@ impl Engine {
         }
     }
 
+    /// True if features are asked for on the device; a software adapter's cores find them sooner without it.
+    pub fn proposes(&self) -> bool {
+        !self.software
+    }
+
+    /// What the pixels of the last frame that was rendered say of samples of features, in the order they were pushed.
+    ///
+    /// # Errors
+    /// As [`Engine::render`].
+    pub fn propose(&mut self, asked: &Asked) -> Result<Vec<Proposal>> {
+        let Some((_, tables)) = self.sensors.first().filter(|_| asked.count() > 0) else { return Ok(Vec::new()) };
+        self.gpu.check()?;
+        self.store.uploads.clear();
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.visible.encode(&self.gpu, &mut encoder, &mut self.store, tables.kind, asked)?;
+        self.gpu.queue.submit([encoder.finish()]);
+        self.store.uploads.recall();
+        self.visible.read(&self.gpu, asked.count())
+    }
+
     fn upload(&mut self, plan: &FramePlan) -> Result<()> {
         self.store.uploads.clear();
         self.take_sensor(&plan.sensor)?;
@@ -173,6 +200,7 @@ impl Engine {
         let variants = self.stages.prepare(&self.gpu, tables, &self.frame)?;
         if self.rebind {
             self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
+            self.visible.rebind();
             self.rebind = false;
         }
         if !self.placed {

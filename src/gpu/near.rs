@@ -13,6 +13,9 @@ const FLAT: f64 = 6.2e-5;
 /// |d| / |c| below which it does, for two f32 may not hold the centre.
 const CENTER: f64 = 6.0e-11;
 
+/// Marks stamps among the places of records.
+pub(super) const STAMPED: u32 = 1 << 31;
+
 /// Records and items that the CPU made, as the setup stage writes them.
 #[derive(Default)]
 pub(super) struct NearList {
@@ -20,7 +23,7 @@ pub(super) struct NearList {
     pub items: Vec<u32>,
     /// Slot of each, and what the resolve stage asks of it.
     pub slots: Vec<(u32, [u32; SLOT_WORDS as usize])>,
-    /// Number of the frame, never 0: the shader passes over what carries it.
+    /// Number of the frame, with the highest bit set: the shader passes over what carries it.
     pub stamp: u32,
     /// Within the rounding of f64: covers no ray.
     pub edge_on: u32,
@@ -39,7 +42,7 @@ pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
 impl NearList {
     /// Begins another frame.
     pub fn clear(&mut self) {
-        self.stamp = self.stamp.checked_add(1).unwrap_or(1);
+        self.stamp = STAMPED | self.stamp.wrapping_add(1);
         self.records.clear();
         self.items.clear();
         self.slots.clear();

@@ -15,15 +15,17 @@ pub(super) const RASTER_LINES_32: &str = unit!("common.wgsl", "grid.wgsl", "rast
 pub(super) const RASTER_RAYS_64: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
 pub(super) const RASTER_RAYS_32: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
 pub(super) const RESOLVE: &str = unit!("common.wgsl", "resolve.wgsl");
+pub(super) const VISIBLE: &str = unit!("common.wgsl", "visible.wgsl");
 
 #[cfg(test)]
 mod tests {
     use super::super::layout::{self, Counters, Instance, Params, Survivor};
+    use super::super::visible;
     use super::*;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
-    const UNITS: [(&str, &str); 10] = [
+    const UNITS: [(&str, &str); 11] = [
         ("cull camera", CULL_CAMERA),
         ("cull scanner", CULL_SCANNER),
         ("cull rays", CULL_RAYS),
@@ -34,6 +36,7 @@ mod tests {
         ("raster rays 64", RASTER_RAYS_64),
         ("raster rays 32", RASTER_RAYS_32),
         ("resolve", RESOLVE),
+        ("visible", VISIBLE),
     ];
 
     fn parse(name: &str, text: &str) -> naga::Module {
@@ -131,5 +134,11 @@ mod tests {
         let lines = parse("raster lines 32", RASTER_LINES_32);
         assert_eq!(value(&lines, "SHORT_GRID"), layout::SHORT_GRID);
         assert_eq!(value(&rays, "TILES_PER_SUPERTILE"), layout::TILES_PER_SUPERTILE);
+        let seen = parse("visible", VISIBLE);
+        assert_eq!(value(&seen, "SAMPLES_AT"), visible::SAMPLES_AT as u32);
+        assert_eq!(value(&seen, "SAMPLE_WORDS"), visible::SAMPLE_WORDS as u32);
+        assert_eq!(visible::Proposal::of_word(value(&seen, "DOUBT")), visible::Proposal::Doubt);
+        assert_eq!(visible::Proposal::of_word(value(&seen, "SEEN")), visible::Proposal::Seen);
+        assert_eq!(value(&seen, "STAMPED"), super::super::near::STAMPED);
     }
 }

@@ -8,8 +8,10 @@ use glam::DVec3;
 pub(crate) const UNIT_ROUNDOFF: f64 = f64::EPSILON / 2.0;
 
 /// A polygon in the image frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Face {
+    /// Corners in the mesh frame, p.
+    pub in_mesh: Vec<DVec3>,
     /// Corners less the sensor's centre in the mesh frame, p - c.
     pub relative: Vec<DVec3>,
     /// Corners in the image frame, v = M (p - c).
@@ -44,35 +46,38 @@ pub(crate) struct Edge {
 
 impl Face {
     pub fn new(instance: &Instance, mesh: &Mesh, polygon: u32) -> Self {
+        let mut face = Self::default();
+        face.renew(instance, mesh, polygon);
+        face
+    }
+
+    /// Becomes another polygon, in the same memory.
+    pub fn renew(&mut self, instance: &Instance, mesh: &Mesh, polygon: u32) {
         let image_from_mesh = instance.image_from_mesh;
-        let in_mesh: Vec<DVec3> = mesh.corners_of(polygon).collect();
-        let relative: Vec<DVec3> = in_mesh.iter().map(|p| p - instance.center_in_mesh).collect();
-        let corners: Vec<DVec3> = relative.iter().map(|p| image_from_mesh * p).collect();
+        let Self { in_mesh, relative, corners, edges, .. } = self;
+        (in_mesh.clear(), relative.clear(), corners.clear(), edges.clear());
+        in_mesh.extend(mesh.corners_of(polygon));
+        relative.extend(in_mesh.iter().map(|p| p - instance.center_in_mesh));
+        corners.extend(relative.iter().map(|p| image_from_mesh * *p));
         // The inverse transpose keeps a mirrored normal on its side; the winding turns round.
         let turned = instance.normal_from_mesh * mesh.plane(polygon).normal * image_from_mesh.determinant().signum();
-        let normal = turned.normalize();
+        self.normal = turned.normalize();
         let length = |k: usize| relative[k].length_squared();
         let nearest = (0..corners.len()).fold(0, |best, k| if length(k) < length(best) { k } else { best });
-        let distance = normal.dot(corners[nearest]);
+        self.distance = self.normal.dot(corners[nearest]);
         let norm = |m: glam::DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
-        let side = |k: usize| {
+        let distance = self.distance;
+        edges.extend((0..corners.len()).map(|k| {
             let next = (k + 1) % corners.len();
             let forward = in_mesh[k].to_array() <= in_mesh[next].to_array();
             let (a, b) = if forward { (k, next) } else { (next, k) };
             let plane = corners[a].cross(image_from_mesh * (in_mesh[b] - in_mesh[a]));
             Edge { plane: if forward == (distance >= 0.0) { plane } else { -plane }, a, b }
-        };
-        Self {
-            edges: (0..corners.len()).map(side).collect(),
-            normal,
-            distance,
-            nearest: length(nearest).sqrt() * norm(image_from_mesh),
-            norm: norm(image_from_mesh),
-            normal_condition: norm(instance.normal_from_mesh) / turned.length(),
-            aspect: aspect(&in_mesh),
-            relative,
-            corners,
-        }
+        }));
+        self.norm = norm(image_from_mesh);
+        self.nearest = length(nearest).sqrt() * self.norm;
+        self.normal_condition = norm(instance.normal_from_mesh) / turned.length();
+        self.aspect = aspect(in_mesh);
     }
 
     /// True if the polygon's plane passes through the sensor as far as f64, and its own corners, can tell: it covers no

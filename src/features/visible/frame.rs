@@ -1,13 +1,13 @@
 //! What all features of a prediction share.
 
-use super::{FeatureOptions, Visibility};
+use super::FeatureOptions;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::features::sample::Sampler;
 use crate::features::{Occluder, PlacedFeature};
 use crate::geometry::Pose;
 use crate::plan::{Facing, IdScheme, Images, Instance, facings};
-use crate::sensor::{Angles, Geometry, Sensor};
+use crate::sensor::Sensor;
 use crate::world::World;
 use glam::{DMat3, DVec3};
 use std::collections::HashMap;
@@ -28,8 +28,6 @@ pub(super) struct Frame<'a> {
     /// Slot by `source` id.
     pub of_source: HashMap<u32, u32>,
     pub sampler: Sampler<'a>,
-    /// Neighbouring pixels are asked first.
-    pub by_pixels: bool,
 }
 
 impl<'a> Frame<'a> {
@@ -72,17 +70,18 @@ impl<'a> Frame<'a> {
             facings: facings(environment, &sensor.spec().class).collect(),
             instances: (0..objects).map(|_| OnceLock::new()).collect(),
             of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
-            by_pixels: options.visibility == Visibility::Image && !is_coarse(sensor),
             sampler: Sampler::new(sensor),
         })
     }
 
+    #[inline]
     pub fn instance(&self, object: u32) -> &Instance {
         self.instances[object as usize].get_or_init(|| {
             Instance::new(self.environment, self.sensor, &self.world_from_sensor, &self.facings, object)
         })
     }
 
+    #[inline]
     pub fn slot_of_id(&self, id: u32) -> Option<u32> {
         match self.options.ids {
             IdScheme::Model => id.checked_sub(1),
@@ -116,23 +115,6 @@ impl<'a> Frame<'a> {
             Some(_) => image_from_object * *p + self.image_from_world * shift,
         };
         (points.iter().map(place).collect(), image_from_object, rounding)
-    }
-}
-
-/// Pixels so large, or beams so tall, that what their rays meet says little about what is between them.
-fn is_coarse(sensor: &Sensor) -> bool {
-    const COARSE_DEG: f64 = 3.0;
-    let step = |angles: &Angles| {
-        let n = angles.len();
-        if n < 2 { 0.0 } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
-    };
-    match &sensor.spec().geometry {
-        Geometry::Scanner(s) => {
-            // A lone row's rays say nothing of the height of its beam.
-            let tall = s.elevation.len() == 1 && s.beam_height_deg.unwrap_or(0.0) > 2.0 * step(&s.azimuth);
-            tall || step(&s.azimuth).max(step(&s.elevation)) > COARSE_DEG
-        }
-        Geometry::Camera(_) | Geometry::Rays(_) => false,
     }
 }
 

@@ -1,9 +1,9 @@
 //! Intervals and shares of one feature, from the verdicts on its samples.
 
-use super::{Frame, Own};
+use super::Frame;
 use crate::features::sample::{Piece, Sample};
 use crate::features::{HiddenInterval, Reason, VisibleInterval};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum State {
@@ -16,37 +16,43 @@ pub(super) enum State {
 pub(super) struct Tally {
     pub visible: Vec<VisibleInterval>,
     pub hidden: Vec<HiddenInterval>,
-    last: Option<State>,
+    /// The state of the piece before, and where its sum is.
+    last: Option<(State, usize)>,
     /// Weights and numbers of samples: all inside image and limits, and those seen.
     pub inside: [f64; 2],
     pub seen: [f64; 2],
     by_state: Vec<(State, [f64; 2])>,
     pub bounds: Option<[DVec2; 2]>,
-    pub nearest: Option<(f64, Option<f64>)>,
+    /// The nearest sample seen: its range squared, and its place.
+    pub nearest: Option<(f64, DVec3)>,
     pub pixels: Vec<u32>,
 }
 
 impl Tally {
-    pub fn take(&mut self, frame: &Frame<'_>, piece: &Piece, state: State, own: &Own<'_>) {
+    pub fn take(&mut self, frame: &Frame<'_>, piece: &Piece, state: State) {
         let (t, sample) = match piece {
             Piece::Inside(sample) => (sample.t, Some(sample)),
             Piece::Outside { t, .. } => (*t, None),
         };
         let more = [sample.map_or(0.0, |s| s.weight), 1.0];
         let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
-        match self.by_state.iter_mut().find(|s| s.0 == state) {
-            Some((_, sum)) => add(sum),
-            None => self.by_state.push((state, more)),
-        }
+        let goes_on = self.last.is_some_and(|(last, _)| last == state);
+        let at = match self.last {
+            Some((_, at)) if goes_on => at,
+            _ => self.by_state.iter().position(|s| s.0 == state).unwrap_or_else(|| {
+                self.by_state.push((state, [0.0; 2]));
+                self.by_state.len() - 1
+            }),
+        };
+        add(&mut self.by_state[at].1);
+        self.last = Some((state, at));
         if !matches!(state, State::Hidden(reason, _) if reason.is_outside()) {
             add(&mut self.inside);
         }
-        let goes_on = self.last == Some(state);
-        self.last = Some(state);
         match (state, sample) {
             (State::Seen, Some(sample)) => {
                 add(&mut self.seen);
-                self.see(frame, sample, own);
+                self.see(frame, sample);
                 match self.visible.last_mut().filter(|_| goes_on) {
                     Some(v) => (v.t[1], v.pixels[1]) = (t[1], sample.ends[1]),
                     None => self.visible.push(VisibleInterval { t, pixels: sample.ends }),
@@ -63,21 +69,49 @@ impl Tally {
         }
     }
 
-    fn see(&mut self, frame: &Frame<'_>, sample: &Sample, own: &Own<'_>) {
-        let range = sample.at.length();
-        if self.nearest.is_none_or(|n| range < n.0) {
-            self.nearest = Some((range, own.cosine(sample.at / range)));
+    /// Takes several samples of a segment at once: how many, their part of the length and of the image.
+    pub fn take_run(&mut self, frame: &Frame<'_>, state: State, count: usize, [t0, t1]: [f64; 2], pixels: [DVec2; 2]) {
+        let more = [pixels[0].distance(pixels[1]), count as f64];
+        let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
+        add(&mut self.inside);
+        self.last = None;
+        match state {
+            State::Seen => {
+                add(&mut self.seen);
+                self.visible.push(VisibleInterval { t: [t0, t1], pixels });
+            }
+            State::Hidden(reason, slot) => {
+                let by = slot.and_then(|slot| frame.occluder(slot));
+                self.hidden.push(HiddenInterval { t: [t0, t1], reason, by });
+            }
         }
+    }
+
+    /// Keeps a place that is seen if it is the nearest so far.
+    pub fn see_at(&mut self, at: DVec3) {
+        let squared = at.length_squared();
+        if self.nearest.is_none_or(|n| squared < n.0) {
+            self.nearest = Some((squared, at));
+        }
+    }
+
+    fn see(&mut self, frame: &Frame<'_>, sample: &Sample) {
+        self.see_at(sample.at);
         let pixel = sample.pixel;
         let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
         self.bounds = Some([low.min(pixel), high.max(pixel)]);
         if frame.options.feature_id {
-            let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
-            let inside = |x: f64, n: i64| (x.round() as i64).clamp(0, n - 1);
-            let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
-            if self.pixels.last() != Some(&at) {
-                self.pixels.push(at);
-            }
+            self.mark(frame, pixel);
+        }
+    }
+
+    /// The pixel is one in which it shows.
+    pub fn mark(&mut self, frame: &Frame<'_>, pixel: DVec2) {
+        let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
+        let inside = |x: f64, n: i64| ((x + 0.5) as i64).min(n - 1);
+        let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
+        if self.pixels.last() != Some(&at) {
+            self.pixels.push(at);
         }
     }
 

@@ -1,0 +1,103 @@
+// Stage 5, if features are asked for: one invocation per sample of a feature. Of the polygons that the nine pixels around
+// it show, the nearest that hides it. What comes of it is a proposal: the CPU tests it in f64, and confirms in space that
+// what nothing hides is seen.
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> keys: array<vec2u>;
+@group(0) @binding(2) var<storage, read> seen_slots: array<u32>;
+@group(0) @binding(3) var<storage, read> records: array<u32>;
+// Words: SAMPLES_AT words of head (samples, 1 if columns go round), samples of SAMPLE_WORDS (place in the line frame, pixel
+// row-major, where its feature's slots are), then lists of slots (how many, each).
+@group(0) @binding(4) var<storage, read> asked: array<u32>;
+@group(0) @binding(5) var<storage, read_write> answers: array<u32>;
+
+const SAMPLES_AT: u32 = 4u;
+const SAMPLE_WORDS: u32 = 5u;
+// Answers that are no slot.
+const DOUBT: u32 = 0xffffffffu;
+const SEEN: u32 = 0xfffffffeu;
+// Set in stamps of slots, whose records are not known here.
+const STAMPED: u32 = 0x80000000u;
+
+@compute @workgroup_size(64)
+fn visible(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let index = (group.y * groups.x + group.x) * GROUP + lane;
+    if index < asked[0] {
+        answers[index] = answer(SAMPLES_AT + index * SAMPLE_WORDS);
+    }
+}
+
+fn answer(at: u32) -> u32 {
+    let place = vec3f(bitcast<f32>(asked[at]), bitcast<f32>(asked[at + 1u]), bitcast<f32>(asked[at + 2u]));
+    let column = asked[at + 3u] % params.width;
+    let row = asked[at + 3u] / params.width;
+    let own = asked[at + 4u];
+    let round = asked[1] != 0u;
+    var best = 1.0;
+    var by = DOUBT;
+    var covered = false;
+    var beside = false;
+    var last = DOUBT;
+    for (var i = 0u; i < 9u; i++) {
+        // Unsigned: one before the first is beyond the last.
+        let r = row + i / 3u - 1u;
+        var c = column + i % 3u - 1u;
+        if round {
+            c = (c + params.width) % params.width;
+        }
+        if r >= params.height || c >= params.width {
+            continue;
+        }
+        let key = keys[select(r * params.width + c, c * params.height + r, GRID == SCANNER)];
+        let slot = ~key.x;
+        if key.x == 0u || key.y == 0u || slot == last {
+            continue;
+        }
+        last = slot;
+        let record = seen_slots[slot * SLOT_WORDS + 3u];
+        if record >= STAMPED {
+            beside = true;
+            continue;
+        }
+        let share = dot(word3(record), place);
+        let holds = covers(record, place);
+        if lies_on(own, slot) {
+            covered = covered || holds;
+        } else if holds && share > best {
+            best = share;
+            by = slot;
+        } else {
+            covered = covered || holds;
+            beside = beside || !holds && share > 1.0;
+        }
+    }
+    return select(by, SEEN, by == DOUBT && covered && !beside);
+}
+
+fn word3(at: u32) -> vec3f {
+    return vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
+}
+
+fn covers(record: u32, place: vec3f) -> bool {
+    let count = records[record + 4u];
+    for (var k = 0u; k < count; k++) {
+        if dot(word3(record + RECORD_WORDS + k * EDGE_WORDS), place) < 0.0 {
+            return false;
+        }
+    }
+    return true;
+}
+
+fn lies_on(own: u32, slot: u32) -> bool {
+    let count = asked[own];
+    for (var k = 1u; k <= count; k++) {
+        if asked[own + k] == slot {
+            return true;
+        }
+    }
+    return false;
+}

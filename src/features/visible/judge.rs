@@ -1,0 +1,592 @@
+//! One worker: decides which samples of a feature are seen.
+
+use super::known::{Faces, Nearer};
+use super::tally::{State, Tally, share};
+use super::{Frame, Visibility};
+use crate::environment::{Appearance, FeatureShape};
+use crate::features::sample::{Piece, Sample};
+use crate::features::{FeatureStats, PlacedFeature, Reason, SeenFeature};
+use crate::geometry::plane_of_polygon;
+use crate::index::{Found, Region};
+use glam::{DMat3, DVec2, DVec3};
+
+/// What is known of a feature beside its geometry.
+pub(super) struct Own<'a> {
+    slots: &'a [u32],
+    /// Normals of what it lies on, as far as that can be seen, image frame.
+    normals: Vec<DVec3>,
+    /// A landmark is seen from here only.
+    front: Option<DVec3>,
+    /// Applies to all of it.
+    reason: Option<Reason>,
+    /// How far its points may be off by rounding, metres.
+    rounding: f64,
+}
+
+impl Own<'_> {
+    /// Only what is in between decides.
+    pub fn is_plain(&self) -> bool {
+        self.reason.is_none() && self.front.is_none()
+    }
+
+    /// How far its points may be off by rounding, metres.
+    pub fn rounding(&self) -> f64 {
+        self.rounding
+    }
+
+    /// Of the surfaces it lies on, the one seen most directly.
+    pub fn cosine(&self, ray: DVec3) -> Option<f64> {
+        self.normals.iter().map(|n| n.dot(ray).abs().min(1.0)).reduce(f64::max)
+    }
+}
+
+pub(super) struct Judged {
+    pub seen: SeenFeature,
+    pub stats: FeatureStats,
+    pub pixels: Vec<u32>,
+}
+
+/// A sample that only what is between it and the sensor decides.
+struct Open {
+    piece: u32,
+    at: DVec3,
+    range: f64,
+    /// Where on the segment it is: samples rise with it.
+    t: f64,
+    /// The nearest polygon that hides it so far, and its share of the range.
+    by: Option<u32>,
+    share: f64,
+    /// A polygon of unknown range covers it.
+    unknown: bool,
+}
+
+impl Open {
+    #[inline]
+    fn hide(&mut self, slot: u32, share: f64) {
+        if share > self.share {
+            (self.by, self.share) = (Some(slot), share);
+        }
+    }
+}
+
+/// A segment's points a + t d, image frame.
+#[derive(Clone, Copy)]
+struct Line {
+    a: DVec3,
+    d: DVec3,
+}
+
+/// One worker with its memory.
+pub(super) struct Judge<'a> {
+    pub(super) frame: &'a Frame<'a>,
+    pub(super) faces: Faces,
+    pieces: Vec<Piece>,
+    states: Vec<State>,
+    open: Vec<Open>,
+    /// Polygons of the image that may hide what is asked for, by number in `faces`.
+    pub(super) near: Vec<u32>,
+    /// Slots of what hides the samples of a straight segment.
+    pub(super) by: Vec<u32>,
+    center: Option<(i64, i64)>,
+    /// Number of the feature, or of the pixel, that asks.
+    asking: u32,
+    found: Found,
+    pub(super) stats: FeatureStats,
+}
+
+impl<'a> Judge<'a> {
+    pub fn new(frame: &'a Frame<'a>) -> Self {
+        Self {
+            frame,
+            faces: Faces::new(frame),
+            pieces: Vec::new(),
+            states: Vec::new(),
+            open: Vec::new(),
+            near: Vec::new(),
+            by: Vec::new(),
+            center: None,
+            asking: 0,
+            found: Found::default(),
+            stats: FeatureStats::default(),
+        }
+    }
+
+    /// The samples that only what is in between decides.
+    #[cfg(feature = "gpu")]
+    pub fn asking(&mut self, placed: &PlacedFeature) -> super::Asking {
+        let (own, points) = self.prepare(placed);
+        self.sample(&placed.feature.shape, &own, &points);
+        let width = i64::from(self.frame.images.width);
+        let number = |i: usize| {
+            let (column, row) = self.nearest_pixel(self.pixel_of(i));
+            (row * width + column) as u32
+        };
+        self.open.iter().enumerate().map(|(i, o)| (o.at, number(i))).collect()
+    }
+
+    /// What is seen of a feature; `told` are slots that may hide the samples left open, in order, in place of the images.
+    pub fn feature(&mut self, placed: &PlacedFeature, told: Option<&[Option<u32>]>) -> Judged {
+        let frame = self.frame;
+        let shape = &placed.feature.shape;
+        let (own, points) = self.prepare(placed);
+        let straight = match shape {
+            FeatureShape::Segment { .. } => self.straight([points[0], points[1]], &own, told),
+            _ => None,
+        };
+        let mut tally = straight.unwrap_or_else(|| {
+            self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
+            self.sample(shape, &own, &points);
+            self.decide(&own, shape, &points, told);
+            self.close();
+            let mut tally = Tally::default();
+            for (piece, state) in self.pieces.iter().zip(&self.states) {
+                tally.take(frame, piece, *state);
+            }
+            tally
+        });
+        let area = matches!(shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. });
+        let (visible, hidden) = if area { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        let world_from_object = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
+        let in_world = |p: &DVec3| world_from_object.map_or(*p, |pose| pose.transform_point(*p));
+        let seen = SeenFeature {
+            points_world: shape.points().iter().map(in_world).collect(),
+            normal_world: placed
+                .feature
+                .properties
+                .normal
+                .and_then(|n| world_from_object.map_or(n, |pose| pose.rotation * n).try_normalize()),
+            visible_fraction: share(tally.seen, tally.inside),
+            visible,
+            hidden,
+            range: tally.nearest.map(|(_, at)| at.length()),
+            cos_incidence: tally.nearest.and_then(|(_, at)| own.cosine(at / at.length())),
+            existence: placed.feature.existence.at(frame.time),
+            feature: placed.feature.clone(),
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+        };
+        Judged { seen, stats: self.stats, pixels: tally.pixels }
+    }
+
+    /// What is known of a feature, and its points in the image frame.
+    fn prepare<'p>(&mut self, placed: &'p PlacedFeature) -> (Own<'p>, Vec<DVec3>) {
+        let (points, image_from_object, rounding) = self.frame.in_image(placed);
+        self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
+        (self.own(placed, &points, image_from_object, rounding), points)
+    }
+
+    /// Samples a feature: `open` are those left open.
+    fn sample(&mut self, shape: &FeatureShape, own: &Own<'_>, points: &[DVec3]) {
+        let sampler = &self.frame.sampler;
+        self.pieces.clear();
+        let mut take = |piece: Piece| self.pieces.push(piece);
+        match shape {
+            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => take(sampler.point(points[0])),
+            FeatureShape::Segment { .. } => sampler.segment(points[0], points[1], &mut take),
+            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => sampler.patch(points, &mut take),
+        }
+        self.open(own, points);
+    }
+
+    /// What holds for all of a feature.
+    fn own<'p>(
+        &mut self,
+        placed: &'p PlacedFeature,
+        points: &[DVec3],
+        image_from_object: DMat3,
+        rounding: f64,
+    ) -> Own<'p> {
+        let frame = self.frame;
+        let class = &frame.sensor.spec().class;
+        let (mut normals, mut there, mut away) = (Vec::new(), 0, 0);
+        for slot in &placed.slots {
+            let Some((object, polygon)) = frame.environment.locate(*slot) else { continue };
+            let material = frame.environment.objects()[object as usize].mesh.material(polygon);
+            if frame.environment.materials()[usize::from(material)].appearance(class) == Appearance::Invisible {
+                continue;
+            }
+            there += 1;
+            let Some(at) = self.faces.of_slot(frame, *slot) else { continue };
+            let known = &self.faces.known[at];
+            if frame.facings[usize::from(material)].one_sided && !known.faces_sensor {
+                away += 1;
+            } else {
+                normals.push(known.normal);
+            }
+        }
+        let landmark = matches!(placed.feature.shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. });
+        let given = placed.feature.properties.normal.and_then(|n| (image_from_object * n).try_normalize());
+        // Corners are clockwise seen from the front: the right-hand normal points away from there.
+        let of_outline = (points.len() > 2).then(|| plane_of_polygon(points)).flatten().map(|p| p.normal);
+        let fiducial = matches!(placed.feature.shape, FeatureShape::Fiducial { .. });
+        let front = given.or(of_outline.filter(|_| fiducial).map(|n| -n)).filter(|_| landmark);
+        normals.extend(front);
+        if normals.is_empty() && !(there > 0 && there == away) {
+            normals.extend(given.or(of_outline));
+        }
+        let reason = match (placed.slots.len(), there) {
+            (0, _) => None,
+            (_, 0) => Some(Reason::Material),
+            _ if there == away => Some(Reason::FacingAway),
+            _ => None,
+        };
+        Own { slots: &placed.slots, normals, front, reason, rounding }
+    }
+
+    /// Sorts samples into those that geometry alone decides and those left open.
+    fn open(&mut self, own: &Own<'_>, points: &[DVec3]) {
+        self.states.clear();
+        self.open.clear();
+        let d = points.get(1).map_or(DVec3::ZERO, |b| *b - points[0]);
+        let along = d / d.length_squared().max(f64::MIN_POSITIVE);
+        for (index, piece) in self.pieces.iter().enumerate() {
+            let state = match piece {
+                Piece::Outside { reason, .. } => State::Hidden(*reason, None),
+                Piece::Inside(sample) => {
+                    let range = sample.at.length();
+                    match self.before_occlusion(sample, range, own) {
+                        Some(reason) => State::Hidden(reason, None),
+                        None => {
+                            let t = along.dot(sample.at - points[0]);
+                            let (piece, at) = (index as u32, sample.at);
+                            self.open.push(Open { piece, at, range, t, by: None, share: 0.0, unknown: false });
+                            State::Seen
+                        }
+                    }
+                }
+            };
+            self.states.push(state);
+        }
+        self.stats.samples = self.open.len();
+    }
+
+    /// The first reason that applies whatever is in between.
+    #[inline]
+    fn before_occlusion(&self, sample: &Sample, range: f64, own: &Own<'_>) -> Option<Reason> {
+        let spec = self.frame.sensor.spec();
+        if range < spec.range_min {
+            return Some(Reason::BelowRangeMin);
+        }
+        if range > spec.range_max {
+            return Some(Reason::BeyondRangeMax);
+        }
+        if !(range > 0.0) {
+            return Some(Reason::Undecided);
+        }
+        if own.reason.is_some() {
+            return own.reason;
+        }
+        if own.front.is_some_and(|n| !(n.dot(sample.at) < 0.0)) {
+            return Some(Reason::FacingAway);
+        }
+        let flat = |most: f64| own.cosine(sample.at / range).is_some_and(|cosine| cosine < most.cos());
+        spec.max_incidence.is_some_and(flat).then_some(Reason::Oblique)
+    }
+
+    fn decide(&mut self, own: &Own<'_>, shape: &FeatureShape, points: &[DVec3], told: Option<&[Option<u32>]>) {
+        if self.frame.options.visibility == Visibility::Rays {
+            return self.by_rays(own, 0..self.open.len());
+        }
+        let line = match shape {
+            FeatureShape::Segment { .. } => Some(Line { a: points[0], d: points[1] - points[0] }),
+            _ => None,
+        };
+        match (line, told) {
+            (Some(line), _) => self.image_along(line, own, told),
+            (None, Some(told)) => self.told_at_samples(own, told),
+            (None, None) => self.image_at_samples(own),
+        }
+        self.stats.hidden_by_neighbours = self.open.iter().filter(|o| o.by.is_some()).count();
+        let first = self.open.iter().position(|o| o.by.is_none());
+        let last = self.open.iter().rposition(|o| o.by.is_none());
+        let (Some(first), Some(last)) = (first, last) else { return };
+        let left = first..last + 1;
+        match line {
+            Some(line) => self.space_along(line, left, own),
+            None => self.space_over(points, left, own),
+        }
+    }
+
+    /// What was found becomes the samples' states.
+    fn close(&mut self) {
+        for open in &self.open {
+            let state = match open.by {
+                Some(slot) => State::Hidden(Reason::Occluded, Some(slot)),
+                None if open.unknown => State::Hidden(Reason::Undecided, None),
+                None => State::Seen,
+            };
+            self.states[open.piece as usize] = state;
+            let hidden = usize::from(open.by.is_some());
+            self.stats.hidden_in_space += hidden;
+            self.stats.undecided += usize::from(state == State::Hidden(Reason::Undecided, None));
+            self.stats.visible += usize::from(state == State::Seen);
+        }
+        self.stats.hidden_in_space -= self.stats.hidden_by_neighbours;
+    }
+
+    /// The polygons seen around a segment's image, each against all of the segment.
+    fn image_along(&mut self, line: Line, own: &Own<'_>, told: Option<&[Option<u32>]>) {
+        self.begin();
+        match told {
+            Some(told) => self.take_told(told, own),
+            None => (0..self.open.len()).for_each(|i| self.gather(self.pixel_of(i), own)),
+        }
+        for i in 0..self.near.len() {
+            self.hide_along(self.near[i] as usize, line, 0..self.open.len(), own);
+        }
+    }
+
+    /// The polygons seen around every sample, against it.
+    fn image_at_samples(&mut self, own: &Own<'_>) {
+        self.center = None;
+        for i in 0..self.open.len() {
+            if self.moves(self.pixel_of(i)) {
+                self.begin();
+            }
+            self.gather(self.pixel_of(i), own);
+            self.hide_sample(i, own);
+        }
+    }
+
+    /// The polygons told of, each against its sample.
+    fn told_at_samples(&mut self, own: &Own<'_>, told: &[Option<u32>]) {
+        debug_assert_eq!(told.len(), self.open.len());
+        for i in 0..self.open.len().min(told.len()) {
+            self.begin();
+            self.take_told(&told[i..=i], own);
+            self.hide_sample(i, own);
+        }
+    }
+
+    pub(super) fn take_told(&mut self, told: &[Option<u32>], own: &Own<'_>) {
+        let mut last = None;
+        for slot in told.iter().flatten() {
+            if last.replace(*slot) != Some(*slot) {
+                self.take_slot(*slot, own);
+            }
+        }
+    }
+
+    pub(super) fn begin(&mut self) {
+        self.asking = self.asking.wrapping_add(1).max(1);
+        self.near.clear();
+        self.center = None;
+    }
+
+    fn pixel_of(&self, open: usize) -> DVec2 {
+        match &self.pieces[self.open[open].piece as usize] {
+            Piece::Inside(sample) => sample.pixel,
+            Piece::Outside { .. } => DVec2::ZERO,
+        }
+    }
+
+    /// The pixel whose centre is nearest, clamped to the image.
+    fn nearest_pixel(&self, pixel: DVec2) -> (i64, i64) {
+        let (w, h) = (i64::from(self.frame.images.width), i64::from(self.frame.images.height));
+        (((pixel.x + 0.5) as i64).min(w - 1), ((pixel.y + 0.5) as i64).min(h - 1))
+    }
+
+    fn moves(&self, pixel: DVec2) -> bool {
+        self.center != Some(self.nearest_pixel(pixel))
+    }
+
+    /// Adds the polygons of the nine pixels around a place to `near`: those that cover rays, and that the feature does not
+    /// lie on, once each.
+    pub(super) fn gather(&mut self, pixel: DVec2, own: &Own<'_>) {
+        let frame = self.frame;
+        let (column, row) = self.nearest_pixel(pixel);
+        let before = self.center.replace((column, row));
+        if before == Some((column, row)) {
+            return;
+        }
+        let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
+        // A step aside brings one column in, one down or up one row.
+        let (mut columns, mut rows) = ([column - 1, column + 1], [(row - 1).max(0), (row + 1).min(h - 1)]);
+        match before.map(|(c, r)| (column - c, row - r)) {
+            Some((1, 0)) => columns[0] = column + 1,
+            Some((-1, 0)) => columns[1] = column - 1,
+            Some((0, 1)) => rows[0] = rows[1],
+            Some((0, -1)) => rows[1] = rows[0],
+            _ => {}
+        }
+        let wraps = frame.sampler.turn().is_some();
+        let mut last = 0;
+        for r in rows[0]..=rows[1] {
+            let line = &frame.images.polygon_id[(r * w) as usize..((r + 1) * w) as usize];
+            for c in columns[0]..=columns[1] {
+                let c = if wraps { c.rem_euclid(w) } else { c };
+                let Some(id) = line.get(c as usize) else { continue };
+                if *id != last && *id != 0 {
+                    last = *id;
+                    if let Some(slot) = frame.slot_of_id(*id) {
+                        self.take_slot(slot, own);
+                    }
+                }
+            }
+        }
+    }
+
+    fn take_slot(&mut self, slot: u32, own: &Own<'_>) {
+        let Some(at) = self.faces.of_slot(self.frame, slot) else { return };
+        let known = &mut self.faces.known[at];
+        if known.asked != self.asking {
+            known.asked = self.asking;
+            if known.covers && !own.slots.contains(&known.slot) {
+                self.near.push(at as u32);
+            }
+        }
+    }
+
+    /// Marks what a polygon hides of some samples of a segment. All that decides is linear along it: e_k . p(t) >= 0 leaves
+    /// one interval, and n . p(t) / d > 1 is where the polygon is nearer.
+    fn hide_along(&mut self, face: usize, line: Line, some: std::ops::Range<usize>, own: &Own<'_>) {
+        let known = &self.faces.known[face];
+        let open = &mut self.open[some];
+        let (Some(first), Some(last)) = (open.first(), open.last()) else { return };
+        let (mut from, mut to) = (first.t, last.t);
+        let (ends, inverse) = ([first.at, last.at], known.inverse);
+        if !(inverse.dot(ends[0]) > 1.0 || inverse.dot(ends[1]) > 1.0) {
+            return;
+        }
+        for e in self.faces.planes_of(known) {
+            let [p, q] = ends.map(|at| e.dot(at));
+            if p < 0.0 && q < 0.0 {
+                return;
+            }
+            if p < 0.0 || q < 0.0 {
+                let t = -e.dot(line.a) / e.dot(line.d);
+                if p < 0.0 { from = from.max(t) } else { to = to.min(t) }
+            }
+        }
+        if !(from <= to) {
+            return;
+        }
+        let start = if from > first.t { open.partition_point(|o| o.t < from) } else { 0 };
+        for o in open[start..].iter_mut().take_while(|o| o.t <= to) {
+            let share = inverse.dot(o.at);
+            match known.nearer(share, o.range, own.rounding) {
+                Nearer::Yes => o.hide(known.slot, share),
+                Nearer::Unknown => o.unknown = true,
+                Nearer::No => {}
+            }
+        }
+    }
+
+    /// Marks one sample if one of the polygons in `near` hides it.
+    fn hide_sample(&mut self, index: usize, own: &Own<'_>) {
+        let open = &mut self.open[index];
+        for face in &self.near {
+            let known = &self.faces.known[*face as usize];
+            let share = known.inverse.dot(open.at);
+            if !(share > 1.0) || !self.faces.holds(known, open.at) {
+                continue;
+            }
+            match known.nearer(share, open.range, own.rounding) {
+                Nearer::Yes => open.hide(known.slot, share),
+                Nearer::Unknown => open.unknown = true,
+                Nearer::No => {}
+            }
+        }
+    }
+
+    /// Whatever has a point between the sensor and a part of a segment, by one query of the index for all of it.
+    fn space_along(&mut self, line: Line, left: std::ops::Range<usize>, own: &Own<'_>) {
+        let ends = [self.open[left.start].at, self.open[left.end - 1].at];
+        let farthest = self.farthest(left.clone());
+        if left.len() < 3 || !self.query_triangle(ends, farthest, own) {
+            return self.by_rays(own, left);
+        }
+        for i in 0..self.near.len() {
+            self.hide_along(self.near[i] as usize, line, left.clone(), own);
+        }
+    }
+
+    /// Fills `near` with all polygons that may have a point in the triangle of the sensor and two places; false if it has no
+    /// area.
+    pub(super) fn query_triangle(&mut self, [a, b]: [DVec3; 2], farthest: f64, own: &Own<'_>) -> bool {
+        /// Below this angle the plane of the sensor and the segment is not known well enough.
+        const LEAST_SINE: f64 = 1e-6;
+        let normal = a.cross(b);
+        if !(normal.length() > LEAST_SINE * a.length() * b.length()) {
+            return false;
+        }
+        let normal = normal.normalize();
+        let planes = [normal, -normal, normal.cross(a).normalize(), b.cross(normal).normalize()];
+        self.query(&planes, farthest, own);
+        true
+    }
+
+    fn farthest(&self, left: std::ops::Range<usize>) -> f64 {
+        self.open[left].iter().map(|o| o.range).fold(0.0, f64::max)
+    }
+
+    /// Whatever has a point between the sensor and a convex patch.
+    fn space_over(&mut self, corners: &[DVec3], left: std::ops::Range<usize>, own: &Own<'_>) {
+        let n = corners.len();
+        let turned: DVec3 =
+            (1..n.max(2) - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+        let side = turned.dot(corners[0]);
+        if left.len() < 9 || side == 0.0 {
+            return self.by_rays(own, left);
+        }
+        // More sides than a frustum has planes: leaving some out keeps too much.
+        let plane = |k: usize| side.signum() * corners[k].cross(corners[(k + 1) % n] - corners[k]).normalize_or_zero();
+        let planes: Vec<DVec3> = (0..n.min(Region::MAX_PLANES)).map(plane).collect();
+        self.query(&planes, self.farthest(left.clone()), own);
+        // The polygon's share is linear over the patch: what is nearer nowhere at its corners is so nowhere.
+        let known = &self.faces.known;
+        self.near.retain(|face| corners.iter().any(|c| known[*face as usize].inverse.dot(*c) > 1.0));
+        for i in left {
+            self.hide_sample(i, own);
+        }
+    }
+
+    /// Fills `near` with all polygons that may have a point in a pyramid, up to a range.
+    fn query(&mut self, planes_in_image: &[DVec3], farthest: f64, own: &Own<'_>) {
+        let frame = self.frame;
+        self.begin();
+        let world_from_image = frame.image_from_world.transpose();
+        let mut planes = [DVec3::ZERO; Region::MAX_PLANES];
+        for (to, from) in planes.iter_mut().zip(planes_in_image) {
+            *to = world_from_image * *from;
+        }
+        let planes = &planes[..planes_in_image.len()];
+        let region = Region::frustum(frame.world_from_sensor.translation, planes, farthest * (1.0 + 1e-9));
+        self.found.clear();
+        frame.world.index().query(frame.environment, &region, &mut self.found);
+        for slot in self.found.all() {
+            if own.slots.contains(&slot) {
+                continue;
+            }
+            if let Some(at) = self.faces.of_slot(frame, slot).filter(|at| self.faces.known[*at].covers) {
+                self.near.push(at as u32);
+            }
+        }
+    }
+
+    /// A ray from the sensor to every sample that nothing hides yet, through the index.
+    fn by_rays(&mut self, own: &Own<'_>, some: std::ops::Range<usize>) {
+        let frame = self.frame;
+        for i in some {
+            let Open { at, range, by, .. } = self.open[i];
+            if by.is_some() {
+                continue;
+            }
+            self.begin();
+            let direction = frame.image_from_world.transpose() * (at / range);
+            let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
+            self.found.clear();
+            frame.world.index().query(frame.environment, &region, &mut self.found);
+            for slot in self.found.all() {
+                if own.slots.contains(&slot) {
+                    continue;
+                }
+                if let Some(at) = self.faces.of_slot(frame, slot).filter(|at| self.faces.known[*at].covers) {
+                    self.near.push(at as u32);
+                }
+            }
+            self.hide_sample(i, own);
+        }
+    }
+}

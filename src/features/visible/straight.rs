@@ -1,0 +1,206 @@
+//! Segments in a pinhole camera: samples in equal steps of a straight image, decided run by run and not one by one.
+
+use super::judge::{Judge, Own};
+use super::known::{Known, Nearer};
+use super::tally::{State, Tally};
+use super::{Frame, Visibility};
+use crate::features::Reason;
+use crate::features::sample::Straight;
+use glam::DVec3;
+use std::ops::Range;
+
+/// No slot.
+const NONE: u32 = u32::MAX;
+
+/// Some samples of a segment, and what decides about all of them.
+struct Stretch<'s> {
+    part: &'s Straight,
+    /// Numbers of samples; not empty.
+    some: Range<usize>,
+    /// Middles of the first and the last.
+    ends: [DVec3; 2],
+    /// Least and greatest range of the whole part.
+    ranges: [f64; 2],
+    rounding: f64,
+}
+
+impl<'s> Stretch<'s> {
+    fn new(part: &'s Straight, some: Range<usize>, ranges: [f64; 2], rounding: f64) -> Self {
+        let ends = [part.middle(some.start).0, part.middle(some.end - 1).0];
+        Self { part, some, ends, ranges, rounding }
+    }
+
+    /// Marks what a polygon hides; false if nothing is known about its range there.
+    fn hide(&self, known: &Known, planes: &[DVec3], by: &mut [u32]) -> bool {
+        let [p, q] = self.ends;
+        let shares = [known.inverse.dot(p), known.inverse.dot(q)];
+        if !(shares[0] > 1.0 || shares[1] > 1.0) {
+            return true;
+        }
+        // Shares of the way from p to q.
+        let (mut from, mut to) = (0.0f64, 1.0f64);
+        for e in planes {
+            let (f, g) = (e.dot(p), e.dot(q));
+            if f < 0.0 && g < 0.0 {
+                return true;
+            }
+            if f < 0.0 {
+                from = from.max(f / (f - g));
+            } else if g < 0.0 {
+                to = to.min(f / (f - g));
+            }
+        }
+        if !(from <= to) {
+            return true;
+        }
+        let number = |share: f64| {
+            let at = p + share * (q - p);
+            let [a, b] = self.part.ends;
+            self.part.number((at - a).dot(b - a) / (b - a).length_squared())
+        };
+        let first = if from > 0.0 { (number(from).ceil() as usize).max(self.some.start) } else { self.some.start };
+        let end = if to < 1.0 { ((number(to) + 1.0) as usize).min(self.some.end) } else { self.some.end };
+        let Some(by) = by.get_mut(first..end) else { return true };
+        let [near, far] = self.ranges;
+        let least = [near, far].map(|range| known.least_share(shares[0].max(shares[1]), range, self.rounding));
+        let least = least[0].max(least[1]);
+        if shares[0] > least && shares[1] > least {
+            by.iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
+            return true;
+        }
+        // It crosses the segment, or nearly: one by one.
+        for (i, by) in by.iter_mut().enumerate().filter(|(_, by)| **by == NONE) {
+            let at = self.part.middle(first + i).0;
+            match known.nearer(known.inverse.dot(at), at.length(), self.rounding) {
+                Nearer::Yes => *by = known.slot,
+                Nearer::No => {}
+                Nearer::Unknown => return false,
+            }
+        }
+        true
+    }
+}
+
+impl Judge<'_> {
+    /// Decides about a segment; `None` if it takes more than what is in between, or more care.
+    pub(super) fn straight(
+        &mut self,
+        [a, b]: [DVec3; 2],
+        own: &Own<'_>,
+        told: Option<&[Option<u32>]>,
+    ) -> Option<Tally> {
+        let frame = self.frame;
+        if frame.options.visibility != Visibility::Image
+            || !own.is_plain()
+            || frame.sensor.spec().max_incidence.is_some()
+        {
+            return None;
+        }
+        let part = frame.sampler.straight_part(a, b)?;
+        let ranges = ranges(&part);
+        let spec = frame.sensor.spec();
+        if part.count < 3 || !(ranges[0] >= spec.range_min && ranges[1] <= spec.range_max && ranges[0] > 0.0) {
+            return None;
+        }
+        let mut by = std::mem::take(&mut self.by);
+        by.clear();
+        by.resize(part.count, NONE);
+        let decided = self.decide_straight(&part, ranges, own, told, &mut by);
+        let tally = decided.then(|| tally_of(frame, &part, [a, b], &by));
+        self.by = by;
+        tally
+    }
+
+    fn decide_straight(
+        &mut self,
+        part: &Straight,
+        ranges: [f64; 2],
+        own: &Own<'_>,
+        told: Option<&[Option<u32>]>,
+        by: &mut [u32],
+    ) -> bool {
+        self.begin();
+        match told {
+            Some(told) => self.take_told(told, own),
+            None => {
+                let by_sample = (part.pixels[1] - part.pixels[0]) * part.step;
+                for i in 0..part.count {
+                    self.gather(part.pixels[0] + (i as f64 + 0.5) * by_sample, own);
+                }
+            }
+        }
+        if !self.hide_near(&Stretch::new(part, 0..part.count, ranges, own.rounding()), by) {
+            return false;
+        }
+        let open = |by: &[u32]| by.iter().filter(|by| **by == NONE).count();
+        let left = open(by);
+        if let (Some(first), Some(last)) = (by.iter().position(|b| *b == NONE), by.iter().rposition(|b| *b == NONE)) {
+            // Three samples at least, so that they and the sensor make a triangle.
+            let (first, end) = (first.saturating_sub(1), (last + 2).min(part.count));
+            let stretch = Stretch::new(part, first..end, ranges, own.rounding());
+            let farthest = stretch.ends[0].length().max(stretch.ends[1].length());
+            if !self.query_triangle(stretch.ends, farthest, own) || !self.hide_near(&stretch, by) {
+                return false;
+            }
+        }
+        self.stats.samples = part.count;
+        self.stats.hidden_by_neighbours = part.count - left;
+        self.stats.visible = open(by);
+        self.stats.hidden_in_space = left - self.stats.visible;
+        true
+    }
+
+    fn hide_near(&self, stretch: &Stretch<'_>, by: &mut [u32]) -> bool {
+        self.near.iter().all(|face| {
+            let known = &self.faces.known[*face as usize];
+            stretch.hide(known, self.faces.planes_of(known), by)
+        })
+    }
+}
+
+/// Least and greatest distance of a part from the sensor.
+fn ranges(part: &Straight) -> [f64; 2] {
+    let [p, q] = part.ends;
+    let foot = p + foot(part) * (q - p);
+    [foot.length(), p.length().max(q.length())]
+}
+
+/// The share of a part at which it is nearest to the sensor.
+fn foot(part: &Straight) -> f64 {
+    let [p, q] = part.ends;
+    let d = q - p;
+    (-p.dot(d) / d.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
+
+/// Intervals and shares of samples hidden by slots.
+fn tally_of(frame: &Frame<'_>, part: &Straight, [a, b]: [DVec3; 2], by: &[u32]) -> Tally {
+    let mut tally = Tally::default();
+    let outside = |tally: &mut Tally, piece| {
+        if let crate::features::Piece::Outside { reason, .. } = piece {
+            tally.take(frame, &piece, State::Hidden(reason, None));
+        }
+    };
+    part.before(a, b, &mut |piece| outside(&mut tally, piece));
+    let nearest = part.number(foot(part));
+    let mut start = 0;
+    for run in by.chunk_by(|a, b| a == b) {
+        let end = start + run.len();
+        let ((t0, p0), (t1, p1)) = (part.bound(start), part.bound(end));
+        let state = match run[0] {
+            NONE => State::Seen,
+            slot => State::Hidden(Reason::Occluded, Some(slot)),
+        };
+        tally.take_run(frame, state, run.len(), [t0, t1], [p0, p1]);
+        if state == State::Seen {
+            for i in [nearest.floor(), nearest.ceil()] {
+                tally.see_at(part.middle((i.max(0.0) as usize).clamp(start, end - 1)).0);
+            }
+            if frame.options.feature_id {
+                (start..end).for_each(|i| tally.mark(frame, part.middle(i).1));
+            }
+        }
+        start = end;
+    }
+    part.after(a, b, &mut |piece| outside(&mut tally, piece));
+    tally
+}

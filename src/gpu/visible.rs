@@ -1,0 +1,176 @@
+//! Samples of features against what the nine pixels around each show: the fifth stage; its CPU twin is beside it.
+//!
+//! The nearest polygons of the last frame, with their records, are still on the device: no image travels. Answers are
+//! proposals in f32, tested in f64 by who asked ([`crate::features`]).
+
+#[cfg(test)]
+mod twin;
+
+use super::buffers::{Growable, Mapping};
+use super::device::Gpu;
+use super::layout::{self, GridKind};
+use super::shaders;
+use super::stage::{Binding, Stage};
+use super::store::Store;
+use crate::error::{ErrorKind, Result};
+use crate::sensor::{PixelGrid, Sensor};
+use glam::{DMat3, DVec3};
+
+/// Words before the samples: how many, 1 if columns go round, padding.
+pub(super) const SAMPLES_AT: usize = 4;
+/// Words of a sample.
+pub(super) const SAMPLE_WORDS: usize = 5;
+
+/// What the nine pixels around a sample say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Proposal {
+    /// Hidden by the polygon of a slot.
+    Hidden(u32),
+    /// A polygon covers its ray and is not nearer, and none beside it could be.
+    Seen,
+    /// Neither.
+    Doubt,
+}
+
+/// Neither hidden nor seen, as a word.
+const DOUBT: u32 = u32::MAX;
+/// Seen, as a word.
+const SEEN: u32 = u32::MAX - 1;
+
+impl Proposal {
+    pub(super) fn of_word(word: u32) -> Self {
+        match word {
+            DOUBT => Self::Doubt,
+            SEEN => Self::Seen,
+            slot => Self::Hidden(slot),
+        }
+    }
+}
+
+/// Samples of features, as the stage takes them.
+#[derive(Clone, Debug)]
+pub struct Asked {
+    words: Vec<u32>,
+    /// The records' planes are in that frame.
+    line_from_image: DMat3,
+    count: u32,
+    own_at: u32,
+}
+
+impl Asked {
+    /// For `count` samples on the image of a sensor.
+    pub fn new(count: usize, sensor: &Sensor) -> Self {
+        let mut words = vec![0; SAMPLES_AT + count * SAMPLE_WORDS];
+        words[1] = u32::from(sensor.columns_of_a_turn().is_some());
+        let line_from_image = match sensor.grid() {
+            PixelGrid::Lines(grid) => grid.line_from_image(),
+            PixelGrid::Rays(_) => DMat3::IDENTITY,
+        };
+        Self { words, line_from_image, count: 0, own_at: 0 }
+    }
+
+    /// The samples that follow are of a feature on these slots.
+    pub fn begin(&mut self, slots: &[u32]) {
+        self.own_at = self.words.len() as u32;
+        self.words.push(slots.len() as u32);
+        self.words.extend_from_slice(slots);
+    }
+
+    /// A sample at a place of the image frame, in the middle one of nine pixels (row-major number).
+    pub fn push(&mut self, at: DVec3, pixel: u32) {
+        let place = (self.line_from_image * at).as_vec3().to_array().map(f32::to_bits);
+        let first = SAMPLES_AT + self.count as usize * SAMPLE_WORDS;
+        let words = [place[0], place[1], place[2], pixel, self.own_at];
+        self.words[first..first + SAMPLE_WORDS].copy_from_slice(&words);
+        self.count += 1;
+        self.words[0] = self.count;
+    }
+
+    /// How many were pushed.
+    pub fn count(&self) -> u32 {
+        self.count
+    }
+}
+
+/// The stage with its buffers.
+pub(super) struct Visible {
+    stage: Stage,
+    asked: Growable,
+    answers: Growable,
+    readback: Growable,
+    mapping: Mapping,
+    rebind: bool,
+}
+
+impl Visible {
+    pub fn new(gpu: &Gpu) -> Self {
+        use Binding::{Read, Uniform, Write};
+        use wgpu::BufferUsages as U;
+        Self {
+            stage: Stage::new(gpu, "visible", &[Uniform, Read, Read, Read, Read, Write]),
+            asked: Growable::storage(gpu, "samples of features"),
+            answers: Growable::storage(gpu, "proposals"),
+            readback: Growable::new(gpu, "proposals read back", U::MAP_READ | U::COPY_DST, false),
+            mapping: Mapping::default(),
+            rebind: true,
+        }
+    }
+
+    /// A buffer of the frame is another one now.
+    pub fn rebind(&mut self) {
+        self.rebind = true;
+    }
+
+    /// Encodes the uploads and the stage, on what the last frame left in its buffers.
+    ///
+    /// # Errors
+    /// [`ErrorKind::DeviceMemory`], or the device's.
+    pub fn encode(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        store: &mut Store,
+        kind: GridKind,
+        asked: &Asked,
+    ) -> Result<()> {
+        let bytes = u64::from(asked.count) * 4;
+        self.rebind |= self.asked.reserve(gpu, asked.words.len() as u64 * 4)?;
+        self.rebind |= self.answers.reserve(gpu, bytes)?;
+        self.readback.reserve(gpu, bytes)?;
+        let variant = (kind as u32, 0);
+        self.stage.prepare(gpu, variant, shaders::VISIBLE, &[("GRID", f64::from(kind as u32))])?;
+        if self.rebind {
+            let of = [&store.params, &store.keys, &store.seen_slots, &store.records, &self.asked, &self.answers];
+            self.stage.bind(gpu, &of.map(Growable::buffer));
+            self.rebind = false;
+        }
+        store.uploads.put(&self.asked, 0, bytemuck::cast_slice(&asked.words));
+        store.uploads.encode(gpu, encoder)?;
+        let (x, y) = layout::groups_for(asked.count);
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        if x > 0 && self.stage.set(&mut pass, variant) {
+            pass.dispatch_workgroups(x, y, 1);
+        }
+        drop(pass);
+        encoder.copy_buffer_to_buffer(self.answers.buffer(), 0, self.readback.buffer(), 0, bytes);
+        Ok(())
+    }
+
+    /// Waits for the answers.
+    ///
+    /// # Errors
+    /// [`ErrorKind::DeviceLost`].
+    pub fn read(&self, gpu: &Gpu, count: u32) -> Result<Vec<Proposal>> {
+        let (buffer, bytes) = (self.readback.buffer(), u64::from(count) * 4);
+        self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
+        gpu.wait()?;
+        self.mapping.check(gpu, "the proposals")?;
+        let view = buffer.get_mapped_range(0..bytes);
+        let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        let words: &[u32] = bytemuck::cast_slice(&view);
+        let proposals = words.iter().map(|word| Proposal::of_word(*word)).collect();
+        drop(view);
+        buffer.unmap();
+        Ok(proposals)
+    }
+}

@@ -1,0 +1,208 @@
+//! Features by the GPU engine: what its images propose on the device, against what the CPU's images propose. Answers are
+//! the same bit by bit, for both are confirmed in f64; how much is proposed differs only by ties.
+#![cfg(feature = "gpu")]
+#![expect(clippy::print_stderr, reason = "a skipped test says so, and counts are worth reading")]
+
+mod common;
+
+use common::{Random, data, hard, scenes};
+use glam::{DMat3, DVec3};
+use presight::environment::{Existence, Feature, FeatureShape, Properties};
+use presight::features::{
+    FeatureOptions, FeaturePrediction, FeatureStats, PlacedFeature, SeenFeature, predict_features,
+};
+
+use presight::{Backend, Images, Opening, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
+use proptest::strategy::{Strategy, ValueTree};
+use proptest::test_runner::TestRunner;
+
+fn predictor() -> Option<Predictor> {
+    let opening = Opening { all_on_device: true, ..Opening::default() };
+    match Predictor::opened(Options { backend: Backend::Gpu, threads: 2 }, opening) {
+        Ok(predictor) => Some(predictor),
+        Err(e) => {
+            assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
+            eprintln!("SKIPPED: no adapter: {e}");
+            None
+        }
+    }
+}
+
+fn request() -> Request {
+    Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() }
+}
+
+/// Sides, corners and areas of some polygons of a world.
+fn features(world: &World, most: usize, random: &mut Random) -> Vec<PlacedFeature> {
+    let slots = world.environment().slot_count() as usize;
+    let mut all = Vec::new();
+    while all.len() < most {
+        let slot = random.below(slots) as u32;
+        let corners = world.environment().polygon_in_world(slot).unwrap_or_default();
+        if corners.len() < 3 {
+            continue;
+        }
+        let id = all.len() as u32 + 1;
+        let shape = match id % 8 {
+            0 => FeatureShape::Patch { corners, covariance: DMat3::ZERO },
+            1 => FeatureShape::Point { at: corners[0], covariance: DMat3::ZERO },
+            k => {
+                let k = k as usize % corners.len();
+                let ends = [corners[k], corners[(k + 1) % corners.len()]];
+                FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO }
+            }
+        };
+        let (existence, properties) = (Existence::default(), Properties::default());
+        let feature = Feature { id, name: None, object: None, shape, existence, properties };
+        all.push(PlacedFeature { feature, object: None, slots: vec![slot] });
+    }
+    all
+}
+
+/// All but what hides: of several occluders either side may know a nearer one.
+fn shown(f: &SeenFeature) -> SeenFeature {
+    let mut f = f.clone();
+    f.hidden.iter_mut().for_each(|h| h.by = None);
+    // Neighbouring parts that different polygons hide are one.
+    f.hidden.dedup_by(|b, a| {
+        let same = a.reason == b.reason && a.t[1] == b.t[0];
+        a.t[1] = if same { b.t[1] } else { a.t[1] };
+        same
+    });
+    f
+}
+
+/// Features that are not the same on both sides.
+fn differing(device: &FeaturePrediction, host: &FeaturePrediction) -> usize {
+    assert_eq!(device.features.len(), host.features.len());
+    device.features.iter().zip(&host.features).filter(|(a, b)| shown(a) != shown(b)).count()
+}
+
+fn agree(name: &str, device: &FeaturePrediction, host: &FeaturePrediction) {
+    assert_eq!(differing(device, host), 0, "{name}");
+    assert_eq!(device.feature_id, host.feature_id, "{name}");
+    assert_eq!((device.stats.samples, device.stats.visible), (host.stats.samples, host.stats.visible), "{name}");
+    // Planted: one visible interval is dropped.
+    let mut less = device.clone();
+    if let Some(seen) = less.features.iter_mut().find(|f| !f.visible.is_empty()) {
+        seen.visible.pop();
+        assert_eq!(differing(&less, host), 1, "{name}");
+    }
+}
+
+fn on_device(
+    predictor: &mut Predictor,
+    world: &World,
+    sensor: &Sensor,
+    pose: &Pose,
+    placed: &[PlacedFeature],
+) -> (FeaturePrediction, Images, Stats) {
+    let seen = predictor.predict(world, sensor, pose, &request()).unwrap();
+    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let mut stats = seen.stats;
+    let found = predictor.predict_features(world, sensor, pose, &seen.images, placed, &options, &mut stats).unwrap();
+    (found, seen.images, stats)
+}
+
+fn check(
+    name: &str,
+    predictor: &mut Predictor,
+    world: &World,
+    sensor: &Sensor,
+    pose: &Pose,
+    placed: &[PlacedFeature],
+) -> [FeatureStats; 2] {
+    let (device, images, stats) = on_device(predictor, world, sensor, pose, placed);
+    assert!(stats.stages_ms.iter().any(|(stage, _)| stage == "features on the device"), "{name}: not on the device");
+    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let host = predict_features(world, sensor, pose, &images, placed, &options).unwrap();
+    agree(name, &device, &host);
+    [device.stats, host.stats]
+}
+
+/// What the device proposes is what the CPU finds in the same images, but for ties.
+fn proposes_as_much(name: &str, [device, host]: [FeatureStats; 2]) {
+    eprintln!(
+        "{name}: {} of {} samples hidden, {} on the host",
+        device.hidden_by_neighbours, device.samples, host.hidden_by_neighbours
+    );
+    let apart = device.hidden_by_neighbours.abs_diff(host.hidden_by_neighbours);
+    assert!(host.hidden_by_neighbours > 500 && apart * 50 <= host.hidden_by_neighbours, "{name}: {device:?} {host:?}");
+}
+
+#[test]
+fn real_scenes_are_seen_alike() {
+    let Some(mut predictor) = predictor() else { return };
+    let mut random = Random(3);
+    for scene in ["factory_hall", "office_willowgarage"] {
+        let Some(world) = data::scene(scene, true) else { return };
+        let placed = features(&world, 800, &mut random);
+        for pose in data::poses(&world, 2, 5) {
+            let mut sums = [FeatureStats::default(); 2];
+            for sensor in [scenes::camera(320, 240), scenes::scanner(360, 91)] {
+                let both = check(scene, &mut predictor, &world, &sensor, &pose, &placed);
+                sums.iter_mut().zip(both).for_each(|(sum, stats)| sum.add(&stats));
+            }
+            proposes_as_much(scene, sums);
+        }
+    }
+}
+
+#[test]
+fn rooms_and_hard_scenes_are_seen_alike() {
+    let Some(mut predictor) = predictor() else { return };
+    let mut random = Random(4);
+    let mut sums = [FeatureStats::default(); 2];
+    for scene in 0..3 {
+        let world = scenes::room_world(random.bits(), [5, 30, 80][scene]);
+        let placed = features(&world, 150, &mut random);
+        let pose = Pose::from_xyz_rpy(DVec3::new(0.2, -0.1, 1.4), 0.1, 0.1, random.uniform(-3.0, 3.0));
+        for sensor in [scenes::camera(200, 150), scenes::scanner(360, 31), scenes::fan(), scenes::all_round(144, 73)] {
+            let both = check("rooms", &mut predictor, &world, &sensor, &pose, &placed);
+            sums.iter_mut().zip(both).for_each(|(sum, stats)| sum.add(&stats));
+        }
+    }
+    proposes_as_much("rooms", sums);
+    let mut runner = TestRunner::deterministic();
+    for _ in 0..12 {
+        let case = hard::grazing().new_tree(&mut runner).unwrap().current();
+        let (world, pose, sensors) = case.build();
+        let placed = features(&world, 40, &mut random);
+        for sensor in &sensors {
+            check("hard", &mut predictor, &world, sensor, &pose, &placed);
+        }
+    }
+}
+
+/// A second round makes nothing, and without features nothing runs.
+#[test]
+fn steady_state_makes_nothing_and_no_features_cost_nothing() {
+    let Some(mut predictor) = predictor() else { return };
+    let world = scenes::room_world(7, 30);
+    let placed = features(&world, 200, &mut Random(1));
+    let sensors = [scenes::camera(200, 150), scenes::scanner(180, 31)];
+    let pose = |i: usize| Pose::from_xyz_rpy(DVec3::new(0.1 * i as f64, 0.0, 1.4), 0.0, 0.0, i as f64);
+    let plain = |predictor: &mut Predictor| {
+        let seen = predictor.predict(&world, &sensors[0], &pose(0), &request()).unwrap();
+        assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")));
+    };
+    plain(&mut predictor);
+    let before = predictor.made().unwrap();
+    plain(&mut predictor);
+    let mut stats = Stats::default();
+    let images = predictor.predict(&world, &sensors[0], &pose(0), &request()).unwrap().images;
+    let none = predictor
+        .predict_features(&world, &sensors[0], &pose(0), &images, &[], &FeatureOptions::default(), &mut stats)
+        .unwrap();
+    assert!(none.features.is_empty() && none.stats == FeatureStats::default());
+    assert_eq!(predictor.made().unwrap(), before, "without features");
+    let round = |predictor: &mut Predictor| {
+        for i in 0..4 {
+            on_device(predictor, &world, &sensors[i % 2], &pose(i), &placed);
+        }
+        predictor.made().unwrap()
+    };
+    let first = round(&mut predictor);
+    assert!(first.pipelines > before.pipelines && first.buffers > before.buffers);
+    assert_eq!(round(&mut predictor), first);
+}
