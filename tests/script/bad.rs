@@ -120,7 +120,10 @@ fn arguments_of_the_wrong_type_and_number() {
         "face([[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 0]]).translate(0, 0, 0); place(\"x\", face([[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 0]]));",
         &["line 1", "off the plane"],
     );
-    refused("box(1, 1, 1).fiducial(\"video\", pose(), 0.1, \"NO\", 1);", &["line 1", "in the call of fiducial", "NO"]);
+    refused(
+        "box(1, 1, 1).fiducial(\"video\", pose(), 0.1, \"DICT_4X4_50\", 50);",
+        &["line 1", "in the call of fiducial", "50"],
+    );
     refused(
         "let s = box(1, 1, 1).point(\"video\", [0, 0, 1], #{ id: 4 });\nplace(\"a\", s); place(\"b\", s);",
         &["at its end: features for class \"video\"", "id 4 is given twice"],
@@ -167,8 +170,9 @@ fn huge_strings_and_arrays() {
     refused("let s = [1];\nloop { s += s; }", &["line 2", "16384 elements"]);
     refused("let s = []; s.pad(1000000000, 1);", &["line 1", "16384 elements"]);
     refused("let s = [1]; loop { s = [s, s]; }", &["line 1", "16384 elements"]);
-    refused("let m = #{}; for i in 0..10000 { m[`k${i}`] = i; }", &["line 1", "4096 entries"]);
-    refused(&"let x = 1;\n".repeat(300), &["line", "256 variables"]);
+    refused("let m = #{}; for i in 0..10000 { let n = #{}; n[`k${i}`] = i; m.mixin(n); }", &["line 1", "4096 entries"]);
+    let many: String = (0..300).map(|i| format!("let x{i} = 1;\n")).collect();
+    refused(&many, &["line 257", "256 variables"]);
 }
 
 #[test]

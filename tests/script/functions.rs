@@ -142,24 +142,24 @@ const CASES: &[(&str, &str)] = &[
     ),
     ("bounds(shape) -> map", "require(bounds(box(1, 2, 3)).max[2] == 3.0, \"top\");"),
     ("polygons(thing) -> int", "require(polygons(box(1, 1, 1)) == 6, \"six\");"),
-    ("sin(x) -> float", "is(sin(PI() / 6), 0.5); is(sin(0), 0);"),
-    ("cos(x) -> float", "is(cos(PI() / 3), 0.5);"),
-    ("tan(x) -> float", "is(tan(PI() / 4), 1);"),
-    ("asin(x) -> float", "is(asin(1), PI() / 2);"),
-    ("acos(x) -> float", "is(acos(-1), PI());"),
-    ("atan(x) -> float", "is(atan(1), PI() / 4);"),
-    ("atan2(y, x) -> float", "is(atan2(-1, -1), -0.75 * PI());"),
-    ("to_radians(deg) -> float", "is(to_radians(180), PI());"),
-    ("to_degrees(x) -> float", "is(to_degrees(PI()), 180);"),
-    ("PI() -> float", "is(PI(), 3.14159265358979);"),
-    ("sqrt(x) -> float", "is(sqrt(9), 3); is((16).sqrt(), 4);"),
-    ("hypot(x, y) -> float", "is(hypot(3, 4), 5);"),
-    ("pow(x, y) -> float", "is(pow(2, 10), 1024); is(pow(2, -0.5), 0.707106781186548);"),
-    ("exp(x) -> float", "is(exp(1), 2.71828182845905);"),
-    ("ln(x) -> float", "is(ln(exp(2)), 2);"),
-    ("floor(x) -> float", "is(floor(-1.5), -2);"),
-    ("ceil(x) -> float", "is(ceil(-1.5), -1);"),
-    ("round(x) -> float", "is(round(2.5), 3);"),
+    ("sin(x) -> float", "eq(sin(PI() / 6), 0.5); eq(sin(0), 0);"),
+    ("cos(x) -> float", "eq(cos(PI() / 3), 0.5);"),
+    ("tan(x) -> float", "eq(tan(PI() / 4), 1);"),
+    ("asin(x) -> float", "eq(asin(1), PI() / 2);"),
+    ("acos(x) -> float", "eq(acos(-1), PI());"),
+    ("atan(x) -> float", "eq(atan(1), PI() / 4);"),
+    ("atan2(y, x) -> float", "eq(atan2(-1, -1), -0.75 * PI());"),
+    ("to_radians(deg) -> float", "eq(to_radians(180), PI());"),
+    ("to_degrees(x) -> float", "eq(to_degrees(PI()), 180);"),
+    ("PI() -> float", "eq(PI(), 3.14159265358979);"),
+    ("sqrt(x) -> float", "eq(sqrt(9), 3); eq((16).sqrt(), 4);"),
+    ("hypot(x, y) -> float", "eq(hypot(3, 4), 5);"),
+    ("pow(x, y) -> float", "eq(pow(2, 10), 1024); eq(pow(2, -0.5), 0.707106781186548);"),
+    ("exp(x) -> float", "eq(exp(1), 2.71828182845905);"),
+    ("ln(x) -> float", "eq(ln(exp(2)), 2);"),
+    ("floor(x) -> float", "eq(floor(-1.5), -2);"),
+    ("ceil(x) -> float", "eq(ceil(-1.5), -1);"),
+    ("round(x) -> float", "eq(round(2.5), 3);"),
     ("to_int(x) -> int", "require(to_int(-2.9) == -2, \"int\");"),
     ("to_float(x) -> float", "require(to_float(1) / 2 == 0.5, \"float\");"),
     (
@@ -182,8 +182,8 @@ const CASES: &[(&str, &str)] = &[
 
 /// What the cases are written with.
 const HELPERS: &str = r#"
-fn is(a, b) { require(a - b < 1e-12 && b - a < 1e-12, `${a} is not ${b}`); }
-fn same(a, b) { for i in 0..3 { is(a[i], b[i]); } }
+fn eq(a, b) { require(a - b < 1e-12 && b - a < 1e-12, `${a} is not ${b}`); }
+fn same(a, b) { for i in 0..3 { eq(a[i], b[i]); } }
 fn near(shape, low, high) { let b = bounds(shape); same(b.min, low); same(b.max, high); place("shape", shape); }
 fn count(thing, n) { require(polygons(thing) == n, `${polygons(thing)} polygons, not ${n}`); }
 place("floor", rectangle(1, 1));
@@ -224,7 +224,7 @@ fn what_is_registered_is_documented_and_tested() {
 #[test]
 fn a_wrong_expectation_is_found() {
     for text in
-        ["near(box(2, 3, 0.5), [-1, -1.5, 0], [1, 1.5, 0.6]);", "count(box(1, 1, 1), 7);", "is(sin(1), cos(1));"]
+        ["near(box(2, 3, 0.5), [-1, -1.5, 0], [1, 1.5, 0.6]);", "count(box(1, 1, 1), 7);", "eq(sin(1), cos(1));"]
     {
         assert!(run(&format!("{HELPERS}{text}")).is_err(), "{text}");
     }
