@@ -54,6 +54,23 @@ fn importing(c: &mut Criterion) {
     }
 }
 
+/// The hall's script to its environment, and on to a world with its index.
+#[cfg(feature = "script")]
+fn script(c: &mut Criterion) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
+    let environment = || {
+        let loaded = presight::io::script::load(&path, &ImportOptions::default(), &mut |_| {});
+        loaded.unwrap_or_else(|e| panic!("{e}")).environment
+    };
+    let mut group = c.benchmark_group("script");
+    group.sample_size(20);
+    group.bench_function("factory/environment", |b| b.iter(environment));
+    group.bench_function("factory/world", |b| b.iter(|| World::new(environment())));
+}
+
+#[cfg(not(feature = "script"))]
+fn script(_: &mut Criterion) {}
+
 fn selection(c: &mut Criterion) {
     let mut group = c.benchmark_group("selection");
     for scene in scenes() {
@@ -86,5 +103,5 @@ fn prediction(c: &mut Criterion) {
     }
 }
 
-criterion_group!(stages, importing, selection, prediction);
+criterion_group!(stages, importing, script, selection, prediction);
 criterion_main!(stages);

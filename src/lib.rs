@@ -1,6 +1,6 @@
 //! presight: the engine that tells a robot what its sensors should see.
 //!
-//! A scene becomes an [`Environment`] ([`io::gltf::import`], or objects added one by one), a version of it a [`World`].
+//! A scene becomes an [`Environment`] ([`io::gltf::import`], a script, or objects added one by one), a version of it a [`World`].
 //! A [`Sensor`] is a preset, a file ([`io::load_sensor`]) or made from a [`SensorSpec`]. A [`Predictor`] answers for a
 //! sensor at a [`Pose`] with [`Images`]: range, depth, which polygon and object each pixel sees, and at which angle.
 //! [`virtual_sensors`] reduce that to what one task wants to know.

@@ -34,8 +34,8 @@ pub const MAX_FACETS: u32 = 1024;
 pub const MAX_OUTLINE: usize = 512;
 /// Largest scene script or module of one, in bytes.
 pub const MAX_SCRIPT_BYTES: u64 = 1 << 20;
-/// Most operations of a script, its modules included: some seconds.
-pub const MAX_SCRIPT_OPERATIONS: u64 = 20_000_000;
+/// Most operations of a script, its modules included: some seconds. They also bound what maps can grow to by index.
+pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
 /// Most seconds of a script: the last resort, which no sound script should meet before another limit.
 pub const MAX_SCRIPT_SECONDS: u64 = 120;
 /// Deepest nesting of calls in a script.

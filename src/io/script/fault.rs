@@ -133,7 +133,7 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
         }
         E::ErrorTooManyModules(_) => invalid(format!("over {} modules", limits::MAX_SCRIPT_MODULES), "join some"),
         E::ErrorDataTooLarge(what, _) => invalid(
-            what.trim().to_lowercase(),
+            format!("{} is over the limit", what.trim().to_lowercase()),
             &format!(
                 "strings may have {} bytes, arrays {} elements, maps {} entries",
                 limits::MAX_SCRIPT_STRING,

@@ -13,8 +13,8 @@
 //! fn table(length, width) {                              // a function is a macro
 //!     let leg = box(0.06, 0.06, 0.72);
 //!     let top = box(length, width, 0.03).translate(0, 0, 0.72);
-//!     let legs = [-0.45, 0.45].map(|x| x).map(|x| leg.translate(x, 0.3, 0) + leg.translate(x, -0.3, 0));
-//!     (top + join(legs)).made_of("wood")
+//!     let pair = leg.translate(-0.5, 0.3, 0) + leg.translate(-0.5, -0.3, 0);
+//!     (top + pair.repeat(2, 1, 0, 0)).made_of("wood")
 //! }
 //!
 //! place("floor", rectangle(6, 4));
@@ -54,6 +54,7 @@ pub use functions::reference;
 use crate::acquire::Imported;
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::gltf::ImportOptions;
+use crate::io::materials::sidecar_path;
 use crate::limits;
 use fault::{Fault, Sources, explain, syntax};
 use folder::{Folder, read_script};
@@ -97,6 +98,7 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
 fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Imported> {
     let (folder, modules_folder) = (Folder::of(path)?, Folder::of(path)?);
     let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
+    refuse_sidecar(path)?;
     let text = read_script(path, &real)?;
     let name = path.display().to_string();
     let sources = Rc::new(RefCell::new(Sources::from([(name.clone(), text.clone())])));
@@ -107,7 +109,18 @@ fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Impo
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    studio.finish().map_err(|e| e.in_file(path))
+    studio.finish().map_err(|e| e.at("at its end").in_file(path))
+}
+
+/// A script says itself what its materials are; a sidecar beside it would be ignored, which must not be silent. One that
+/// belongs to a model of the same name is none of the script's.
+fn refuse_sidecar(path: &Path) -> Result<()> {
+    let sidecar = sidecar_path(path);
+    if !sidecar.exists() || ["glb", "gltf"].iter().any(|e| path.with_extension(e).exists()) {
+        return Ok(());
+    }
+    let what = "scripts take no materials from a file beside them";
+    Err(Error::invalid(what, "define them in the script by material(name, #{..})").in_file(sidecar))
 }
 
 /// The language with our functions and limits, and without what could differ from machine to machine.

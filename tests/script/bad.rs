@@ -1,0 +1,243 @@
+//! What scripts must not do: each is a typed error with file, line, column, call and remedy, within bounded time.
+
+use super::load;
+use presight::{Error, ErrorKind};
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// A folder with a script.
+fn folder(text: &[u8]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("scene.rhai"), text).unwrap();
+    folder
+}
+
+fn error_in(folder: &Path) -> Error {
+    let start = Instant::now();
+    let e = load(&folder.join("scene.rhai")).0.expect_err("a bad script");
+    assert!(start.elapsed() < Duration::from_secs(100), "{e}: after {:?}", start.elapsed());
+    assert!(e.file().is_some() && e.place().is_some() && !e.to_string().contains('\n'), "{e}");
+    assert_eq!(e.kind(), ErrorKind::Invalid, "{e}");
+    e
+}
+
+/// Its error holds all parts; the first is the place.
+#[track_caller]
+fn refused(text: &str, parts: &[&str]) {
+    let e = error_in(folder(text.as_bytes()).path());
+    let whole = e.to_string();
+    assert!(e.place().unwrap().starts_with(parts[0]), "{:?} is not at {:?}", e.place(), parts[0]);
+    for part in parts {
+        assert!(whole.contains(part), "{part:?} is not in {whole}");
+    }
+    assert!(whole.contains("; "), "no remedy in {whole}");
+}
+
+#[test]
+fn an_endless_loop() {
+    refused("let a = 1;\n  loop { a += 1; }", &["line 2, column", "operations"]);
+    refused("fn f() { while true {} }\nf();", &["line 2, column 1, in the call of f", "operations"]);
+}
+
+#[test]
+fn deep_recursion() {
+    refused("fn f(x) { f(x + 1) }\nf(1);", &["line 2, column 1, in the call of f", "32 levels"]);
+    let deep = format!("let x = {}1{};", "(".repeat(500), ")".repeat(500));
+    refused(&deep, &["line 1", "nest"]);
+}
+
+#[test]
+fn a_thousand_million_polygons() {
+    refused(
+        "place(\"s\",\n sphere(1, 1000000000));",
+        &["line 2, column 2, in the call of sphere", "facets is 1000000000"],
+    );
+    refused(
+        "let b = repeat(repeat(sphere(1, 1024), 16384, 1, 0, 0), 1000, 0, 1, 0);",
+        &["line 1", "in the call of repeat", "is the limit"],
+    );
+    let doubling = "let a = assembly(); a.add(\"x\", sphere(1));\nfor i in 0..40 { let b = assembly(); b.add(\"l\", a); b.add(\"r\", a); a = b; }";
+    refused(doubling, &["line 2", "in the call of add", "is the limit"]);
+    let many = "let s = box(1, 1, 1); let a = assembly(); a.add(\"x\", s);\nfor i in 0..17 { let b = assembly(); b.add(\"l\", a); b.add(\"r\", a); a = b; }\nfor i in 0..9 { place(\"a\", a); }";
+    refused(many, &["line 3", "in the call of place", "objects are asked for", "is the limit"]);
+    refused(
+        "let s = sphere(1, 256); let all = [];\nloop { all.push(s.translate(1, 0, 0)); }",
+        &["line 2", "in the call of translate", "hold"],
+    );
+    refused(
+        "let s = sphere(1, 1000);\nloop { s.translate(1, 0, 0); }",
+        &["line 2", "in the call of translate", "has made"],
+    );
+}
+
+#[test]
+fn sizes_that_are_no_sizes() {
+    refused("box(1, 0.0 / 0.0, 1);", &["line 1, column 1, in the call of box", "size_y is NaN"]);
+    refused("box(1, 2, -3);", &["line 1", "height is -3"]);
+    refused("box(1, 2, 1e300);", &["line 1", "1e12"]);
+    refused("place(\"a\", box(1, 1, 1), pose(1.0 / 0.0, 0, 0));", &["line 1", "in the call of pose", "x is inf"]);
+    refused("box(1, 1, 1).scale(0);", &["line 1", "factor is 0"]);
+    refused("sqrt(-1);", &["line 1", "in the call of sqrt", "NaN"]);
+    refused(
+        "let p = pose(9e11, 0, 0); place(\"far\", box(1, 1, 1), p * p);",
+        &["line 1", "in the call of place", "beyond"],
+    );
+    // A shape too small for the f32 coordinates of where it is.
+    refused(
+        "place(\"a\", box(1e-4, 1, 1).translate(1e6, 0, 0));",
+        &["line 1", "in the call of place", "object \"a\"", "no area"],
+    );
+}
+
+#[test]
+fn unknown_materials() {
+    refused(
+        "material(\"wood\");\nplace(\"a\", box(1, 1, 1).made_of(\"wod\"));",
+        &["line 2", "in the call of made_of", "no material \"wod\"", "wood"],
+    );
+    refused("material(\"wood\", #{ reflexion: 1 });", &["line 1", "unknown key \"reflexion\"", "reflection"]);
+    refused("material(\"wood\", #{ reflection: 2 });", &["line 1", "reflection factor 2"]);
+    refused("material(\"wood\", #{ transparent: \"radar\", invisible: [\"radar\"] });", &["line 1", "both"]);
+    refused("material(\"wood\", #{ color: [1, 2, 3] });", &["line 1", "color"]);
+    refused("material(\"wood\"); material(\"wood\", #{ reflection: 0.5 });", &["line 1", "defined already"]);
+}
+
+#[test]
+fn arguments_of_the_wrong_type_and_number() {
+    refused("\n  box(\"a\", 2, 3);", &["line 2, column 3, in the call of box", "size_x is the string \"a\"", "number"]);
+    refused("box(1, 2);", &["line 1", "called with 2 arguments", "box(size_x, size_y, size_z)"]);
+    refused("bux(1, 2);", &["line 1", "no function bux"]);
+    refused("place(\"a\", 3);", &["line 1", "thing is 3", "a shape or an assembly"]);
+    refused("place(\"a\", box(1, 1, 1), [1, 2, 3]);", &["line 1", "pose is an array", "a pose"]);
+    refused("place(\"/a\", box(1, 1, 1));", &["line 1", "no name"]);
+    refused("let b = box(1, 1, 1); b.add(\"x\", b);", &["line 1", "assembly is a shape"]);
+    refused("extrude([[0, 0], [1, 0], [1]], 1);", &["line 1", "outline[2]", "2 numbers"]);
+    refused("extrude([[0, 0], [1, 1], [1, 0], [0, 1]], 1);", &["line 1", "meets side"]);
+    refused("cylinder(1, 1, 2.5);", &["line 1", "facets is 2.5", "whole number"]);
+    refused(
+        "face([[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 0]]).translate(0, 0, 0); place(\"x\", face([[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 0]]));",
+        &["line 1", "off the plane"],
+    );
+    refused(
+        "box(1, 1, 1).fiducial(\"video\", pose(), 0.1, \"DICT_4X4_50\", 50);",
+        &["line 1", "in the call of fiducial", "50"],
+    );
+    refused(
+        "let s = box(1, 1, 1).point(\"video\", [0, 0, 1], #{ id: 4 });\nplace(\"a\", s); place(\"b\", s);",
+        &["at its end: features for class \"video\"", "id 4 is given twice"],
+    );
+}
+
+#[test]
+fn errors_in_functions_name_their_callers() {
+    refused(
+        "fn leg(h) {\n  box(1, 1, h)\n}\nfn table(h) { leg(h) }\ntable(-1);",
+        &["line 2, column 3, in the call of box, in leg called at line 4, in table called at line 5"],
+    );
+}
+
+#[test]
+fn checks_that_do_not_hold() {
+    refused(
+        "require(1 > 2, \"the hall is too small\");",
+        &["line 1, column 1, in the call of require", "the hall is too small"],
+    );
+    refused("throw \"oops\";", &["line 1", "throws oops"]);
+    refused("let a = 1;", &["at its end", "places no polygons"]);
+}
+
+#[test]
+fn what_is_switched_off() {
+    refused("eval(\"1\");", &["line 1", "eval"]);
+    refused("let x = 2.0 ** 0.5;", &["line 1", "**"]);
+    for call in ["sleep(1)", "timestamp()", "parse_json(\"1\")", "exit()"] {
+        refused(&format!("{call};"), &["line 1", "no function"]);
+    }
+}
+
+#[test]
+fn syntax_errors() {
+    refused("let x = ((1 + 2;", &["line 1, column", "syntax error"]);
+    refused("let x = y + 1;", &["line 1", "no variable \"y\""]);
+    refused("let x = \"open", &["line 1", "syntax error"]);
+}
+
+#[test]
+fn huge_strings_and_arrays() {
+    refused("let s = \"x\";\nloop { s += s; }", &["line 2", "65536 bytes"]);
+    refused("let s = [1];\nloop { s += s; }", &["line 2", "16384 elements"]);
+    refused("let s = []; s.pad(1000000000, 1);", &["line 1", "16384 elements"]);
+    refused("let s = [1]; loop { s = [s, s]; }", &["line 1", "16384 elements"]);
+    refused("let m = #{}; for i in 0..10000 { let n = #{}; n[`k${i}`] = i; m.mixin(n); }", &["line 1", "4096 entries"]);
+    let many: String = (0..300).map(|i| format!("let x{i} = 1;\n")).collect();
+    refused(&many, &["line 257", "256 variables"]);
+}
+
+#[test]
+fn files_that_are_missing_or_outside() {
+    refused("import_gltf(\"none.glb\");", &["line 1, column 1, in the call of import_gltf", "none.glb"]);
+    refused("import \"none\" as x;", &["line 1", "none.rhai"]);
+    for outside in ["../secret.glb", "/etc/passwd", "a/../../b.glb", ""] {
+        refused(&format!("import_gltf(\"{outside}\");"), &["line 1", "in the call of import_gltf"]);
+    }
+    refused("import \"../secret\" as x;", &["line 1", "no path inside"]);
+    refused("import \"/tmp/secret\" as x;", &["line 1", "no path inside"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn links_that_lead_outside() {
+    let secret = tempfile::tempdir().unwrap();
+    fs::write(secret.path().join("m.rhai"), "fn f() { 1 }").unwrap();
+    fs::copy("scenes/room.glb", secret.path().join("room.glb")).unwrap();
+    for text in ["import \"m\" as m;", "import \"dir/m\" as m;", "import_gltf(\"room.glb\");"] {
+        let folder = folder(text.as_bytes());
+        std::os::unix::fs::symlink(secret.path().join("m.rhai"), folder.path().join("m.rhai")).unwrap();
+        std::os::unix::fs::symlink(secret.path().join("room.glb"), folder.path().join("room.glb")).unwrap();
+        std::os::unix::fs::symlink(secret.path(), folder.path().join("dir")).unwrap();
+        let e = error_in(folder.path());
+        assert!(e.to_string().contains("leads out of the scene's folder"), "{e}");
+    }
+    // A link within the folder is fine.
+    let folder = folder(b"import \"m\" as m; place(\"f\", rectangle(m::f(), 1));");
+    fs::write(folder.path().join("real.rhai"), "fn f() { 1 }").unwrap();
+    std::os::unix::fs::symlink(folder.path().join("real.rhai"), folder.path().join("m.rhai")).unwrap();
+    load(&folder.path().join("scene.rhai")).0.unwrap();
+}
+
+#[test]
+fn modules_at_fault_are_named() {
+    let import = |module: &[u8]| {
+        let folder = folder(b"import \"m\" as m;\nm::f();");
+        fs::write(folder.path().join("m.rhai"), module).unwrap();
+        error_in(folder.path()).to_string()
+    };
+    let whole = import(b"fn f() {\n  box(0, 1, 1)\n}");
+    assert!(whole.contains("m.rhai: line 2, column 3, in the call of box, in f called at"), "{whole}");
+    assert!(whole.contains("line 2: size_x is 0"), "{whole}");
+    let whole = import(b"fn f() {");
+    assert!(whole.contains("m.rhai: line 1") && whole.contains("syntax error"), "{whole}");
+    let whole = import(b"\nrequire(false, \"module\");");
+    assert!(
+        whole.contains("m.rhai: line 2, column 1") && whole.contains("imported at") && whole.contains("module"),
+        "{whole}"
+    );
+    let whole = import(b"import \"m\" as m;");
+    assert!(whole.contains("imports itself"), "{whole}");
+    let whole = import(b"import \"scene\" as m;");
+    assert!(whole.contains("imports itself"), "{whole}");
+    let whole = import(b"// \xff");
+    assert!(whole.contains("m.rhai: line 1, column 4: this is not UTF-8"), "{whole}");
+}
+
+#[test]
+fn a_script_that_is_no_text() {
+    let e = error_in(folder(b"let a = 1;\nlet \xc3\xa4 = \xff;").path());
+    assert_eq!(e.place(), Some("line 2, column 9"), "{e}");
+    assert!(e.to_string().contains("UTF-8"));
+    let large = folder(&vec![b' '; 1 << 21]);
+    let e = load(&large.path().join("scene.rhai")).0.unwrap_err();
+    assert!(e.to_string().contains("too large"), "{e}");
+}
