@@ -9,6 +9,8 @@ use crate::geometry::Pose;
 #[cfg(feature = "gpu")]
 use crate::gpu;
 use crate::plan::{FramePlan, Images, Output, Request, Stats};
+#[cfg(feature = "gpu")]
+use crate::probe::{Probe, Task};
 use crate::sensor::Sensor;
 use crate::world::World;
 use std::time::Instant;
@@ -86,13 +88,19 @@ pub struct Opening {
     pub nothing: bool,
     /// Every stage runs on the device, even on a software adapter.
     pub all_on_device: bool,
+    /// The device draws wrong, as with a driver at fault.
+    pub wrong: bool,
 }
 
 enum Engine {
     Cpu(cpu::Engine),
     #[cfg(feature = "gpu")]
-    Gpu(Box<gpu::Engine>),
+    Gpu(Box<gpu::Engine>, Proven),
 }
+
+/// Kinds of sensors for which a device has shown that it draws what it should.
+#[cfg(feature = "gpu")]
+type Proven = Vec<Task>;
 
 impl Predictor {
     /// Makes the engine ready.
@@ -136,7 +144,7 @@ impl Predictor {
         match &self.engine {
             Engine::Cpu(_) => "cpu".into(),
             #[cfg(feature = "gpu")]
-            Engine::Gpu(engine) => format!("gpu ({})", engine.adapter()),
+            Engine::Gpu(engine, _) => format!("gpu ({})", engine.adapter()),
         }
     }
 
@@ -246,7 +254,7 @@ impl Predictor {
         match &self.engine {
             Engine::Cpu(engine) => Ok(engine.on_threads(work)),
             #[cfg(feature = "gpu")]
-            Engine::Gpu(_) => {
+            Engine::Gpu(..) => {
                 let pool = match self.pool.take() {
                     Some(pool) => pool,
                     None => cpu::threads(self.options.threads)?,
@@ -272,7 +280,7 @@ impl Predictor {
                 && std::ptr::eq(plan.sensor.grid(), sensor.grid())
                 && plan.world_from_sensor == *world_from_sensor
         };
-        let there = matches!(&self.engine, Engine::Gpu(engine) if engine.proposes());
+        let there = matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes());
         if !there || !self.plan.as_ref().is_some_and(same) {
             return Ok(None);
         }
@@ -283,7 +291,7 @@ impl Predictor {
             asked.begin(&placed.slots);
             samples.iter().for_each(|(at, pixel)| asked.push(*at, *pixel));
         }
-        let Engine::Gpu(engine) = &mut self.engine else { return Ok(None) };
+        let Engine::Gpu(engine, _) = &mut self.engine else { return Ok(None) };
         let proposals = match engine.propose(&asked) {
             Ok(proposals) => proposals,
             // The images at hand say the same; the next prediction opens the device again.
@@ -309,7 +317,7 @@ impl Predictor {
         match &mut self.engine {
             Engine::Cpu(engine) => engine.render(plan, images, stats),
             #[cfg(feature = "gpu")]
-            Engine::Gpu(_) => self.render_on_gpu(plan, images, stats),
+            Engine::Gpu(..) => self.render_on_gpu(plan, images, stats),
         }
     }
 
@@ -317,8 +325,9 @@ impl Predictor {
     fn render_on_gpu(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let selection = stats.clone();
         let mut again = true;
-        while let Engine::Gpu(engine) = &mut self.engine {
-            let Err(fault) = engine.render(plan, images, stats) else { return Ok(()) };
+        while let Engine::Gpu(engine, proven) = &mut self.engine {
+            let drawn = prove(engine, proven, plan, self.opening.wrong);
+            let Err(fault) = drawn.and_then(|()| engine.render(plan, images, stats)) else { return Ok(()) };
             self.recover(fault, again)?;
             again = false;
             // Nothing of the attempt that failed is told.
@@ -351,7 +360,7 @@ impl Predictor {
     pub fn made(&self) -> Option<gpu::Made> {
         match &self.engine {
             Engine::Cpu(_) => None,
-            Engine::Gpu(engine) => Some(engine.made()),
+            Engine::Gpu(engine, _) => Some(engine.made()),
         }
     }
 
@@ -369,7 +378,7 @@ impl Predictor {
     pub fn device_loss(&self) -> impl Fn() + Send + use<> {
         let device = match &self.engine {
             Engine::Cpu(_) => None,
-            Engine::Gpu(engine) => Some(engine.device_loss()),
+            Engine::Gpu(engine, _) => Some(engine.device_loss()),
         };
         move || device.iter().for_each(|lose| lose())
     }
@@ -397,5 +406,33 @@ fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
         all_on_device: opening.all_on_device,
         ..Default::default()
     })?;
-    Ok(Engine::Gpu(Box::new(engine)))
+    Ok(Engine::Gpu(Box::new(engine), Proven::new()))
+}
+
+/// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
+/// that this makes are those of the prediction to come, so that it costs little besides.
+#[cfg(feature = "gpu")]
+fn prove(engine: &mut gpu::Engine, proven: &mut Proven, plan: &FramePlan, wrong: bool) -> Result<()> {
+    let task = Task::of(&plan.sensor);
+    if proven.contains(&task) {
+        return Ok(());
+    }
+    let report = Probe::new()?.run(task, plan.drawn(), |plan, images| {
+        engine.render(plan, images, &mut Stats::default())?;
+        if wrong {
+            images.range.iter_mut().for_each(|range| *range *= 1.01);
+        }
+        Ok(())
+    })?;
+    if let Some(first) = report.faults.first() {
+        let (n, all) = (report.fault, report.pixels);
+        let what = format!("{} draws {n} of {all} pixels of a probe wrong: {}", engine.adapter(), first.why);
+        return Err(Error::new(
+            ErrorKind::NoDevice,
+            what,
+            "update its driver, or use --backend cpu; see presight doctor",
+        ));
+    }
+    proven.push(task);
+    Ok(())
 }

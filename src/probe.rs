@@ -77,11 +77,11 @@ impl Task {
 ///
 /// ```
 /// use presight::probe::{Probe, Task};
-/// use presight::{Stats, cpu};
+/// use presight::{Outputs, Stats, cpu};
 /// let probe = Probe::new()?;
 /// let mut engine = cpu::Engine::new(1)?;
 /// for task in Task::ALL {
-///     let report = probe.run(task, |plan, images| engine.render(plan, images, &mut Stats::default()))?;
+///     let report = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()))?;
 ///     assert_eq!(report.fault, 0, "{}", task.name());
 /// }
 /// # Ok::<(), presight::Error>(())
@@ -121,13 +121,18 @@ impl Probe {
         Ok(Self { world: World::new(environment) })
     }
 
-    /// Lets an engine draw every output of a task, and compares with the reference.
+    /// Lets an engine draw outputs of a task (`depth_z` of cameras only, no `feature_id`), and compares with the reference.
     ///
     /// # Errors
     /// Those of the engine; [`crate::ErrorKind::Invalid`] if an image lacks pixels.
-    pub fn run(&self, task: Task, draw: impl FnOnce(&FramePlan, &mut Images) -> Result<()>) -> Result<Report> {
+    pub fn run(
+        &self,
+        task: Task,
+        outputs: Outputs,
+        draw: impl FnOnce(&FramePlan, &mut Images) -> Result<()>,
+    ) -> Result<Report> {
         let sensor = task.sensor()?;
-        let all = Outputs::ALL.without(Output::FeatureId);
+        let all = outputs.without(Output::FeatureId);
         let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
         let request = Request { outputs, ..Request::default() };
         let pose = Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.15), 0.03, -0.05, 0.2);
@@ -164,7 +169,7 @@ mod tests {
             assert_eq!(Task::of(&task.sensor().unwrap()), task);
             let mut seen = std::collections::BTreeSet::new();
             let (mut near, mut far) = (false, false);
-            let report = probe.run(task, |plan, images| {
+            let report = probe.run(task, Outputs::ALL, |plan, images| {
                 by_reference(plan, images)?;
                 seen.extend(images.object_id.iter().copied());
                 near |= images.range.contains(&f32::NEG_INFINITY);
@@ -201,7 +206,7 @@ mod tests {
                     fault(images);
                     Ok(())
                 };
-                assert!(probe.run(task, spoiled).unwrap().fault > 0, "fault {n} of the {}", task.name());
+                assert!(probe.run(task, Outputs::ALL, spoiled).unwrap().fault > 0, "fault {n} of the {}", task.name());
             }
         }
     }

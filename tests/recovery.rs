@@ -60,7 +60,8 @@ fn on(backend: Backend, opening: Opening) -> Predictor {
     Predictor::opened(Options { backend, threads: 1 }, opening).unwrap()
 }
 
-const ANY: Opening = Opening { any_adapter: true, largest_binding: None, nothing: false, all_on_device: false };
+const ANY: Opening =
+    Opening { any_adapter: true, largest_binding: None, nothing: false, all_on_device: false, wrong: false };
 const NOTHING: Opening = Opening { nothing: true, ..ANY };
 
 #[test]
@@ -144,6 +145,20 @@ fn too_little_memory_is_an_error_by_name_and_the_cpu_with_auto() {
     let again = task.predict(&mut named).unwrap();
     assert_eq!(bits(&again.images), bits(&fits.images));
     assert!(again.stats.notices.is_empty(), "{:?}", again.stats.notices);
+}
+
+#[test]
+fn a_driver_that_draws_wrong_is_an_error_by_name_and_the_cpu_with_auto() {
+    let Some(task) = Task::new() else { return };
+    let wrong = Opening { wrong: true, ..ANY };
+    let refused = task.predict(&mut on(Backend::Gpu, wrong)).unwrap_err();
+    assert_eq!((refused.kind(), refused.kind().exit_status()), (ErrorKind::NoDevice, 3), "{refused}");
+    assert!(refused.to_string().contains("pixels of a probe wrong"), "{refused}");
+    let instead = task.predict(&mut on(Backend::Auto, wrong)).unwrap();
+    assert_eq!(instead.stats.engine, "cpu");
+    let [notice] = &instead.stats.notices[..] else { panic!("{:?}", instead.stats.notices) };
+    assert!(notice.starts_with("the CPU engine took over: ") && notice.contains("wrong"), "{notice}");
+    task.check(&instead);
 }
 
 #[test]

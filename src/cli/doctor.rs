@@ -5,7 +5,7 @@ use crate::cpu;
 use crate::error::Result;
 #[cfg(feature = "gpu")]
 use crate::gpu::{DeviceOptions, Engine, adapters};
-use crate::plan::{FramePlan, Images, Stats};
+use crate::plan::{FramePlan, Images, Outputs, Stats};
 use crate::probe::{Probe, Task};
 use std::fmt::Write;
 
@@ -53,7 +53,7 @@ fn features() -> String {
 fn check(probe: &Probe, text: &mut String, mut draw: impl FnMut(&FramePlan, &mut Images) -> Result<()>) -> bool {
     let mut sound = true;
     for task in Task::ALL {
-        let verdict = match probe.run(task, &mut draw) {
+        let verdict = match probe.run(task, Outputs::ALL, &mut draw) {
             Ok(report) if report.fault == 0 => {
                 format!("right: {} of {} pixels as the reference has them", report.same, report.pixels)
             }
