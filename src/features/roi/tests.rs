@@ -1,6 +1,10 @@
 //! Boxes held to draws of the errors.
 
+use super::seen::unwrapped;
 use super::*;
+use crate::environment::FeatureShape;
+use crate::geometry::Pose;
+use glam::{DMat3, DVec3};
 use std::f64::consts::{PI, TAU};
 
 /// A pinhole camera of 640 x 480 pixels, body axes.

@@ -1,0 +1,150 @@
+//! Bounds where projection bends: the farthest value over a set of errors.
+
+use super::errors::Uncertain;
+use super::passing::dot;
+use super::seen::{Seen, unwrapped};
+use super::{GRAZING, Projection, SIDES};
+use crate::features::normal::{tail, tail_quantile};
+
+/// Bounds where projection bends; `None` if errors of that probability may bring a point behind the sensor, or anywhere.
+pub(super) fn set_bounds(
+    projection: &impl Projection,
+    uncertain: &Uncertain,
+    seen: &[Seen],
+    fail: f64,
+    linear: f64,
+) -> Option<[f64; 4]> {
+    let mut reach = linear;
+    // Curvature raises the tails beyond the design points: k rises until they fit.
+    for _ in 0..4 {
+        let mut limits = [0.0; 4];
+        let mut growth: f64 = 1.0;
+        for (limit, side) in limits.iter_mut().zip(SIDES) {
+            let mut farthest = f64::NEG_INFINITY;
+            for s in seen {
+                let (value, factor) = farthest_value(projection, uncertain, s, side, reach)?;
+                if value > farthest {
+                    farthest = value;
+                    growth = growth.max(factor);
+                }
+            }
+            *limit = side.1 * farthest;
+        }
+        let wanted = tail_quantile((tail(linear) / growth).max(1e-300)).max(linear);
+        // All of the ball: no set of errors of that probability is larger.
+        let ball = ball_radius(uncertain.dimensions(), fail);
+        let wanted = wanted.min(ball.max(linear));
+        if wanted <= reach + 1e-3 {
+            let [right, left, bottom, top] = limits;
+            return Some([left, top, right, bottom]);
+        }
+        reach = wanted;
+    }
+    let ball = ball_radius(uncertain.dimensions(), fail).max(reach);
+    let mut limits = [0.0; 4];
+    for (limit, side) in limits.iter_mut().zip(SIDES) {
+        let mut farthest = f64::NEG_INFINITY;
+        for s in seen {
+            farthest = farthest.max(farthest_value(projection, uncertain, s, side, ball)?.0);
+        }
+        *limit = side.1 * farthest;
+    }
+    let [right, left, bottom, top] = limits;
+    Some([left, top, right, bottom])
+}
+
+/// The farthest value of a side's coordinate over errors of length `reach`, and by how much the curvature of the limit
+/// there raises the tail beyond it. `None` if the way leads out of the projection.
+fn farthest_value(
+    projection: &impl Projection,
+    uncertain: &Uncertain,
+    seen: &Seen,
+    (c, sign): (usize, f64),
+    reach: f64,
+) -> Option<(f64, f64)> {
+    let n = uncertain.dimensions();
+    let value = |xi: &[f64]| -> Option<f64> {
+        let p = uncertain.place(&seen.point, xi);
+        let mut at = projection.project(p)?;
+        if projection.lever(p) <= GRAZING * seen.lever {
+            return None;
+        }
+        at[0] = unwrapped(projection, at[0], seen.at[0]);
+        Some(sign * at[c])
+    };
+    if seen.sigma[c] <= 0.0 && seen.spread <= 0.0 {
+        return Some((sign * seen.at[c], 1.0));
+    }
+    let start = if seen.sigma[c] > 0.0 { &seen.slopes[c] } else { &seen.slopes[1 - c] };
+    let length = dot(start, start).sqrt().max(f64::MIN_POSITIVE);
+    let mut xi: Vec<f64> = start.iter().map(|x| sign * x / length * reach).collect();
+    let mut best = value(&xi)?;
+    // The derivative at no error may miss the way that matters: a turn moves what is straight ahead up or down by the
+    // second order only. So each axis is tried as well.
+    for i in 0..n {
+        for reach in [reach, -reach] {
+            let mut axis = vec![0.0; n];
+            axis[i] = reach;
+            let there = value(&axis)?;
+            if there > best {
+                (xi, best) = (axis, there);
+            }
+        }
+    }
+    let mut slope = vec![0.0; n];
+    for _ in 0..6 {
+        for i in 0..n {
+            let (mut up, mut down) = (xi.clone(), xi.clone());
+            (up[i], down[i]) = (up[i] + 1e-4, down[i] - 1e-4);
+            slope[i] = (value(&up)? - value(&down)?) / 2e-4;
+        }
+        let length = dot(&slope, &slope).sqrt();
+        if length == 0.0 {
+            break;
+        }
+        let next: Vec<f64> = slope.iter().map(|s| s / length * reach).collect();
+        let there = value(&next)?;
+        if there <= best + 1e-9 * best.abs().max(1.0) {
+            break;
+        }
+        (xi, best) = (next, there);
+    }
+    let gradient = dot(&slope, &slope).sqrt();
+    if gradient == 0.0 || reach <= 0.0 {
+        return Some((best, 1.0));
+    }
+    // Along a great circle the value falls by gradient * reach * angle^2 / 2 if the limit is flat, less if it bends round.
+    let angle = 0.2f64;
+    let mut growth = 1.0;
+    for i in 0..n {
+        let along = xi[i] / reach;
+        let mut side: Vec<f64> = xi.iter().map(|x| -along * x / reach).collect();
+        side[i] += 1.0;
+        let length = dot(&side, &side).sqrt();
+        if length < 1e-3 {
+            continue;
+        }
+        let turned = |sign: f64| -> Option<f64> {
+            let (sin, cos) = (sign * angle).sin_cos();
+            value(&xi.iter().zip(&side).map(|(x, s)| cos * x + sin * reach * s / length).collect::<Vec<f64>>())
+        };
+        let mean = 0.5 * (turned(1.0)? + turned(-1.0)?);
+        let flat = gradient * reach * (1.0 - angle.cos());
+        let share = ((best - mean) / flat).clamp(0.04, 1.0);
+        // Several axes may lie in the same bend: the worst stands for all but one more.
+        growth = f64::max(growth, 1.0 / share.sqrt());
+    }
+    // Passed on both sides of no error alike: twice as often.
+    let opposite = value(&xi.iter().map(|x| -x).collect::<Vec<f64>>())?;
+    let twice = if best - opposite < 0.3 * gradient * reach { 2.0 } else { 1.0 };
+    Some((best, twice * growth * growth.sqrt()))
+}
+
+/// The radius of the ball that holds a standard normal vector with probability 1 - fail (Wilson and Hilferty, which is
+/// within 1 % here, and 1 % more).
+fn ball_radius(dimensions: usize, fail: f64) -> f64 {
+    let n = dimensions.max(1) as f64;
+    let spread = (2.0 / (9.0 * n)).sqrt();
+    let cube = 1.0 - 2.0 / (9.0 * n) + tail_quantile(fail) * spread;
+    1.01 * (n * cube.powi(3)).sqrt()
+}
