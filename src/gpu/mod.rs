@@ -10,6 +10,7 @@ mod grid;
 mod layout;
 mod near;
 mod resolve;
+mod roi;
 mod shaders;
 mod stage;
 mod stages;
@@ -54,6 +55,8 @@ pub struct Engine {
     rebind: bool,
     /// Stages that have a CPU twin run there: the same cores, without the detour.
     software: bool,
+    /// Made when boxes are first asked for.
+    roi: Option<roi::RoiStage>,
 }
 
 impl Engine {
@@ -76,6 +79,7 @@ impl Engine {
             placed: false,
             rebind: true,
             software,
+            roi: None,
         })
     }
 
