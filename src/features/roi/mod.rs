@@ -1,13 +1,73 @@
-//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.4).
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
 //!
 //! Errors of the sensor's pose, of the object's pose and of the feature are one standard normal vector, taken through
-//! square roots of their covariances. A side of the box is passed by the feature when a linear function of that vector
-//! passes a threshold; the thresholds are set at the same number k of standard deviations on all sides, and k so that the
-//! probability to pass any of them is at most 1 - confidence: Bonferroni's sum less the joint tails along a greatest
-//! spanning tree (Hunter 1976, Worsley 1982), which is a bound for any correlations and nearly exact for few events.
+//! square roots of their covariances (`errors`). A side of the box is passed by the feature when a linear function of that
+//! vector passes a threshold; the thresholds are set at the same number k of standard deviations on all sides, and k so that
+//! the probability to pass any of them is at most 1 - confidence (`passing`): for events `A_i` of which each has the tail
+//! `P(A_i) = 1 - Phi(b_i)`,
+//!
+//! ```text
+//! P(A_1 or .. or A_n) <= sum_i P(A_i) - sum_(i,j in T) P(A_i and A_j)
+//! ```
+//!
+//! for any spanning tree T (Hunter 1976, "An upper bound for the probability of a union", J. Appl. Prob. 13; Worsley 1982, "An
+//! improved Bonferroni inequality and applications", Biometrika 69), least for the greatest tree, and nearly exact for few
+//! events. Joint tails are tabulated by Owen's function (Owen 1956; Genz 2004, "Numerical computation of rectangular bivariate
+//! and trivariate normal and t probabilities", Stat. Comput. 14, compares the ways).
 //!
 //! Where projection bends over the reach of the errors, the side is instead the farthest value over all errors of that size
-//! (the design point of first-order reliability), with the size raised for the curvature there (Breitung 1984).
+//! (the design point of first-order reliability), with the size raised for the curvature there (Breitung 1984; `set`).
+//!
+//! # The paper's Fig. 10
+//!
+//! A robot knows where it is to 3 cm in x and y, and its heading to 1 degree. In which columns will it find a vertical line
+//! 4 m ahead that is known to 1 cm? Sideways errors count by the distance, the heading as it is:
+//!
+//! ```
+//! use glam::{DMat3, DVec3};
+//! use presight::Pose;
+//! use presight::environment::FeatureShape;
+//! use presight::features::roi::{Material, Projection, RoiFlag, Uncertain, roi};
+//!
+//! /// A pinhole camera of 640 x 480 pixels, body axes: x forward, y left, z up.
+//! struct Camera;
+//! impl Projection for Camera {
+//!     fn project(&self, p: DVec3) -> Option<[f64; 2]> {
+//!         (p.x > 0.0).then(|| [319.5 - 500.0 * p.y / p.x, 239.5 - 500.0 * p.z / p.x])
+//!     }
+//!     fn lever(&self, p: DVec3) -> f64 {
+//!         p.x
+//!     }
+//!     fn size(&self) -> (u32, u32) {
+//!         (640, 480)
+//!     }
+//!     fn turn(&self) -> Option<f64> {
+//!         None
+//!     }
+//! }
+//!
+//! let (xy, heading, line) = (0.03, 1f64.to_radians(), 0.01);
+//! let mut robot = [[0.0; 6]; 6];
+//! for (i, sigma) in [(0, xy), (1, xy), (5, heading)] {
+//!     robot[i][i] = sigma * sigma;
+//! }
+//! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
+//! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
+//! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
+//! let uncertain = Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape);
+//! let points = [0.0, 1.0].map(|t| Material::on_segment(&ends, t));
+//! let found = roi(&Camera, &uncertain, &points, 0.99).expect("it is before the camera");
+//!
+//! let sigma = 500.0 * ((xy * xy + line * line) / 16.0 + heading * heading).sqrt();
+//! let [left, _, right, _] = found.bounds;
+//! // Left or right alone would be passed at 2.58 sigma; with both ends, top and bottom besides it is a little more.
+//! let deviations = 0.5 * (right - left) / sigma;
+//! assert!(2.58 < deviations && deviations < 3.1, "{deviations}");
+//! assert!((0.5 * (left + right) - 319.5).abs() < 0.1);
+//! assert_eq!(found.flag, RoiFlag::Linear);
+//! ```
+//!
+//! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.
 
 mod errors;
 mod linear;
@@ -15,12 +75,24 @@ mod passing;
 mod seen;
 mod set;
 
-pub use errors::{Material, Uncertain};
+pub use errors::{Material, PoseErrors, Uncertain, Viewpoint};
+pub(crate) use passing::Level;
+pub(crate) use seen::differences;
+
+// What the shader shares.
+#[cfg(all(feature = "gpu", test))]
+pub(crate) use passing::{EVENTS, MOST};
+#[cfg(feature = "gpu")]
+pub(crate) use {
+    errors::{ERRORS, KIND},
+    linear::{SLIGHT, SLIGHTLY},
+    seen::MARGIN,
+};
 
 use glam::DVec3;
 use linear::{bent_bounds, linear_bounds};
 use passing::common_deviation;
-use seen::see;
+use seen::{Rough, Seen, dot, rough, see};
 use set::set_bounds;
 
 /// Covariance of a pose: x y z, then rotation about fixed x y z; metres and radians.
@@ -71,40 +143,85 @@ pub trait Projection: Sync {
 
     /// Columns of a full turn, if the image goes round: columns are then modulo this number.
     fn turn(&self) -> Option<f64>;
+
+    /// Derivatives of column and row by the position of a point whose image is `at`; by differences unless told better.
+    fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
+        differences(self, p_in_body, at)
+    }
+
+    /// Derivative of the lever.
+    fn lever_gradient(&self, p_in_body: DVec3) -> DVec3 {
+        let step = 1e-6 * p_in_body.length().max(1e-6);
+        DVec3::from_array(
+            DVec3::AXES
+                .map(|axis| (self.lever(p_in_body + axis * step) - self.lever(p_in_body - axis * step)) / (2.0 * step)),
+        )
+    }
 }
 
 /// One of the four sides: which coordinate, and +1 or -1.
 const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
 
 /// What is left of a point's lever where it counts as lost.
-const GRAZING: f64 = 0.05;
+pub(crate) const GRAZING: f64 = 0.05;
 
 /// Errors that move a point by no more than this share of its lever do not bend its projection.
-const BENT: f64 = 0.02;
+pub(crate) const BENT: f64 = 0.02;
+
+/// Finds boxes, one after the other, in room that is kept.
+#[derive(Default)]
+pub(crate) struct Finder {
+    rough: Vec<Rough>,
+    seen: Vec<Seen>,
+}
+
+impl Finder {
+    /// See [`roi`].
+    pub fn find(
+        &mut self,
+        projection: &impl Projection,
+        uncertain: &Uncertain,
+        points: &[Material],
+        level: &Level,
+    ) -> Option<Roi> {
+        rough(projection, uncertain, points, &mut self.rough);
+        if self.rough.is_empty() {
+            return None;
+        }
+        see(uncertain, &self.rough, level.first, &mut self.seen);
+        let k = common_deviation(&self.seen, level);
+        // Where the set reaches behind the sensor, or round its axis, no box holds it.
+        if self.rough.iter().any(|r| is_lost(projection, uncertain, r, k)) {
+            return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
+        }
+        let linear = linear_bounds(&self.seen, k);
+        let near = self.rough.iter().all(|r| k * r.spread <= BENT * r.lever);
+        let bent = |seen| bent_bounds(projection, uncertain, seen, linear, k);
+        let (bounds, flag) = match if near { Some(linear) } else { bent(&self.seen) } {
+            Some(bounds) => (bounds, RoiFlag::Linear),
+            None => match set_bounds(projection, uncertain, &self.rough, level, k) {
+                Some(bounds) => (bounds, RoiFlag::Set),
+                None => (whole(projection), RoiFlag::WholeImage),
+            },
+        };
+        Some(clip(projection, bounds, flag))
+    }
+}
 
 /// The box of a feature's material points (those visible at the nominal pose) that holds all of them with probability
 /// `confidence`; clipped to the image, at least a pixel wide and high. `None` if no point has an image.
 pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Material], confidence: f64) -> Option<Roi> {
-    let seen = see(projection, uncertain, points);
-    if seen.is_empty() {
-        return None;
+    Finder::default().find(projection, uncertain, points, &Level::new(confidence))
+}
+
+/// True if errors of `k` standard deviations may bring a point next to where projection is singular, or beyond.
+fn is_lost(projection: &impl Projection, uncertain: &Uncertain, rough: &Rough, k: f64) -> bool {
+    let left = (1.0 - GRAZING) * rough.lever;
+    if k * rough.spread < left {
+        return false;
     }
-    let fail = 1.0 - confidence;
-    let k = common_deviation(&seen, fail);
-    // Where the set reaches behind the sensor, or round its axis, no box holds it.
-    if seen.iter().any(|s| s.lever - k * s.lever_sigma <= GRAZING * s.lever) {
-        return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
-    }
-    let linear = linear_bounds(&seen, k);
-    let near = seen.iter().map(|s| k * s.spread / s.lever).fold(0.0, f64::max) <= BENT;
-    let (bounds, flag) = match if near { Some(linear) } else { bent_bounds(projection, uncertain, &seen, linear, k) } {
-        Some(bounds) => (bounds, RoiFlag::Linear),
-        None => match set_bounds(projection, uncertain, &seen, fail, k) {
-            Some(bounds) => (bounds, RoiFlag::Set),
-            None => (whole(projection), RoiFlag::WholeImage),
-        },
-    };
-    Some(clip(projection, bounds, flag))
+    let slopes = uncertain.slopes(&rough.point, projection.lever_gradient(rough.point.p));
+    k * dot(&slopes, &slopes).sqrt() >= left
 }
 
 /// Covariance of a point's image, pixels squared, by the projection's derivative.
@@ -113,10 +230,10 @@ pub fn image_covariance(
     uncertain: &Uncertain,
     point: &Material,
 ) -> Option<[[f64; 2]; 2]> {
-    let seen = see(projection, uncertain, std::slice::from_ref(point));
-    let [a, b] = &seen.first()?.slopes;
-    let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-    Some([[dot(a, a), dot(a, b)], [dot(a, b), dot(b, b)]])
+    let point = uncertain.nominal(point);
+    let gradient = projection.gradient(point.p, projection.project(point.p)?)?;
+    let [a, b] = gradient.map(|g| uncertain.slopes(&point, g));
+    Some([[dot(&a, &a), dot(&a, &b)], [dot(&a, &b), dot(&b, &b)]])
 }
 
 /// The whole image.
