@@ -161,11 +161,8 @@ impl Environment {
         let at = match self.layers.binary_search_by(|l| l.class.as_str().cmp(class)) {
             Ok(at) => at,
             Err(at) => {
-                let layer = FeatureLayer {
-                    class: class.to_owned(),
-                    tolerance: DEFAULT_TOLERANCE,
-                    ..FeatureLayer::default()
-                };
+                let layer =
+                    FeatureLayer { class: class.to_owned(), tolerance: DEFAULT_TOLERANCE, ..FeatureLayer::default() };
                 layer.check_header()?;
                 self.layers.insert(at, layer);
                 at

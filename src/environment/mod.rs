@@ -257,7 +257,8 @@ impl Environment {
     pub(crate) fn skip_to(&mut self, index: u32, slot: u32) -> Result<()> {
         let known = self.objects.len();
         if (index as usize) < known || slot < self.next_slot || index as usize > limits::MAX_OBJECTS {
-            let what = format!("object number {index} with slot {slot} after {known} objects and {} slots", self.next_slot);
+            let what =
+                format!("object number {index} with slot {slot} after {known} objects and {} slots", self.next_slot);
             return Err(Error::invalid(what, "numbers and slots rise"));
         }
         let gone = Object {

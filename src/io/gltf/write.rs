@@ -53,9 +53,8 @@ pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
     let materials: Vec<Value> = environment.materials().iter().map(material).collect();
     let (json, bin) = scene.finish(&materials);
     let length = 12 + 8 + json.len() + 8 + bin.len();
-    let length = u32::try_from(length).map_err(|_| {
-        Error::invalid("the scene would be over 4 GiB", "split the environment").in_file(path)
-    })?;
+    let length = u32::try_from(length)
+        .map_err(|_| Error::invalid("the scene would be over 4 GiB", "split the environment").in_file(path))?;
     write_atomically(path, |file| {
         file.write_all(b"glTF")?;
         // The whole fits, so each part does.

@@ -1,10 +1,10 @@
 //! From the file to an environment, every row proven.
 
+use super::blob;
 use super::hash::{Digest, Hash};
 use super::op::{MaterialFields, affine_of, pose_of};
 use super::rows::{Meta, feature_hash, from_json, layer_hash, material_hash, mesh_hash, object_hash};
 use super::schema::{damaged, refusal};
-use super::blob;
 use crate::environment::{Environment, FeatureLayer, Mesh, NewObject};
 use crate::error::Result;
 use crate::io::layer::{FeatureFields, from_fields};
@@ -83,8 +83,7 @@ impl Reader<'_> {
 
     fn materials(&self, environment: &mut Environment) -> Result<()> {
         self.each("materials", "number, name, properties, hash", |row| {
-            let (number, name, properties): (i64, String, String) =
-                (get(row, 0)?, get(row, 1)?, get(row, 2)?);
+            let (number, name, properties): (i64, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
             self.prove(material_hash(number, &name, &properties), get(row, 3)?)?;
             let material = MaterialFields { name, ..from_json(&properties)? }.material()?;
             let added = environment.add_material(material)?;
@@ -154,8 +153,7 @@ impl Reader<'_> {
     fn layers(&self, environment: &mut Environment) -> Result<()> {
         let mut layers: HashMap<String, FeatureLayer> = HashMap::new();
         self.each("layers", "class, tolerance, pose_covariances, hash", |row| {
-            let (class, tolerance, covariances): (String, String, String) =
-                (get(row, 0)?, get(row, 1)?, get(row, 2)?);
+            let (class, tolerance, covariances): (String, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
             self.prove(layer_hash(&class, &tolerance, &covariances), get(row, 3)?)?;
             let pose_covariances: Vec<(String, [[f64; 6]; 6])> = from_json(&covariances)?;
             let tolerance = from_json(&tolerance)?;

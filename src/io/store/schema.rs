@@ -103,15 +103,15 @@ fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
     if version != FORMAT {
         return Err(damaged(format!("format {version} never existed")).in_file(path));
     }
-    let mut statement =
-        connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
+    let mut statement = connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
     let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
     let found: Vec<(String, String, Option<String>)> =
         statement.query_map([], columns).and_then(Iterator::collect).map_err(wrap)?;
     let same = found.len() == TABLES.len()
-        && found.iter().zip(TABLES).all(|((kind, name, sql), (table, text))| {
-            kind == "table" && name == table && sql.as_deref() == Some(text)
-        });
+        && found
+            .iter()
+            .zip(TABLES)
+            .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
     if same { Ok(()) } else { Err(damaged(format!("its tables are not those of format {FORMAT}")).in_file(path)) }
 }
 
@@ -122,8 +122,7 @@ fn make_durable(connection: &Connection, path: &Path) -> Result<()> {
         let what = "the store is read-only";
         return Err(Error::new(ErrorKind::System, what, "check the permissions of file and folder").in_file(path));
     }
-    let mode: String =
-        connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get(0)).map_err(wrap)?;
+    let mode: String = connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get(0)).map_err(wrap)?;
     connection.execute_batch("PRAGMA synchronous = EXTRA; PRAGMA cache_size = -16384;").map_err(wrap)?;
     let synchronous: i64 = pragma(connection, "synchronous").map_err(wrap)?;
     if mode != "delete" || synchronous != 3 {

@@ -360,9 +360,10 @@ impl Store {
     }
 
     fn old_hash(&self, sql: &str, params: &[&dyn ToSql]) -> Result<Hash> {
-        let found = self.connection.prepare_cached(sql).and_then(|mut s| {
-            s.query_row(params, |row| row.get::<_, Hash>(0)).optional()
-        });
+        let found = self
+            .connection
+            .prepare_cached(sql)
+            .and_then(|mut s| s.query_row(params, |row| row.get::<_, Hash>(0)).optional());
         let found = found.map_err(|e| refusal(&self.path, "write to the store", e))?;
         found.ok_or_else(|| super::schema::damaged("a row is gone").in_file(&self.path))
     }
@@ -376,9 +377,8 @@ impl Store {
         let m = &self.meta;
         let sql = "INSERT OR REPLACE INTO meta VALUES(1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
         let (digest, hash) = (m.digest.to_bytes(), m.hash());
-        let values = params![
-            m.created, m.cause, m.genesis, m.next_object, m.next_slot, m.changes, m.head, digest, hash
-        ];
+        let values =
+            params![m.created, m.cause, m.genesis, m.next_object, m.next_slot, m.changes, m.head, digest, hash];
         self.run(sql, values)
     }
 
@@ -400,8 +400,8 @@ impl Store {
             let _ = self.connection.execute_batch("ROLLBACK");
         }
         self.locked = false;
-        let locked = self.connection.execute_batch("BEGIN IMMEDIATE").is_ok()
-            || self.connection.execute_batch("BEGIN").is_ok();
+        let locked =
+            self.connection.execute_batch("BEGIN IMMEDIATE").is_ok() || self.connection.execute_batch("BEGIN").is_ok();
         let loaded = read::load(&self.connection, &self.path);
         let _ = self.connection.execute_batch("ROLLBACK");
         match loaded {
