@@ -26,7 +26,7 @@ const EXAMPLES: &str = "Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The model: a .glb or .gltf file
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
     /// Write index.csv and a plot, index.svg, into this folder

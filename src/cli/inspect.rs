@@ -21,7 +21,7 @@ const FORMAT: u32 = 1;
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The model: a .glb or .gltf file
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
     /// Merge coplanar neighbours within this part of an object's size [default: 1e-6]

@@ -106,3 +106,15 @@ pub fn blake3_of(path: &Path) -> Result<String> {
     hasher.update_reader(std::fs::File::open(path).map_err(wrap)?).map_err(wrap)?;
     Ok(hasher.finalize().to_hex().to_string())
 }
+
+#[cfg(all(test, not(feature = "script")))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_scripts_one_is_refused_with_a_remedy() {
+        let e = scene(Path::new("hall.rhai"), &ImportOptions::default(), Scheme::None).err().expect("no scripts");
+        assert_eq!((e.kind(), e.file()), (ErrorKind::Unsupported, Some(Path::new("hall.rhai"))));
+        assert!(e.remedy().contains("script"), "{e}");
+    }
+}

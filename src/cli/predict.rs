@@ -49,7 +49,7 @@ const EXAMPLES: &str = "Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The model: a .glb or .gltf file
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
     /// A preset (see `presight sensors`) or a sensor file

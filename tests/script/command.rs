@@ -38,6 +38,20 @@ fn all_commands_take_scripts() {
     run("index wall.rhai --out study");
 }
 
+/// What a script builds is what a store of it holds.
+#[cfg(feature = "store")]
+#[test]
+fn stores_are_made_of_scripts() {
+    let folder = folder();
+    let run = |args: &str| presight(&folder).args(args.split(' ')).assert().success().get_output().stdout.clone();
+    run("env create wall.presight wall.rhai");
+    let content = |scene: &str| {
+        let told = String::from_utf8(run(&format!("inspect {scene}"))).unwrap();
+        told.lines().find(|l| l.starts_with("content")).expect("the content hash").to_owned()
+    };
+    assert_eq!(content("wall.presight"), content("wall.rhai"));
+}
+
 #[test]
 fn faults_end_with_status_1_and_one_line() {
     let folder = folder();

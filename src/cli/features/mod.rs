@@ -35,7 +35,7 @@ pub struct Args {
     #[command(subcommand)]
     command: Option<Command>,
 
-    /// The model: a .glb or .gltf file
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
     #[arg(required = true)]
     scene: Option<PathBuf>,
 

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 /// Show what a pixel sees: polygon, point, edges nearby, and a layer entry to paste
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The model: a .glb or .gltf file
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
     /// A preset (see `presight sensors`) or a sensor file

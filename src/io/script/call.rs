@@ -134,7 +134,7 @@ fn in_words(value: &Dynamic) -> String {
     word.to_owned()
 }
 
-impl<'a> Given<'a> {
+impl Given<'_> {
     /// The error of another type than the one needed.
     fn wrong(&self, needed: &str) -> Error {
         Error::invalid(format!("{} is {}", self.name, in_words(self.value)), format!("give {needed}"))
