@@ -13,6 +13,7 @@ fn presight(folder: &TempDir) -> Command {
 fn folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let text = r#"print("hello");
+        place("room", box(12, 12, 6), pose(0, 0, -3));
         place("walls/wall", box(0.2, 4, 2).point("video", [-0.1, 0, 1], #{ name: "spot" }), pose(2, 0, -1));
         place("back", box(0.2, 4, 2), pose(-3, 0, -1));"#;
     fs::write(folder.path().join("wall.rhai"), text).unwrap();
