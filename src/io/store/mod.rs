@@ -27,8 +27,6 @@ mod op;
 mod read;
 mod rows;
 mod schema;
-#[cfg(test)]
-mod tests;
 mod write;
 
 pub use create::create;
@@ -254,8 +252,7 @@ impl Store {
             let place = |e: Error| e.at(format!("undoing change {n}"));
             let inverse = &entries[n as usize - 1].inverse;
             let change = batch.change_of_log(inverse).map_err(place)?;
-            let note = Note { undoes: Some(n), ..note.clone() };
-            made.push(batch.apply(change, &note).map_err(place)?);
+            made.push(batch.record(change, note, Some(n)).map_err(place)?);
         }
         batch.commit()?;
         Ok(made)

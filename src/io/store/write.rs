@@ -26,7 +26,6 @@ pub struct Note {
     pub time: f64,
     /// The caller's own name for the change: applying it again under the same one does nothing.
     pub id: Option<String>,
-    pub(super) undoes: Option<u64>,
 }
 
 impl Note {
@@ -75,6 +74,11 @@ impl<'a> Batch<'a> {
     /// Those of [`World::apply`], which leave the changes before in the batch; [`crate::ErrorKind::System`] and
     /// [`crate::ErrorKind::Invalid`] of the store, after which the whole batch is taken back.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
+        self.record(change, note, None)
+    }
+
+    /// [`Batch::apply`] of a change that may undo an entry of the log.
+    pub(super) fn record(&mut self, change: Change, note: &Note, undoes: Option<u64>) -> Result<u64> {
         if let Some(number) = note.id.as_deref().and_then(|id| self.number_of(id)) {
             return Ok(number);
         }
@@ -87,7 +91,7 @@ impl<'a> Batch<'a> {
         let inverse = self.world.apply(change.clone())?;
         self.open = true;
         let environment = self.world.environment().clone();
-        let written = self.store.write(&environment, &change, &inverse, note);
+        let written = self.store.write(&environment, (&change, &inverse), note, undoes);
         drop(environment);
         match written {
             Ok(number) => {
@@ -186,7 +190,13 @@ impl Drop for Batch<'_> {
 
 impl Store {
     /// Writes what a change has changed, and its entry of the log.
-    fn write(&mut self, now: &Environment, change: &Change, inverse: &Change, note: &Note) -> Result<u64> {
+    fn write(
+        &mut self,
+        now: &Environment,
+        (change, inverse): (&Change, &Change),
+        note: &Note,
+        undoes: Option<u64>,
+    ) -> Result<u64> {
         self.write_materials(now)?;
         let (change, inverse) = {
             let mut number_of = |mesh: &Arc<Mesh>| self.number_of(mesh);
@@ -201,7 +211,7 @@ impl Store {
             }
         }
         (self.meta.next_object, self.meta.next_slot) = (now.objects().len() as i64, i64::from(now.slot_count()));
-        self.append(&change, &inverse, note)
+        self.append((&change, &inverse), note, undoes)
     }
 
     fn write_materials(&mut self, now: &Environment) -> Result<()> {
@@ -216,7 +226,7 @@ impl Store {
         Ok(())
     }
 
-    fn append(&mut self, change: &Op, inverse: &Op, note: &Note) -> Result<u64> {
+    fn append(&mut self, (change, inverse): (&Op, &Op), note: &Note, undoes: Option<u64>) -> Result<u64> {
         let number = self.meta.changes as u64 + 1;
         let mut entry = LogEntry {
             number,
@@ -224,16 +234,16 @@ impl Store {
             time: note.time + 0.0,
             cause: note.cause.clone(),
             id: note.id.clone(),
-            undoes: note.undoes,
+            undoes,
             change: json(change)?,
             inverse: json(inverse)?,
             hash: [0; 32],
         };
         entry.hash = entry.hash_after(&self.meta.head);
-        let undoes = entry.undoes.map(|n| n as i64);
+        let undone = undoes.map(|n| n as i64);
         let LogEntry { time, cause, id, change, inverse, hash, .. } = &entry;
         let sql = "INSERT INTO log VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
-        self.run(sql, params![number as i64, time, cause, id, undoes, change, inverse, hash])?;
+        self.run(sql, params![number as i64, time, cause, id, undone, change, inverse, hash])?;
         (self.meta.changes, self.meta.head) = (number as i64, entry.hash);
         self.ids.extend(entry.id.map(|id| (id, number)));
         Ok(number)

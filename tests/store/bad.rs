@@ -1,0 +1,209 @@
+//! What is no store, or may not be written.
+
+use super::{create, presight, small};
+use presight::ErrorKind;
+use presight::io::store::{self, Note, Store};
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+fn run(args: &[&str], path: &Path) -> Output {
+    presight().args(args).arg(path).output().unwrap()
+}
+
+/// The exit status and the one-line message.
+fn refused(args: &[&str], path: &Path) -> (Option<i32>, String) {
+    let output = run(args, path);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(message.starts_with("error: ") && message.trim_end().lines().count() == 1, "{message}");
+    assert!(message.contains(path.file_name().unwrap().to_str().unwrap()), "{message}");
+    (output.status.code(), message)
+}
+
+fn folder_with_store() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = create(folder.path(), &small());
+    (folder, path)
+}
+
+#[test]
+fn a_newer_version_is_refused() {
+    let (_folder, path) = folder_with_store();
+    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 2").unwrap();
+    for args in [&["env", "info"][..], &["env", "check"], &["inspect"]] {
+        let (status, message) = refused(args, &path);
+        assert!(status == Some(1) && message.contains("format 2") && message.contains("update presight"), "{message}");
+    }
+    assert_eq!(store::read(&path).unwrap_err().kind(), ErrorKind::Unsupported);
+}
+
+#[test]
+fn a_foreign_sqlite_file_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["other.presight", "other.db"] {
+        let path = folder.path().join(name);
+        rusqlite::Connection::open(&path).unwrap().execute_batch("CREATE TABLE t(x)").unwrap();
+        let (status, message) = refused(&["inspect"], &path);
+        assert!(status == Some(1) && message.contains("not a presight store"), "{message}");
+    }
+}
+
+#[test]
+fn what_is_no_database_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("text.presight");
+    for bytes in [&b""[..], b"x", &[b'x'; 5000], b"SQLite format 3\0"] {
+        std::fs::write(&path, bytes).unwrap();
+        assert_eq!(refused(&["env", "info"], &path).0, Some(1));
+        assert_eq!(std::fs::read(&path).unwrap(), bytes, "it is left alone");
+    }
+    assert_eq!(refused(&["env", "info"], &folder.path().join("none.presight")).0, Some(1));
+    assert!(!folder.path().join("none.presight").exists());
+    let e = store::read(folder.path()).unwrap_err();
+    assert_eq!(e.kind(), ErrorKind::Invalid);
+}
+
+#[test]
+fn a_locked_store_is_refused_and_intact() {
+    let (folder, path) = folder_with_store();
+    let before = std::fs::read(&path).unwrap();
+    let changes = folder.path().join("c.jsonl");
+    std::fs::write(&changes, "{\"op\":\"delete_object\",\"object\":\"a\"}\n").unwrap();
+    for lock in ["BEGIN IMMEDIATE", "BEGIN EXCLUSIVE"] {
+        let connection = rusqlite::Connection::open(&path).unwrap();
+        connection.execute_batch(lock).unwrap();
+        let output = presight().args(["env", "apply"]).args([&path, &changes]).output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(4) && message.contains("locked"), "{message}");
+        assert!(output.stdout.is_empty());
+        drop(connection);
+        assert_eq!(std::fs::read(&path).unwrap(), before);
+    }
+}
+
+/// Root may write everything: this runs the command as nobody.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_read_only_store_or_folder_is_refused_and_intact() {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+    use std::os::unix::process::CommandExt;
+    let (folder, path) = folder_with_store();
+    let command = folder.path().join("presight");
+    std::fs::copy(env!("CARGO_BIN_EXE_presight"), &command).unwrap();
+    let root = std::fs::metadata("/proc/self").unwrap().uid() == 0;
+    let changes = folder.path().join("c.jsonl");
+    std::fs::write(&changes, "{\"op\":\"delete_object\",\"object\":\"a\"}\n").unwrap();
+    let before = std::fs::read(&path).unwrap();
+    let mode = |path: &Path, mode| std::fs::set_permissions(path, PermissionsExt::from_mode(mode)).unwrap();
+    for (of_folder, of_file) in [(0o555, 0o666), (0o777, 0o444), (0o555, 0o444)] {
+        mode(&path, of_file);
+        mode(folder.path(), of_folder);
+        let run = |args: &[&str], files: &[&Path]| {
+            let mut command = std::process::Command::new(&command);
+            if root {
+                command.uid(65534).gid(65534);
+            }
+            command.args(args).args(files).output().unwrap()
+        };
+        let output = run(&["env", "apply"], &[&path, &changes]);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(4) && message.contains("permission"), "{of_folder:o} {of_file:o}: {message}");
+        assert_eq!(std::fs::read(&path).unwrap(), before);
+        let reads = run(&["env", "info"], &[&path]);
+        assert!(reads.status.success(), "reading needs no more: {}", String::from_utf8_lossy(&reads.stderr));
+        let created = run(&["env", "create"], &[&folder.path().join("new.presight"), &path]);
+        assert_eq!(created.status.code() == Some(4), of_folder == 0o555);
+        let _ = std::fs::remove_file(folder.path().join("new.presight"));
+        mode(folder.path(), 0o777);
+    }
+}
+
+#[test]
+fn lines_that_are_no_changes_name_their_place() {
+    let (folder, path) = folder_with_store();
+    let before = store::read(&path).unwrap().content_hash();
+    let changes = folder.path().join("c.jsonl");
+    let cases = [
+        (r#"{"op":"move","object":"door","pose":[0,0,0,0,0,0]}"#, "no object \"door\""),
+        (r#"{"op":"move","object":"a","pose":[0,0,0]}"#, "3 numbers"),
+        (r#"{"op":"move","object":"a","pose":[1e999,0,0,0,0,0]}"#, "line 2"),
+        (r#"{"op":"move","object":"a","pose":[1e300,0,0,0,0,0]}"#, "too far"),
+        (r#"{"op":"fly","object":"a"}"#, "fly"),
+        (r#"{"op":"move","object":"a","pose":[0,0,0,0,0,0],"speed":1}"#, "speed"),
+        (r#"{"op":"move""#, "line 2"),
+        ("[1]", "line 2"),
+        (r#"{"op":"delete_object","object":"a","id":{}}"#, "id"),
+        (r#"{"op":"insert_object","object":"a","like":"b"}"#, "exists already"),
+        (r#"{"op":"insert_object","object":"x","like":"door"}"#, "no object \"door\""),
+        (r#"{"op":"insert_object","object":"x","mesh":1}"#, "no shape"),
+        (r#"{"op":"insert_object","object":"x"}"#, "no shape"),
+        (r#"{"op":"insert_object","object":"","like":"a"}"#, "0 bytes"),
+        (r#"{"op":"insert_object","object":"x","from":"none.glb"}"#, "none.glb"),
+        (r#"{"op":"insert_object","object":"x","vertices":[[0,0,0],[1,0,0]],"polygons":[[0,1,2]]}"#, "out of range"),
+        (r#"{"op":"insert_object","object":"x","vertices":[[0,0,0],[1,0,0],[0,1,0]],"polygons":[[0,1,2]],"material":"wood"}"#, "wood"),
+        (r#"{"op":"add_material","name":"x","reflection":2}"#, "reflection"),
+        (r#"{"op":"insert_feature","class":"video","feature":{"id":2,"kind":"point","points":[[0,0,0]]}}"#, "taken"),
+        (r#"{"op":"delete_feature","class":"video","feature":77}"#, "77"),
+        (r#"{"op":"restore_feature","class":"video","feature":{"id":2,"kind":"blob"}}"#, "blob"),
+        (r#"{"op":"set_pose_covariance","class":"video","object":"a","covariance":[1]}"#, "36"),
+        (r#"{"op":"group","changes":[{"op":"delete_object","object":"b"},{"op":"delete_object","object":"b"}]}"#, "change 2"),
+    ];
+    for (line, part) in cases {
+        std::fs::write(&changes, format!("{{\"op\":\"group\",\"changes\":[]}}\n{line}\n")).unwrap();
+        let output = presight().args(["env", "apply"]).args([&path, &changes]).output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{line}: {message}");
+        // What a line names is at fault itself.
+        let place = if part == "none.glb" { "line 2" } else { "c.jsonl: line 2" };
+        assert!(message.contains(part) && message.contains(place), "{line}: {message}");
+        assert!(message.trim_end().lines().count() == 1 && message.contains("; "), "{message}");
+        assert_eq!(output.stdout, b"ack 1\n", "{line}");
+        assert_eq!(store::read(&path).unwrap().content_hash(), before, "{line}");
+    }
+}
+
+#[test]
+fn a_store_is_not_written_over() {
+    let (_folder, path) = folder_with_store();
+    let before = std::fs::read(&path).unwrap();
+    assert_eq!(store::create(&path, &small(), &Note::new("", 0.0)).unwrap_err().kind(), ErrorKind::Usage);
+    assert_eq!(std::fs::read(&path).unwrap(), before);
+    let e = store::create(Path::new("/proc/none/x.presight"), &small(), &Note::new("", 0.0)).unwrap_err();
+    assert_eq!(e.kind(), ErrorKind::System);
+    let e = store::create(&path.with_extension("b"), &small(), &Note::new("", f64::NAN)).unwrap_err();
+    assert_eq!(e.kind(), ErrorKind::Invalid);
+}
+
+/// The first version, made when it was the newest: later ones must read it.
+#[test]
+fn an_old_store_is_read() {
+    let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store/version-1.presight");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.presight");
+    std::fs::copy(&old, &path).unwrap();
+    let info = store::check(&path).unwrap();
+    assert_eq!((info.changes, info.created, info.cause.as_str()), (5, 1.5, "test"));
+    let told = std::fs::read_to_string(old.with_extension("txt")).unwrap();
+    assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
+    let (store, environment) = Store::open(&path).unwrap();
+    assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
+}
+
+/// Makes the files of the test above, once for each version: `PRESIGHT_BLESS_STORE=1`.
+#[test]
+fn bless_a_version() {
+    if std::env::var_os("PRESIGHT_BLESS_STORE").is_none() {
+        return;
+    }
+    let (_folder, path) = folder_with_store();
+    let (mut store, environment) = Store::open(&path).unwrap();
+    let mut world = presight::World::new(environment);
+    for k in 1..=5 {
+        store.apply(&mut world, super::numbered(k).0, &super::note(k as f64)).unwrap();
+    }
+    drop(store);
+    let info = store::check(&path).unwrap();
+    let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store");
+    std::fs::copy(&path, to.join("version-1.presight")).unwrap();
+    std::fs::write(to.join("version-1.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
+    panic!("made; run again without PRESIGHT_BLESS_STORE");
+}

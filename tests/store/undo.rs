@@ -1,0 +1,146 @@
+//! The log: listed, explained, undone; groups, ids, batches.
+
+use super::{at, create, note, numbered, point, presight, small};
+use presight::io::store::{self, Note, Store};
+use presight::{Change, ErrorKind, World};
+
+fn mover(name: &str, x: f64) -> Change {
+    Change::MoveObject { name: name.into(), world_from_object: at(x, 0.0, 0.5) }
+}
+
+fn delete(name: &str) -> Change {
+    Change::DeleteObject { name: name.into() }
+}
+
+fn hash(world: &World) -> String {
+    world.environment().content_hash().to_string()
+}
+
+/// A store, its world, and the hash after each change.
+fn opened(changes: Vec<Change>) -> (tempfile::TempDir, Store, World, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = create(folder.path(), &small());
+    let (mut store, environment) = Store::open(&path).unwrap();
+    let mut world = World::new(environment);
+    let mut hashes = vec![hash(&world)];
+    for (change, k) in changes.into_iter().zip(1u64..) {
+        assert_eq!(store.apply(&mut world, change, &note(k as f64)).unwrap(), k);
+        hashes.push(hash(&world));
+    }
+    (folder, store, world, hashes)
+}
+
+/// World and file hold the same.
+fn same_on_disk(store: Store, world: &World) {
+    let path = store.path().to_owned();
+    let changes = store.changes();
+    drop(store);
+    let info = store::check(&path).unwrap();
+    assert_eq!(info.environment.content_hash(), world.environment().content_hash());
+    assert_eq!(info.changes, changes);
+    assert_eq!(info.environment.slot_count(), world.environment().slot_count());
+    for class in ["video", "radar"] {
+        let retired = |e: &presight::Environment| e.retired(class).collect::<Vec<_>>();
+        assert_eq!(retired(&info.environment), retired(world.environment()));
+    }
+}
+
+#[test]
+fn undoing_appends_the_inverse_and_can_be_undone() {
+    let (_folder, mut store, mut world, hashes) = opened(vec![mover("a", 1.0), delete("b"), mover("a", 2.0)]);
+    assert_eq!(store.undo(&mut world, 3, false, &note(9.0)).unwrap(), [4]);
+    assert_eq!(hash(&world), hashes[2]);
+    // 3 and 4 count as nothing now.
+    assert_eq!(store.undo(&mut world, 1, false, &note(9.0)).unwrap(), [5]);
+    assert_eq!(store.undo(&mut world, 2, false, &note(9.0)).unwrap(), [6]);
+    assert_eq!(hash(&world), hashes[0]);
+    let e = store.undo(&mut world, 2, false, &note(9.0)).unwrap_err();
+    assert!(e.to_string().contains("was undone by change 6"), "{e}");
+    assert_eq!(store.undo(&mut world, 6, false, &note(9.0)).unwrap(), [7]);
+    assert!(world.environment().object("b").is_none());
+    assert!(store.undo(&mut world, 99, false, &note(9.0)).is_err());
+    assert!(store.undo(&mut world, 0, false, &note(9.0)).is_err());
+    same_on_disk(store, &world);
+}
+
+#[test]
+fn later_changes_of_the_same_stand_in_the_way() {
+    let insert = Change::InsertFeature { class: "video".into(), feature: point(9, 0.5, Some("b")) };
+    let (_folder, mut store, mut world, hashes) =
+        opened(vec![mover("a", 1.0), mover("b", 1.0), mover("a", 2.0), insert, delete("b")]);
+    let e = store.undo(&mut world, 1, false, &note(9.0)).unwrap_err().to_string();
+    assert!(e.contains("3 (object \"a\")") && e.contains("--cascade") && !e.contains("2 ("), "{e}");
+    let e = store.undo(&mut world, 4, false, &note(9.0)).unwrap_err().to_string();
+    assert!(e.contains('5'), "{e}");
+    assert_eq!(store.changes(), 5, "nothing was appended");
+    assert_eq!(store.undo(&mut world, 2, true, &note(9.0)).unwrap(), [6, 7]);
+    assert_eq!(store.undo(&mut world, 1, true, &note(9.0)).unwrap(), [8, 9]);
+    assert_eq!(store.undo(&mut world, 4, true, &note(9.0)).unwrap(), [10]);
+    assert_eq!(hash(&world), hashes[0]);
+    same_on_disk(store, &world);
+}
+
+#[test]
+fn a_parents_move_and_a_group_are_undone_whole() {
+    let group = Change::Group(vec![mover("b", 1.0), delete("a"), mover("b/lid", 7.0)]);
+    let (_folder, mut store, mut world, hashes) = opened(vec![group, mover("b", 3.0)]);
+    assert_eq!(store.undo(&mut world, 2, false, &note(9.0)).unwrap(), [3]);
+    assert_eq!(hash(&world), hashes[1]);
+    store.undo(&mut world, 1, false, &note(9.0)).unwrap();
+    assert_eq!(hash(&world), hashes[0]);
+    same_on_disk(store, &world);
+}
+
+#[test]
+fn a_failed_change_leaves_those_before_and_a_dropped_batch_nothing() {
+    let (_folder, mut store, mut world, hashes) = opened(vec![mover("a", 1.0)]);
+    let mut batch = store.batch(&mut world).unwrap();
+    batch.apply(mover("b", 1.0), &note(2.0)).unwrap();
+    assert_eq!(batch.apply(delete("door"), &note(2.0)).unwrap_err().kind(), ErrorKind::Invalid);
+    batch.apply(mover("b", 2.0), &note(2.0)).unwrap();
+    batch.commit().unwrap();
+    assert_eq!(store.changes(), 3);
+    let (kept, slots) = (hash(&world), world.environment().slot_count());
+    let mut batch = store.batch(&mut world).unwrap();
+    batch.apply(delete("a"), &Note { id: Some("x".into()), ..note(2.0) }).unwrap();
+    batch.apply(numbered(5).0, &note(2.0)).unwrap();
+    drop(batch);
+    assert_eq!((hash(&world), world.environment().slot_count(), store.changes()), (kept, slots, 3));
+    world.index().assert_well_formed(world.environment());
+    // The id was never used.
+    let number = store.apply(&mut world, delete("a"), &Note { id: Some("x".into()), ..note(2.0) }).unwrap();
+    assert_eq!(number, 4);
+    assert_eq!(store.apply(&mut world, delete("a"), &Note { id: Some("x".into()), ..note(2.0) }).unwrap(), 4);
+    assert_ne!(hash(&world), hashes[1]);
+    same_on_disk(store, &world);
+}
+
+#[test]
+fn a_second_writer_is_refused_and_readers_are_not() {
+    let (_folder, mut store, mut world, _) = opened(vec![mover("a", 1.0)]);
+    let path = store.path().to_owned();
+    let Err(e) = Store::open(&path) else { panic!("a second writer") };
+    assert!(e.kind() == ErrorKind::System && e.to_string().contains("another program"), "{e}");
+    let output = presight().args(["env", "undo"]).arg(&path).arg("1").output().unwrap();
+    assert_eq!(output.status.code(), Some(4));
+    let before = store::read(&path).unwrap().content_hash();
+    store.apply(&mut world, mover("a", 5.0), &note(2.0)).unwrap();
+    assert_ne!(store::read(&path).unwrap().content_hash(), before);
+}
+
+#[test]
+fn the_log_tells_time_and_cause() {
+    let (_folder, mut store, mut world, _) = opened(vec![mover("a", 1.0)]);
+    store.undo(&mut world, 1, false, &Note::new("it was right before", 7.25)).unwrap();
+    let path = store.path().to_owned();
+    drop(store);
+    let mut entries = Vec::new();
+    store::log(&path, |entry| {
+        entries.push(entry);
+        Ok(())
+    })
+    .unwrap();
+    assert_eq!((entries[0].time, entries[0].cause.as_str(), entries[0].undoes), (1.0, "because", None));
+    assert_eq!((entries[1].time, entries[1].cause.as_str(), entries[1].undoes), (7.25, "it was right before", Some(1)));
+    assert_eq!(entries[0].inverse, entries[1].change);
+}
