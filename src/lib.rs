@@ -34,8 +34,8 @@
 //!
 //! Lengths are metres, angles inside are radians, frames right-handed: x forward, y left, z up; a camera's optical frame
 //! is z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Errors are one type,
-//! [`Error`], that names file, place and remedy. The cargo features `gpu` and `report` (both default) bring the wgpu
-//! engine and plots; everything else works without them.
+//! [`Error`], that names file, place and remedy. The cargo features `gpu`, `store` and `report` (default) bring the
+//! wgpu engine, stored environments ([`io`]`::store`) and plots; everything else works without them.
 
 pub mod acquire;
 mod change;

@@ -121,11 +121,17 @@ fn in_words(path: &Path, scene: &Scene) -> String {
     let report = &scene.report;
     let mut lines = vec![path.display().to_string()];
     lines.push(format!("objects    {}", live(environment).count()));
-    lines.push(format!(
-        "polygons   {} from {} triangles in the scene, {} from {} stored",
-        report.polygons_in_scene, report.triangles_in_scene, report.polygons_stored, report.triangles_stored
-    ));
-    lines.push(format!("merging    {} merges, largest deviation {:.3e} m", report.merges, report.largest_deviation_m));
+    if report.triangles_in_scene > 0 {
+        lines.push(format!(
+            "polygons   {} from {} triangles in the scene, {} from {} stored",
+            report.polygons_in_scene, report.triangles_in_scene, report.polygons_stored, report.triangles_stored
+        ));
+        let deviation = report.largest_deviation_m;
+        lines.push(format!("merging    {} merges, largest deviation {deviation:.3e} m", report.merges));
+    } else {
+        // What was never triangles: a store.
+        lines.push(format!("polygons   {}, {} stored", report.polygons_in_scene, report.polygons_stored));
+    }
     lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
     lines.push(format!("content    {}", environment.content_hash()));
     lines.push("\nobjects (id, polygons, bounds in the world, name)".into());

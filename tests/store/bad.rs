@@ -106,7 +106,10 @@ fn a_read_only_store_or_folder_is_refused_and_intact() {
         };
         let output = run(&["env", "apply"], &[&path, &changes]);
         let message = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(4) && message.contains("permission"), "{of_folder:o} {of_file:o}: {message}");
+        assert!(
+            output.status.code() == Some(4) && message.contains("permission"),
+            "{of_folder:o} {of_file:o}: {message}"
+        );
         assert_eq!(std::fs::read(&path).unwrap(), before);
         let reads = run(&["env", "info"], &[&path]);
         assert!(reads.status.success(), "reading needs no more: {}", String::from_utf8_lossy(&reads.stderr));
@@ -139,13 +142,19 @@ fn lines_that_are_no_changes_name_their_place() {
         (r#"{"op":"insert_object","object":"","like":"a"}"#, "0 bytes"),
         (r#"{"op":"insert_object","object":"x","from":"none.glb"}"#, "none.glb"),
         (r#"{"op":"insert_object","object":"x","vertices":[[0,0,0],[1,0,0]],"polygons":[[0,1,2]]}"#, "out of range"),
-        (r#"{"op":"insert_object","object":"x","vertices":[[0,0,0],[1,0,0],[0,1,0]],"polygons":[[0,1,2]],"material":"wood"}"#, "wood"),
+        (
+            r#"{"op":"insert_object","object":"x","vertices":[[0,0,0],[1,0,0],[0,1,0]],"polygons":[[0,1,2]],"material":"wood"}"#,
+            "wood",
+        ),
         (r#"{"op":"add_material","name":"x","reflection":2}"#, "reflection"),
         (r#"{"op":"insert_feature","class":"video","feature":{"id":2,"kind":"point","points":[[0,0,0]]}}"#, "taken"),
         (r#"{"op":"delete_feature","class":"video","feature":77}"#, "77"),
         (r#"{"op":"restore_feature","class":"video","feature":{"id":2,"kind":"blob"}}"#, "blob"),
         (r#"{"op":"set_pose_covariance","class":"video","object":"a","covariance":[1]}"#, "36"),
-        (r#"{"op":"group","changes":[{"op":"delete_object","object":"b"},{"op":"delete_object","object":"b"}]}"#, "change 2"),
+        (
+            r#"{"op":"group","changes":[{"op":"delete_object","object":"b"},{"op":"delete_object","object":"b"}]}"#,
+            "change 2",
+        ),
     ];
     for (line, part) in cases {
         std::fs::write(&changes, format!("{{\"op\":\"group\",\"changes\":[]}}\n{line}\n")).unwrap();

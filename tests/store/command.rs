@@ -45,7 +45,11 @@ fn a_store_is_a_scene() {
     run(here, &["env", "import", "room.presight", "l.layer.json"]);
     assert_eq!(run(here, &["env", "import", "room.presight", "l.layer.json"]), "nothing to change\n");
     assert_eq!(run(here, &["env", "import", "room.presight", glb]), "nothing to change\n");
-    run(here, &[&["predict", "room.presight"][..], &pose[2..], &["--sensor", "video-camera", "--features", "f.json"]].concat());
+    run(
+        here,
+        &[&["predict", "room.presight"][..], &pose[2..], &["--sensor", "video-camera", "--features", "f.json"]]
+            .concat(),
+    );
     assert!(!json(&std::fs::read_to_string(here.join("f.json")).unwrap())["features"].as_array().unwrap().is_empty());
 }
 
@@ -68,7 +72,8 @@ fn an_export_gives_everything_back() {
     std::fs::write(here.join("c.jsonl"), lines).unwrap();
     assert_eq!(run(here, &["env", "apply", "room.presight", "c.jsonl"]), "ack 1\nack 2\nack 3\n");
     let hash = |store: &str| store::read(&here.join(store)).unwrap().content_hash().to_string();
-    for (out, scene, layer) in [("dir", "dir/scene.glb", "dir/a_b.layer.json"), ("x.glb", "x.glb", "x.a_b.layer.json")] {
+    for (out, scene, layer) in [("dir", "dir/scene.glb", "dir/a_b.layer.json"), ("x.glb", "x.glb", "x.a_b.layer.json")]
+    {
         assert_eq!(run(here, &["env", "export", "room.presight", out]), format!("{scene}\n{layer}\n"));
         let again = format!("{out}.presight");
         run(here, &["env", "create", &again, scene]);
@@ -140,7 +145,11 @@ fn a_line_with_an_id_is_applied_once() {
     let twice = store::info(&here.join("env.presight")).unwrap();
     assert_eq!((once.changes, once.head), (twice.changes, twice.head));
     // Twice in one file, with empty lines, as a number.
-    std::fs::write(here.join("d.jsonl"), "\n{\"op\":\"group\",\"changes\":[],\"id\":7}\n{\"op\":\"fly\",\"id\":\"7\"}\n").unwrap();
+    std::fs::write(
+        here.join("d.jsonl"),
+        "\n{\"op\":\"group\",\"changes\":[],\"id\":7}\n{\"op\":\"fly\",\"id\":\"7\"}\n",
+    )
+    .unwrap();
     assert_eq!(run(here, &["env", "apply", "env.presight", "d.jsonl"]), "ack 1\nack 2\nack 3\n");
     assert_eq!(store::info(&here.join("env.presight")).unwrap().changes, 5);
 }

@@ -253,7 +253,10 @@ fn what_was_acknowledged_survives_a_power_cut() {
         }
         !(matches!(e, Event::SyncFolder) && after_removal)
     });
-    assert!(!lost_after_power_cuts(disk, &creations_synced).is_empty(), "a journal that comes back takes changes along");
+    assert!(
+        !lost_after_power_cuts(disk, &creations_synced).is_empty(),
+        "a journal that comes back takes changes along"
+    );
 }
 
 #[test]

@@ -1,5 +1,4 @@
 //! The stored environment: what it keeps, what it survives, what it refuses.
-#![cfg(feature = "store")]
 
 mod bad;
 mod command;

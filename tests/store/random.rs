@@ -31,7 +31,9 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
         }
         10 => Change::SetTolerance { class, tolerance: 0.001 + x.abs() },
         _ if depth == 0 => change(kind % 11, which, x, 0),
-        _ => Change::Group((0..3).map(|i| change((kind + 5 * i) % 12, which + i, x + f64::from(i), depth - 1)).collect()),
+        _ => {
+            Change::Group((0..3).map(|i| change((kind + 5 * i) % 12, which + i, x + f64::from(i), depth - 1)).collect())
+        }
     }
 }
 

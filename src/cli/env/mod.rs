@@ -171,13 +171,19 @@ fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
 
 fn import(path: &Path, file: &Path, note: &NoteArgs) -> Result<()> {
     let note = note.note(|| format!("import of {}", file.display()))?;
-    let (mut store, environment) = Store::open(path)?;
     let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-    let change = if is_layer {
-        Store::merging_layer(&environment, &layer::read(file)?)
-    } else {
-        Store::merging_scene(&environment, &environment_of(file)?).map_err(|e| e.in_file(file))?
+    // Read before the store is locked: it may be the same file.
+    let (layer, scene) = match is_layer {
+        true => (Some(layer::read(file)?), None),
+        false => (None, Some(environment_of(file)?)),
     };
+    let (mut store, environment) = Store::open(path)?;
+    let mut changes = Vec::new();
+    changes.extend(layer.map(|layer| Store::merging_layer(&environment, &layer)));
+    if let Some(scene) = scene {
+        changes.push(Store::merging_scene(&environment, &scene).map_err(|e| e.in_file(file))?);
+    }
+    let change = Change::of(changes);
     if matches!(&change, Change::Group(changes) if changes.is_empty()) {
         return print::data("nothing to change\n");
     }

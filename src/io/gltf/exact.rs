@@ -19,7 +19,7 @@ pub(super) enum Exact {
     /// They are of other vertices: another program changed the mesh.
     Stale,
     /// As they were.
-    Mesh(Mesh),
+    Mesh(Arc<Mesh>),
 }
 
 #[derive(Deserialize)]
@@ -50,7 +50,7 @@ impl Document<'_> {
         let extras = mesh.extras.as_ref().and_then(|raw| serde_json::from_str::<MeshExtras>(raw.get()).ok());
         let Some(polygons) = extras.and_then(|e| e.presight) else { return Exact::None };
         // What another program left of it may point anywhere: then its triangles count.
-        self.polygons_of(mesh, &polygons).map_or(Exact::Stale, Exact::Mesh)
+        self.polygons_of(mesh, &polygons).map_or(Exact::Stale, |mesh| Exact::Mesh(Arc::new(mesh)))
     }
 
     fn polygons_of(&self, mesh: &json::Mesh, polygons: &Polygons) -> Option<Mesh> {

@@ -267,13 +267,15 @@ struct Built {
     merges: u64,
     /// Metres in the mesh frame.
     deviation: f64,
+    /// Our own polygons, as they were.
+    exact: bool,
 }
 
 impl Built {
     /// Our own polygons, as they were.
-    fn exact(mesh: Mesh, triangles: u64) -> Self {
+    fn exact(mesh: Arc<Mesh>, triangles: u64) -> Self {
         Self {
-            mesh: Arc::new(mesh),
+            mesh,
             // Below the limit on all triangles.
             source_count: triangles as u32,
             primitive_ends: Vec::new(),
@@ -281,6 +283,7 @@ impl Built {
             notes: Vec::new(),
             merges: 0,
             deviation: 0.0,
+            exact: true,
         }
     }
 
@@ -316,7 +319,7 @@ fn build_mesh(document: &Document<'_>, index: usize, default_material: u16, opti
     let name = document.root.meshes[index].name.clone().unwrap_or_else(|| format!("mesh{index}"));
     let mesh = Arc::new(Mesh::from_parts(name, vertices, &merged.parts, order));
     let (merges, deviation) = (merged.merges, merged.largest_deviation);
-    Ok(Built { mesh, source_count, primitive_ends, problems, notes, merges, deviation })
+    Ok(Built { mesh, source_count, primitive_ends, problems, notes, merges, deviation, exact: false })
 }
 
 /// The most a transform can stretch any length: exact for scales along the axes, a bound for shears.
@@ -352,7 +355,9 @@ fn insert_objects(
             let world_from_mesh = world_from_gltf * node.scene_from_mesh;
             let exact = node.placed.as_ref().filter(|_| sidecar.world_from_scene == Pose::IDENTITY);
             let new = match exact.and_then(|placed| placed.object(&node, built.mesh.clone())) {
-                Some(new) => new,
+                Some(new) if built.exact => new,
+                // Its triangles are numbered as any other's.
+                Some(new) => NewObject { first_source, ..new },
                 None => NewObject {
                     first_source,
                     ..NewObject::from_affine(node.path.clone(), world_from_mesh, built.mesh.clone())

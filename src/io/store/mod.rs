@@ -8,7 +8,7 @@
 //! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
 //! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
 //! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
-//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON: [`op`](self) of the lines that `presight env apply` reads) |
+//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON as the lines that `presight env apply` reads) |
 //!
 //! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`, each
 //! entry of the log in a hash over the entry before and itself; opening compares all of them with what is there.
