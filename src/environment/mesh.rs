@@ -3,7 +3,9 @@
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::limits;
-use glam::{DMat3, DVec3, Vec3};
+#[cfg(feature = "store")]
+use glam::DMat3;
+use glam::{DVec3, Vec3};
 
 /// A planar convex polygon as [`Mesh::new`] takes it.
 #[derive(Clone, Debug, PartialEq)]
@@ -163,16 +165,39 @@ impl Mesh {
     }
 
     fn assemble(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
-        let count = parts.records.len();
-        let boxes: Vec<Aabb> = parts.records.iter().map(|r| r.bounds(&parts.corners, &vertices)).collect();
+        let Parts { corners, records, planes } = parts;
+        assert_eq!(records.len(), planes.len());
+        let boxes: Vec<Aabb> = records.iter().map(|r| r.bounds(corners, &vertices)).collect();
+        let count = records.len();
         let sequence: Vec<u32> = match order {
             PolygonOrder::Spatial => spatial_sequence(&boxes),
             PolygonOrder::Given => (0..count as u32).collect(),
         };
-        Self::arranged(name, vertices, parts, &boxes, &sequence, cuts_of(count, order))
+        let mut cuts = cuts_of(count, order);
+        let mut mesh = Self {
+            name,
+            vertices,
+            corners: Vec::with_capacity(corners.len()),
+            polygons: Vec::with_capacity(count),
+            planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
+            clusters: Vec::with_capacity(cuts.len()),
+            bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
+            materials: materials_of(records),
+        };
+        for &i in &sequence {
+            let record = records[i as usize];
+            mesh.polygons.push(PolygonRecord { first_corner: mesh.corners.len() as u32, ..record });
+            mesh.corners.extend_from_slice(record.corners(corners));
+        }
+        cuts.push(count);
+        for pair in cuts.windows(2) {
+            let bounds = sequence[pair[0]..pair[1]].iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
+            mesh.clusters.push(Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds });
+        }
+        mesh
     }
 
-    /// A mesh as it was, polygons in the order in which they were kept.
+    /// A mesh as it was, polygons in the order in which they were kept, with their planes if these are known.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the polygon or vertex: not finite, out of range, no area. That polygons are
@@ -181,31 +206,52 @@ impl Mesh {
         name: String,
         vertices: Vec<Vec3>,
         corners: Vec<u32>,
-        records: Vec<PolygonRecord>,
+        polygons: Vec<PolygonRecord>,
+        planes: Option<Vec<Plane>>,
         order: PolygonOrder,
     ) -> Result<Self> {
         check_vertices(&vertices)?;
         if let Some(c) = corners.iter().find(|c| **c as usize >= vertices.len()) {
             return Err(Error::invalid(format!("vertex {c} of {}", vertices.len()), ""));
         }
-        let mut planes = Vec::with_capacity(records.len());
-        for (i, record) in records.iter().enumerate() {
+        let mut end = 0;
+        for (i, record) in polygons.iter().enumerate() {
             let n = usize::from(record.corner_count);
-            let wrong = |what: &str| Error::invalid(what, "").at(format!("polygon {i}"));
-            if !(3..=limits::MAX_CORNERS).contains(&n) || record.first_corner as usize + n > corners.len() {
-                return Err(wrong("its corners are out of range"));
+            // One polygon after the other.
+            if !(3..=limits::MAX_CORNERS).contains(&n) || record.first_corner as usize != end || end + n > corners.len()
+            {
+                return Err(Error::invalid("its corners are out of range", "").at(format!("polygon {i}")));
             }
-            let own = record.corners(&corners);
-            let plane = canonical_plane(n, |k| vertices[own[k] as usize].as_dvec3());
-            planes.push(plane.ok_or_else(|| wrong("it has no area"))?);
+            end += n;
         }
-        let boxes: Vec<Aabb> = records.iter().map(|r| r.bounds(&corners, &vertices)).collect();
-        let sequence: Vec<u32> = (0..records.len() as u32).collect();
-        let cuts = cuts_of(records.len(), order);
-        Ok(Self::arranged(name, vertices, &Parts { corners, records, planes }, &boxes, &sequence, cuts))
+        let plane_of = |(i, record): (usize, &PolygonRecord)| {
+            let own = record.corners(&corners);
+            let plane = canonical_plane(own.len(), |k| vertices[own[k] as usize].as_dvec3());
+            plane.ok_or_else(|| Error::invalid("it has no area", "").at(format!("polygon {i}")))
+        };
+        let planes = match planes {
+            Some(planes) => planes,
+            None => polygons.iter().enumerate().map(plane_of).collect::<Result<_>>()?,
+        };
+        let sound = |p: &Plane| (p.normal.length_squared() - 1.0).abs() <= 1e-6 && p.offset.is_finite();
+        if planes.len() != polygons.len() || !planes.iter().all(sound) {
+            return Err(Error::invalid("planes without a normal, or not one for each polygon", ""));
+        }
+        let mut cuts = cuts_of(polygons.len(), order);
+        cuts.push(polygons.len());
+        let cluster = |pair: &[usize]| {
+            let own = polygons[pair[0]..pair[1]].iter();
+            let bounds = own.fold(Aabb::EMPTY, |b, r| b.union(r.bounds(&corners, &vertices)));
+            Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds }
+        };
+        let clusters: Vec<Cluster> = cuts.windows(2).map(cluster).collect();
+        let bounds = clusters.iter().fold(Aabb::EMPTY, |b, c| b.union(c.bounds));
+        let materials = materials_of(&polygons);
+        Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials })
     }
 
     /// The same polygons of other materials.
+    #[cfg(feature = "store")]
     pub(crate) fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
         let mut mesh = self.clone();
         mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
@@ -218,6 +264,7 @@ impl Mesh {
     ///
     /// # Errors
     /// Those of [`Mesh::new`]: rounding may flatten what was hardly there.
+    #[cfg(feature = "store")]
     pub(crate) fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
         let vertices = self.vertices.iter().map(|v| (turn * v.as_dvec3()).as_vec3()).collect();
         let polygon = |p: &PolygonRecord| {
@@ -232,40 +279,6 @@ impl Mesh {
     pub(crate) fn order(&self) -> PolygonOrder {
         let even = self.clusters.iter().enumerate().all(|(i, c)| c.first as usize == i * limits::CLUSTER_POLYGONS);
         if even { PolygonOrder::Given } else { PolygonOrder::Spatial }
-    }
-
-    fn arranged(
-        name: String,
-        vertices: Vec<Vec3>,
-        parts: &Parts,
-        boxes: &[Aabb],
-        sequence: &[u32],
-        mut cuts: Vec<usize>,
-    ) -> Self {
-        let Parts { corners, records, planes } = parts;
-        assert_eq!(records.len(), planes.len());
-        let count = records.len();
-        let mut mesh = Self {
-            name,
-            vertices,
-            corners: Vec::with_capacity(corners.len()),
-            polygons: Vec::with_capacity(count),
-            planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
-            clusters: Vec::with_capacity(cuts.len()),
-            bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
-            materials: materials_of(records),
-        };
-        for &i in sequence {
-            let record = records[i as usize];
-            mesh.polygons.push(PolygonRecord { first_corner: mesh.corners.len() as u32, ..record });
-            mesh.corners.extend_from_slice(record.corners(corners));
-        }
-        cuts.push(count);
-        for pair in cuts.windows(2) {
-            let bounds = sequence[pair[0]..pair[1]].iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
-            mesh.clusters.push(Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds });
-        }
-        mesh
     }
 
     /// Name in the source file; need not be unique.

@@ -244,6 +244,7 @@ impl Environment {
     }
 
     /// Adds an object under the index and the slots that it had before; what lies between is gone for good.
+    #[cfg(feature = "store")]
     pub(crate) fn insert_at(&mut self, index: u32, first_slot: u32, new: NewObject) -> Result<()> {
         let name = new.name.clone();
         if self.names.contains_key(&name) {
@@ -254,6 +255,7 @@ impl Environment {
     }
 
     /// Fills up with deleted objects, so that the next one gets this index and this slot.
+    #[cfg(feature = "store")]
     pub(crate) fn skip_to(&mut self, index: u32, slot: u32) -> Result<()> {
         let known = self.objects.len();
         if (index as usize) < known || slot < self.next_slot || index as usize > limits::MAX_OBJECTS {

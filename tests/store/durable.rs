@@ -81,8 +81,8 @@ fn events(trace: &Path) -> Vec<Event> {
             b'A' => {
                 printed += &String::from_utf8(data).unwrap();
                 let whole = printed.rfind('\n').map_or("", |end| &printed[..end]);
-                let acks = whole.lines().filter_map(|l| l.strip_prefix("ack ")?.parse().ok());
-                match acks.last() {
+                let mut acks = whole.lines().rev().filter_map(|l| l.strip_prefix("ack ")?.parse().ok());
+                match acks.next() {
                     Some(k) => Event::Acknowledged(k),
                     None => continue,
                 }

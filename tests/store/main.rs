@@ -78,7 +78,7 @@ fn note(time: f64) -> Note {
 fn numbered(k: u64) -> (Change, String) {
     let x = k as f64 * 0.001 - 2.0;
     let pose = Pose { translation: DVec3::new(x, 1.0, 0.25), rotation: glam::DQuat::IDENTITY };
-    let name = if k % 2 == 0 { "a" } else { "b" };
+    let name = if k.is_multiple_of(2) { "a" } else { "b" };
     let mover = Change::MoveObject { name: name.into(), world_from_object: pose };
     let mut line = format!(r#"{{"op":"move","object":"{name}","pose":[{x:?},1,0.25,0,0,0,1]}}"#);
     let feature = point(100 + k as u32, 0.25, None);

@@ -12,7 +12,7 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
     let name = ["a", "b", "b/lid", "c", "d"][usize::from(which % 5)].to_owned();
     let class = ["video", "radar"][usize::from(which % 2)].to_owned();
     let id = 1 + u32::from(which % 6);
-    let object = (which % 3 == 0).then_some("a");
+    let object = which.is_multiple_of(3).then_some("a");
     match kind {
         0 | 1 => Change::MoveObject { name, world_from_object: at(x, 1.0, x) },
         2 => Change::DeleteObject { name },
@@ -27,7 +27,11 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
         9 => {
             let mut covariance = [[0.0; 6]; 6];
             covariance[0][0] = x * x;
-            Change::SetPoseCovariance { class, object: name, covariance: (which % 4 > 0).then_some(covariance) }
+            Change::SetPoseCovariance {
+                class,
+                object: name,
+                covariance: (!which.is_multiple_of(4)).then_some(covariance),
+            }
         }
         10 => Change::SetTolerance { class, tolerance: 0.001 + x.abs() },
         _ if depth == 0 => change(kind % 11, which, x, 0),

@@ -76,7 +76,7 @@ impl Document<'_> {
             Order::Given => PolygonOrder::Given,
         };
         let name = mesh.name.clone().unwrap_or_default();
-        Mesh::restored(name, vertices, corners, records, order).ok()
+        Mesh::restored(name, vertices, corners, records, None, order).ok()
     }
 }
 
