@@ -1,4 +1,8 @@
 //! The error model: sensor, object and feature as one standard normal vector, and what it does to material points.
+//!
+//! Everything is turned into the sensor's body axes once, so that a derivative of an image coordinate with gradient g at
+//! p is two scalar products an error: for the sensor -t . g - r . (p x g), for the object t . g + r . (q x g) with q from
+//! the object's origin, for the ends of the feature e0 . (s0 g) + e1 . (s1 g).
 
 use super::PoseCovariance;
 use crate::environment::FeatureShape;
@@ -6,24 +10,97 @@ use crate::features::normal::square_root;
 use crate::geometry::Pose;
 use glam::{DMat3, DQuat, DVec3};
 
+/// Most errors: six of each pose, three of each end.
+pub(crate) const ERRORS: usize = 18;
+
+/// Errors of one kind.
+pub(crate) const KIND: usize = 6;
+
+/// One number for each error: first the sensor's, then the object's, then those of the ends.
+pub(super) type Each = [f64; ERRORS];
+
+/// Square root of a pose's covariance: what one unit of each of six standard normals does, (translation, rotation).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PoseErrors([[DVec3; 2]; KIND]);
+
+impl PoseErrors {
+    /// Of a covariance, along the same axes.
+    pub fn new(covariance: &PoseCovariance) -> Self {
+        Self(pairs(&square_root(covariance)))
+    }
+
+    fn turned(&self, turn: &DMat3) -> [[DVec3; 2]; KIND] {
+        self.0.map(|pair| pair.map(|v| *turn * v))
+    }
+}
+
+/// A sensor's uncertain pose, made once for all features seen from there.
+#[derive(Clone, Debug)]
+pub struct Viewpoint {
+    world_from_body: Pose,
+    body_from_world: DMat3,
+    /// The sensor's part of every feature's errors.
+    columns: Columns,
+    /// Roots of the summed squares of translations and rotations.
+    size: [f64; 2],
+}
+
+impl Viewpoint {
+    /// Of a sensor's pose and its covariance along the world's axes, rotation by Exp(dtheta) from the left.
+    pub fn new(world_from_body: &Pose, covariance: &PoseCovariance) -> Self {
+        let body_from_world = world_from_body.rotation_matrix().transpose();
+        let errors = PoseErrors::new(covariance).turned(&body_from_world);
+        let mut columns = Columns::default();
+        columns.put(0, &errors.map(|pair| pair.map(|v| -v)));
+        Self { world_from_body: *world_from_body, body_from_world, columns, size: sizes(&errors) }
+    }
+}
+
+/// What errors do, body axes: two vectors an error, by coordinate.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Columns {
+    pub first: [Each; 3],
+    pub second: [Each; 3],
+}
+
+impl Columns {
+    fn put(&mut self, at: usize, pairs: &[[DVec3; 2]; KIND]) {
+        for (i, [first, second]) in pairs.iter().enumerate() {
+            for k in 0..3 {
+                self.first[k][at + i] = first[k];
+                self.second[k][at + i] = second[k];
+            }
+        }
+    }
+
+    /// Both vectors of an error.
+    pub fn pair(&self, i: usize) -> [DVec3; 2] {
+        [&self.first, &self.second].map(|of| DVec3::new(of[0][i], of[1][i], of[2][i]))
+    }
+
+    /// The errors of a kind, by their coefficients.
+    fn sum(&self, at: usize, xi: &Each) -> [DVec3; 2] {
+        let mut sum = [DVec3::ZERO; 2];
+        for i in at..at + KIND {
+            let [first, second] = self.pair(i);
+            sum[0] += first * xi[i];
+            sum[1] += second * xi[i];
+        }
+        sum
+    }
+}
+
 /// The uncertain state of one feature: all errors, through one matrix.
 #[derive(Clone, Debug)]
 pub struct Uncertain {
-    body_from_world: DMat3,
-    /// Body from the feature's frame, composed in f64 with world positions subtracted first.
     body_from_frame: DMat3,
-    /// The frame's origin relative to the sensor's, world axes.
-    apart: DVec3,
-    /// Columns of the square root: what one unit of each standard normal does.
-    columns: Vec<Error>,
-}
-
-/// Errors of all kinds: sensor (world axes), object (its own axes), both ends of the feature (its frame).
-#[derive(Clone, Copy, Debug, Default)]
-struct Error {
-    sensor: [DVec3; 2],
-    object: [DVec3; 2],
-    ends: [DVec3; 2],
+    /// The frame's origin in the body frame, composed in f64 with world positions subtracted first.
+    origin: DVec3,
+    columns: Columns,
+    /// As [`Viewpoint`]'s: of sensor, object, ends.
+    sizes: [[f64; 2]; 3],
+    /// The errors that are not nothing.
+    used: [bool; ERRORS],
 }
 
 /// A material point of a feature: where it is in the feature's frame, and how much of each end's error it takes.
@@ -47,6 +124,16 @@ impl Material {
     }
 }
 
+/// A material point with nothing wrong, body axes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placed {
+    /// From the sensor.
+    pub p: DVec3,
+    /// From the origin of the feature's frame.
+    pub q: DVec3,
+    pub shares: [f64; 2],
+}
+
 impl Uncertain {
     /// The errors of a feature seen from a pose. `world_from_frame` is the pose of the feature's object (identity for
     /// the world) with its covariance in the object's own axes; the sensor's covariance is along the world's axes,
@@ -58,87 +145,167 @@ impl Uncertain {
         object: Option<&PoseCovariance>,
         shape: &FeatureShape,
     ) -> Self {
-        let body_from_world = world_from_body.rotation_matrix().transpose();
-        let mut columns = Vec::new();
-        let pair = |f: &[[f64; 6]; 6], c: usize| {
-            [DVec3::new(f[0][c], f[1][c], f[2][c]), DVec3::new(f[3][c], f[4][c], f[5][c])]
-        };
-        let mut add = |factor: [[f64; 6]; 6], put: fn([DVec3; 2]) -> Error| {
-            for c in 0..6 {
-                let column = pair(&factor, c);
-                if column != [DVec3::ZERO; 2] {
-                    columns.push(put(column));
-                }
-            }
-        };
-        add(square_root(sensor), |sensor| Error { sensor, ..Error::default() });
+        let object = object.map(PoseErrors::new);
+        Self::seen_from(&Viewpoint::new(world_from_body, sensor), world_from_frame, object.as_ref(), shape)
+    }
+
+    /// As [`Uncertain::new`], with what many features share made before.
+    pub fn seen_from(
+        viewpoint: &Viewpoint,
+        world_from_frame: &Pose,
+        object: Option<&PoseErrors>,
+        shape: &FeatureShape,
+    ) -> Self {
+        let body_from_frame = viewpoint.body_from_world * world_from_frame.rotation_matrix();
+        let apart = world_from_frame.translation - viewpoint.world_from_body.translation;
+        let mut columns = viewpoint.columns;
+        let mut sizes = [viewpoint.size, [0.0; 2], [0.0; 2]];
         if let Some(object) = object {
-            add(square_root(object), |object| Error { object, ..Error::default() });
+            let turned = object.turned(&body_from_frame);
+            columns.put(KIND, &turned);
+            sizes[1] = self::sizes(&turned);
         }
-        add(square_root(&ends_covariance(shape)), |ends| Error { ends, ..Error::default() });
-        Self {
-            body_from_world,
-            body_from_frame: body_from_world * world_from_frame.rotation_matrix(),
-            apart: world_from_frame.translation - world_from_body.translation,
-            columns,
-        }
+        let ends = ends_errors(shape).map(|pair| pair.map(|v| body_from_frame * v));
+        columns.put(2 * KIND, &ends);
+        sizes[2] = self::sizes(&ends);
+        let none = [DVec3::ZERO; 2];
+        let used = std::array::from_fn(|i| columns.pair(i) != none);
+        Self { body_from_frame, origin: viewpoint.body_from_world * apart, columns, sizes, used }
     }
 
     /// Number of independent errors.
     pub fn dimensions(&self) -> usize {
-        self.columns.len()
+        self.used.iter().filter(|used| **used).count()
     }
 
     /// Where a point comes to be, body frame, under errors `xi` (standard normal, one for each dimension); exact.
     pub fn place(&self, point: &Material, xi: &[f64]) -> DVec3 {
-        let mut e = Error::default();
-        for (column, x) in self.columns.iter().zip(xi) {
-            for i in 0..2 {
-                e.sensor[i] += column.sensor[i] * *x;
-                e.object[i] += column.object[i] * *x;
-                e.ends[i] += column.ends[i] * *x;
-            }
+        let mut all = [0.0; ERRORS];
+        for (i, x) in self.used().zip(xi) {
+            all[i] = *x;
         }
-        let p = point.at + e.ends[0] * point.shares[0] + e.ends[1] * point.shares[1];
-        let p = DQuat::from_scaled_axis(e.object[1]) * p + e.object[0];
-        // Object and sensor may turn by large angles: their pose errors are exact, not linear.
-        let in_body = self.body_from_frame * p + self.body_from_world * (self.apart - e.sensor[0]);
-        let turned = self.body_from_world * e.sensor[1];
-        DQuat::from_scaled_axis(-turned) * in_body
+        self.moved(&self.nominal(point), &all)
     }
 
-    /// Derivatives of [`Uncertain::place`] at no error, one a dimension.
-    pub(super) fn slopes(&self, point: &Material) -> Vec<DVec3> {
-        let in_body = self.place(point, &[]);
-        let slope = |c: &Error| {
-            let p =
-                c.ends[0] * point.shares[0] + c.ends[1] * point.shares[1] + c.object[1].cross(point.at) + c.object[0];
-            let turned = self.body_from_world * c.sensor[1];
-            self.body_from_frame * p - self.body_from_world * c.sensor[0] - turned.cross(in_body)
+    /// Numbers of the errors that are not nothing.
+    pub(super) fn used(&self) -> impl Iterator<Item = usize> {
+        let used = self.used;
+        (0..ERRORS).filter(move |i| used[*i])
+    }
+
+    /// What errors do.
+    pub(crate) fn columns(&self) -> &Columns {
+        &self.columns
+    }
+
+    /// True if an object's pose is among the errors.
+    pub(crate) fn has_object(&self) -> bool {
+        self.sizes[1] != [0.0; 2]
+    }
+
+    /// A point with nothing wrong.
+    pub(crate) fn nominal(&self, point: &Material) -> Placed {
+        let q = self.body_from_frame * point.at;
+        Placed { p: self.origin + q, q, shares: point.shares }
+    }
+
+    /// A place of the body frame in the feature's frame.
+    pub(crate) fn in_frame(&self, p_in_body: DVec3) -> DVec3 {
+        self.body_from_frame.transpose() * (p_in_body - self.origin)
+    }
+
+    /// Where errors bring a point, body frame. Object and sensor may turn by large angles: exact, not linear.
+    pub(super) fn moved(&self, point: &Placed, xi: &Each) -> DVec3 {
+        let [first, second] = self.columns.sum(2 * KIND, xi);
+        let mut v = point.q + first * point.shares[0] + second * point.shares[1];
+        if self.has_object() {
+            let [shift, turn] = self.columns.sum(KIND, xi);
+            v = turned(turn, v) + shift;
+        }
+        // The sensor's columns are negated.
+        let [shift, turn] = self.columns.sum(0, xi);
+        turned(turn, self.origin + v + shift)
+    }
+
+    /// Derivatives, by each error at none, of what has the gradient `g` at a point.
+    pub(super) fn slopes(&self, point: &Placed, g: DVec3) -> Each {
+        let mut slopes = [0.0; ERRORS];
+        let mut add = |at: usize, g: DVec3, w: DVec3| {
+            let (a, b) = (&self.columns.first, &self.columns.second);
+            for i in at..at + KIND {
+                slopes[i] =
+                    a[0][i] * g.x + a[1][i] * g.y + a[2][i] * g.z + b[0][i] * w.x + b[1][i] * w.y + b[2][i] * w.z;
+            }
         };
-        self.columns.iter().map(slope).collect()
+        add(0, g, point.p.cross(g));
+        if self.has_object() {
+            add(KIND, g, point.q.cross(g));
+        }
+        add(2 * KIND, point.shares[0] * g, point.shares[1] * g);
+        slopes
+    }
+
+    /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
+    pub(crate) fn spread(&self, point: &Placed) -> f64 {
+        let [sensor, object, ends] = &self.sizes;
+        let a = sensor[0] + sensor[1] * point.p.length();
+        let b = object[0] + object[1] * point.q.length();
+        let c = ends[0] * point.shares[0].abs() + ends[1] * point.shares[1].abs();
+        (a * a + b * b + c * c).sqrt()
     }
 }
 
-/// Covariance of both ends, 6 x 6; features that move as a whole have one end.
-fn ends_covariance(shape: &FeatureShape) -> [[f64; 6]; 6] {
-    let mut all = [[0.0; 6]; 6];
-    let mut put = |row: usize, column: usize, m: &DMat3| {
-        for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
-            all[row + i][column + j] = m.col(j)[i];
-        }
-    };
+/// Exp(turn) v; a series for the small angles that most are.
+fn turned(turn: DVec3, v: DVec3) -> DVec3 {
+    let square = turn.length_squared();
+    if square > 0.06 {
+        return DQuat::from_scaled_axis(turn) * v;
+    }
+    // sin(a) / a and (1 - cos(a)) / a^2, to 1e-13 here.
+    let sine = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0)));
+    let versine = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0)));
+    let across = turn.cross(v);
+    v + sine * across + versine * turn.cross(across)
+}
+
+fn sizes(pairs: &[[DVec3; 2]; KIND]) -> [f64; 2] {
+    [0, 1].map(|k| pairs.iter().map(|pair| pair[k].length_squared()).sum::<f64>().sqrt())
+}
+
+/// Columns of a factor of six rows, as pairs of vectors.
+fn pairs(f: &[[f64; 6]; 6]) -> [[DVec3; 2]; KIND] {
+    std::array::from_fn(|c| [DVec3::new(f[0][c], f[1][c], f[2][c]), DVec3::new(f[3][c], f[4][c], f[5][c])])
+}
+
+/// What unit errors do to both ends, in the feature's frame; features that move as a whole have one end.
+fn ends_errors(shape: &FeatureShape) -> [[DVec3; 2]; KIND] {
+    let rows = |m: &DMat3| m.transpose().to_cols_array_2d();
+    let column = |f: &[[f64; 3]; 3], c: usize| DVec3::new(f[0][c], f[1][c], f[2][c]);
     match shape {
+        FeatureShape::Segment { covariances: [a, b], cross, .. } if *cross == DMat3::ZERO => {
+            let (f, g) = (square_root(&rows(a)), square_root(&rows(b)));
+            std::array::from_fn(|c| match c {
+                0..3 => [column(&f, c), DVec3::ZERO],
+                _ => [DVec3::ZERO, column(&g, c - 3)],
+            })
+        }
         FeatureShape::Segment { covariances: [a, b], cross, .. } => {
-            put(0, 0, a);
-            put(3, 3, b);
-            put(0, 3, cross);
-            put(3, 0, &cross.transpose());
+            let (a, b, across) = (rows(a), rows(b), rows(cross));
+            pairs(&square_root(&std::array::from_fn(|i| {
+                std::array::from_fn(|j| match (i / 3, j / 3) {
+                    (0, 0) => a[i][j],
+                    (0, _) => across[i][j - 3],
+                    (_, 0) => across[j][i - 3],
+                    _ => b[i - 3][j - 3],
+                })
+            })))
         }
         FeatureShape::Point { covariance, .. }
         | FeatureShape::Patch { covariance, .. }
         | FeatureShape::Reflector { covariance, .. }
-        | FeatureShape::Fiducial { covariance, .. } => put(0, 0, covariance),
+        | FeatureShape::Fiducial { covariance, .. } => {
+            let f = square_root(&rows(covariance));
+            std::array::from_fn(|c| if c < 3 { [column(&f, c), DVec3::ZERO] } else { [DVec3::ZERO; 2] })
+        }
     }
-    all
 }

@@ -1,18 +1,24 @@
 //! Bounds by the projection's derivative, and how far the projection itself is from them.
 
 use super::errors::Uncertain;
-use super::passing::dot;
-use super::seen::{Seen, unwrapped};
+use super::seen::{Seen, dot, unwrapped};
 use super::{Projection, SIDES};
 
 /// Where the derivative and the projection differ by more than this share of a side's distance, the derivative is given
 /// up; below, the difference widens the box.
-const SLIGHTLY: f64 = 0.1;
+pub(crate) const SLIGHTLY: f64 = 0.1;
 
+/// And by more than this, pixels.
+pub(crate) const SLIGHT: f64 = 0.1;
+
+/// The point that makes a side.
+fn maker(seen: &[Seen], side: (usize, f64), k: f64) -> Option<&Seen> {
+    seen.iter().max_by(|a, b| a.reach(side, k).total_cmp(&b.reach(side, k)))
+}
+
+/// Left, top, right, bottom.
 pub(super) fn linear_bounds(seen: &[Seen], k: f64) -> [f64; 4] {
-    let limit = |(c, sign): (usize, f64)| {
-        sign * seen.iter().map(|s| sign * s.at[c] + k * s.sigma[c]).fold(f64::NEG_INFINITY, f64::max)
-    };
+    let limit = |side: (usize, f64)| side.1 * seen.iter().map(|s| s.reach(side, k)).fold(f64::NEG_INFINITY, f64::max);
     let [right, left, bottom, top] = SIDES.map(limit);
     [left, top, right, bottom]
 }
@@ -28,22 +34,22 @@ pub(super) fn bent_bounds(
 ) -> Option<[f64; 4]> {
     let [left, top, right, bottom] = bounds;
     let mut widen = [0.0f64; 4];
-    for (c, sign) in SIDES {
+    for side in SIDES {
+        let (c, sign) = side;
         // The point that makes this side, moved by the error that makes it.
-        let reach = |s: &Seen| sign * s.at[c] + k * s.sigma[c];
-        let s = seen.iter().max_by(|a, b| reach(a).total_cmp(&reach(b)))?;
+        let s = maker(seen, side, k)?;
         if s.sigma[c] <= 0.0 {
             continue;
         }
-        let xi: Vec<f64> = s.slopes[c].iter().map(|x| sign * k * x / s.sigma[c]).collect();
-        let mut at = projection.project(uncertain.place(&s.point, &xi))?;
-        at[0] = unwrapped(projection, at[0], s.at[0]);
+        let xi = s.slopes[c].map(|x| sign * k * x / s.sigma[c]);
+        let mut at = projection.project(uncertain.moved(&s.rough.point, &xi))?;
+        at[0] = unwrapped(projection, at[0], s.rough.at[0]);
+        let off = [0, 1].map(|c| at[c] - s.rough.at[c] - dot(&s.slopes[c], &xi));
         for (side, (c, sign)) in SIDES.into_iter().enumerate() {
-            let off = sign * (at[c] - s.at[c] - dot(&s.slopes[c], &xi));
-            if off.abs() > SLIGHTLY * k * s.sigma[c] + 0.1 {
+            if off[c].abs() > SLIGHTLY * k * s.sigma[c] + SLIGHT {
                 return None;
             }
-            widen[side] = widen[side].max(off);
+            widen[side] = widen[side].max(sign * off[c]);
         }
     }
     Some([left - widen[1], top - widen[3], right + widen[0], bottom + widen[2]])

@@ -15,12 +15,16 @@ mod passing;
 mod seen;
 mod set;
 
-pub use errors::{Material, Uncertain};
+pub(crate) use errors::{Columns, ERRORS, KIND, Placed};
+pub use errors::{Material, PoseErrors, Uncertain, Viewpoint};
+pub(crate) use linear::{SLIGHT, SLIGHTLY};
+pub(crate) use passing::Level;
+pub(crate) use seen::differences;
 
 use glam::DVec3;
 use linear::{bent_bounds, linear_bounds};
 use passing::common_deviation;
-use seen::see;
+use seen::{Rough, Seen, dot, rough, see};
 use set::set_bounds;
 
 /// Covariance of a pose: x y z, then rotation about fixed x y z; metres and radians.
@@ -71,40 +75,85 @@ pub trait Projection: Sync {
 
     /// Columns of a full turn, if the image goes round: columns are then modulo this number.
     fn turn(&self) -> Option<f64>;
+
+    /// Derivatives of column and row by the position of a point whose image is `at`; by differences unless told better.
+    fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
+        seen::differences(self, p_in_body, at)
+    }
+
+    /// Derivative of the lever.
+    fn lever_gradient(&self, p_in_body: DVec3) -> DVec3 {
+        let step = 1e-6 * p_in_body.length().max(1e-6);
+        DVec3::from_array(
+            DVec3::AXES
+                .map(|axis| (self.lever(p_in_body + axis * step) - self.lever(p_in_body - axis * step)) / (2.0 * step)),
+        )
+    }
 }
 
 /// One of the four sides: which coordinate, and +1 or -1.
 const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
 
 /// What is left of a point's lever where it counts as lost.
-const GRAZING: f64 = 0.05;
+pub(crate) const GRAZING: f64 = 0.05;
 
 /// Errors that move a point by no more than this share of its lever do not bend its projection.
-const BENT: f64 = 0.02;
+pub(crate) const BENT: f64 = 0.02;
+
+/// Finds boxes, one after the other, in room that is kept.
+#[derive(Default)]
+pub(crate) struct Finder {
+    rough: Vec<Rough>,
+    seen: Vec<Seen>,
+}
+
+impl Finder {
+    /// See [`roi`].
+    pub fn find(
+        &mut self,
+        projection: &impl Projection,
+        uncertain: &Uncertain,
+        points: &[Material],
+        level: &Level,
+    ) -> Option<Roi> {
+        rough(projection, uncertain, points, &mut self.rough);
+        if self.rough.is_empty() {
+            return None;
+        }
+        see(uncertain, &self.rough, level.first, &mut self.seen);
+        let k = common_deviation(&self.seen, level);
+        // Where the set reaches behind the sensor, or round its axis, no box holds it.
+        if self.rough.iter().any(|r| is_lost(projection, uncertain, r, k)) {
+            return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
+        }
+        let linear = linear_bounds(&self.seen, k);
+        let near = self.rough.iter().all(|r| k * r.spread <= BENT * r.lever);
+        let bent = |seen| bent_bounds(projection, uncertain, seen, linear, k);
+        let (bounds, flag) = match if near { Some(linear) } else { bent(&self.seen) } {
+            Some(bounds) => (bounds, RoiFlag::Linear),
+            None => match set_bounds(projection, uncertain, &self.rough, level, k) {
+                Some(bounds) => (bounds, RoiFlag::Set),
+                None => (whole(projection), RoiFlag::WholeImage),
+            },
+        };
+        Some(clip(projection, bounds, flag))
+    }
+}
 
 /// The box of a feature's material points (those visible at the nominal pose) that holds all of them with probability
 /// `confidence`; clipped to the image, at least a pixel wide and high. `None` if no point has an image.
 pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Material], confidence: f64) -> Option<Roi> {
-    let seen = see(projection, uncertain, points);
-    if seen.is_empty() {
-        return None;
+    Finder::default().find(projection, uncertain, points, &Level::new(confidence))
+}
+
+/// True if errors of `k` standard deviations may bring a point next to where projection is singular, or beyond.
+fn is_lost(projection: &impl Projection, uncertain: &Uncertain, rough: &Rough, k: f64) -> bool {
+    let left = (1.0 - GRAZING) * rough.lever;
+    if k * rough.spread < left {
+        return false;
     }
-    let fail = 1.0 - confidence;
-    let k = common_deviation(&seen, fail);
-    // Where the set reaches behind the sensor, or round its axis, no box holds it.
-    if seen.iter().any(|s| s.lever - k * s.lever_sigma <= GRAZING * s.lever) {
-        return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
-    }
-    let linear = linear_bounds(&seen, k);
-    let near = seen.iter().map(|s| k * s.spread / s.lever).fold(0.0, f64::max) <= BENT;
-    let (bounds, flag) = match if near { Some(linear) } else { bent_bounds(projection, uncertain, &seen, linear, k) } {
-        Some(bounds) => (bounds, RoiFlag::Linear),
-        None => match set_bounds(projection, uncertain, &seen, fail, k) {
-            Some(bounds) => (bounds, RoiFlag::Set),
-            None => (whole(projection), RoiFlag::WholeImage),
-        },
-    };
-    Some(clip(projection, bounds, flag))
+    let slopes = uncertain.slopes(&rough.point, projection.lever_gradient(rough.point.p));
+    k * dot(&slopes, &slopes).sqrt() >= left
 }
 
 /// Covariance of a point's image, pixels squared, by the projection's derivative.
@@ -113,10 +162,10 @@ pub fn image_covariance(
     uncertain: &Uncertain,
     point: &Material,
 ) -> Option<[[f64; 2]; 2]> {
-    let seen = see(projection, uncertain, std::slice::from_ref(point));
-    let [a, b] = &seen.first()?.slopes;
-    let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-    Some([[dot(a, a), dot(a, b)], [dot(a, b), dot(b, b)]])
+    let point = uncertain.nominal(point);
+    let gradient = projection.gradient(point.p, projection.project(point.p)?)?;
+    let [a, b] = gradient.map(|g| uncertain.slopes(&point, g));
+    Some([[dot(&a, &a), dot(&a, &b)], [dot(&a, &b), dot(&b, &b)]])
 }
 
 /// The whole image.

@@ -1,87 +1,184 @@
 //! With what probability any side is passed: thresholds at a common number of standard deviations.
+//!
+//! The probability of a union is at most the sum of the tails less the joint tails along any spanning tree (Hunter 1976;
+//! Worsley 1982), and least along the greatest. Correlations do not depend on the thresholds, so the tree is made once.
+//! The joint tail of two thresholds is taken as that of the greater one for both: never more, and where they differ much the
+//! farther event hardly counts.
 
 use super::SIDES;
-use super::seen::Seen;
-use crate::features::normal::{joint_tail, tail, tail_quantile};
+use super::seen::{MARGIN, Seen, dot};
+use crate::features::normal::{Tails, apart, tail_quantile};
 
-/// The number of standard deviations k at which no side is passed but with probability `fail`.
-pub(super) fn common_deviation(seen: &[Seen], fail: f64) -> f64 {
-    let lowest = tail_quantile(fail);
-    // Which events count, and the tree, are settled at Bonferroni's k for four sides; there the tails hardly change.
-    let first = tail_quantile(0.25 * fail);
-    let events = events(seen, first);
-    if events.is_empty() {
-        return lowest;
+/// Most points of a side that are looked at.
+const MOST: usize = 3;
+
+/// Most events.
+const EVENTS: usize = 4 * MOST;
+
+/// What a confidence says about thresholds, made once for all features.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Level {
+    /// The probability that is left.
+    pub fail: f64,
+    /// Standard deviations at which a single event has it.
+    pub lowest: f64,
+    /// At which each of four independent ones has a quarter of it: where the search starts.
+    pub first: f64,
+    /// At which so many as are looked at have it together.
+    pub highest: f64,
+}
+
+impl Level {
+    pub fn new(confidence: f64) -> Self {
+        let fail = 1.0 - confidence;
+        let shared = |n: f64| tail_quantile(fail / n);
+        Self { fail, lowest: shared(1.0), first: shared(4.0), highest: shared(EVENTS as f64) }
     }
-    let edges = tree(&events);
-    let passed = |k: f64| {
-        let reach = |e: &Event| e.deviations + (k - first);
-        let sum: f64 = events.iter().map(|e| tail(reach(e))).sum();
-        sum - edges.iter().map(|(i, j, rho)| joint_tail(reach(&events[*i]), reach(&events[*j]), *rho)).sum::<f64>()
-    };
-    let (mut low, mut high) = (lowest, tail_quantile(fail / events.len() as f64).max(lowest) + 1e-9);
-    for _ in 0..30 {
-        let middle = 0.5 * (low + high);
-        if passed(middle) > fail { low = middle } else { high = middle }
-    }
-    high
 }
 
 /// A point passing a side.
+#[derive(Clone, Copy, Debug, Default)]
 struct Event {
-    /// Unit vector of errors along which it goes there.
-    direction: Vec<f64>,
-    /// How many standard deviations away the side is.
+    /// Whose slopes.
+    seen: usize,
+    /// Which coordinate, and which way.
+    side: (usize, f64),
+    /// How many standard deviations away the side is where the search starts.
     deviations: f64,
+    /// By how many more for each that the common number rises.
+    rate: f64,
+    tail: f64,
 }
 
-fn events(seen: &[Seen], k: f64) -> Vec<Event> {
-    /// Most points a side that are looked at: the ends and those that stand out.
-    const MOST: usize = 4;
-    let mut events: Vec<Event> = Vec::new();
-    for (c, sign) in SIDES {
-        let limit = seen.iter().map(|s| sign * s.at[c] + k * s.sigma[c]).fold(f64::NEG_INFINITY, f64::max);
-        let mut near: Vec<(f64, &Seen)> = seen
-            .iter()
-            .filter(|s| s.sigma[c] > 0.0)
-            .map(|s| ((limit - sign * s.at[c]) / s.sigma[c], s))
-            .filter(|(deviations, _)| *deviations < k + 1.5)
-            .collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let before = events.len();
-        for (deviations, s) in near {
-            let direction: Vec<f64> = s.slopes[c].iter().map(|x| sign * x / s.sigma[c]).collect();
-            // Points that move as one pass as one.
-            let same = |e: &Event| dot(&e.direction, &direction) > 1.0 - 1e-6;
-            if events.len() < before + MOST && !events[before..].iter().any(same) {
-                events.push(Event { direction, deviations });
+/// The events that count, and the tree between them.
+struct Events {
+    events: [Event; EVENTS],
+    count: usize,
+    /// For all but the first event of a tree: its neighbour, and how far apart they are.
+    parents: [(usize, f64); EVENTS],
+}
+
+/// The number of standard deviations k at which no side is passed but with the probability that is left.
+pub(super) fn common_deviation(seen: &[Seen], level: &Level) -> f64 {
+    let tails = Tails::get();
+    let mut events = Events::new(seen, level.first, tails);
+    if events.count == 0 {
+        return level.lowest;
+    }
+    events.join(seen, tails);
+    let wanted = level.fail.ln();
+    let excess = |k: f64| events.passed(k - level.first, tails).ln() - wanted;
+    let within = |k: f64| k.clamp(level.lowest, level.highest);
+    // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
+    let hazard = |k: f64| (0.398_942_280_401_432_7 * (-0.5 * k * k).exp()) / tails.tail(k);
+    let before = excess(level.first);
+    let k = within(level.first + before / hazard(level.first));
+    let step = k - level.first;
+    if step.abs() < 1e-6 {
+        return k;
+    }
+    let after = excess(k);
+    let slope = (after - before) / step;
+    within(if slope < -0.1 { k - after / slope } else { k })
+}
+
+impl Events {
+    /// Chosen at `k` standard deviations: of each side the point that makes it, and those nearly as likely to pass.
+    fn new(seen: &[Seen], k: f64, tails: &Tails) -> Self {
+        let none = Event::default();
+        let mut all = Self { events: [none; EVENTS], count: 0, parents: [(0, -1.0); EVENTS] };
+        for side in SIDES {
+            let c = side.0;
+            let maker =
+                (0..seen.len()).fold(0, |b, i| if seen[i].reach(side, k) > seen[b].reach(side, k) { i } else { b });
+            let (limit, sigma) = (seen[maker].reach(side, k), seen[maker].sigma[c]);
+            let first = all.count;
+            let mut at = Some(maker);
+            while let Some(i) = at {
+                let s = &seen[i];
+                let deviations = (limit - side.1 * s.rough.at[c]) / s.sigma[c];
+                if !(s.sigma[c] > 0.0 && deviations < k + MARGIN) {
+                    break;
+                }
+                // Points that move as one pass as one.
+                let one = |e: &Event| {
+                    dot(&seen[e.seen].slopes[c], &s.slopes[c]) > (1.0 - 1e-6) * s.sigma[c] * seen[e.seen].sigma[c]
+                };
+                if !all.events[first..all.count].iter().any(one) {
+                    let rate = sigma / s.sigma[c];
+                    all.events[all.count] = Event { seen: i, side, deviations, rate, tail: tails.tail(deviations) };
+                    all.count += 1;
+                }
+                if all.count == first + MOST {
+                    break;
+                }
+                // The next nearest.
+                at = next(seen, side, limit, (deviations, i));
             }
         }
+        all
     }
-    events
-}
 
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
+    /// The spanning tree of greatest joint tails (Prim).
+    fn join(&mut self, seen: &[Seen], tails: &Tails) {
+        let mut best = [-1.0f64; EVENTS];
+        let mut out = [true; EVENTS];
+        let mut last = 0;
+        for _ in 1..self.count {
+            out[last] = false;
+            let mut next = usize::MAX;
+            for i in (0..self.count).filter(|i| out[*i]) {
+                let (a, b) = (&self.events[i], &self.events[last]);
+                let (x, y) = (&seen[a.seen], &seen[b.seen]);
+                let ((c, s), (d, t)) = (a.side, b.side);
+                let rho = s * t * dot(&x.slopes[c], &y.slopes[d]) / (x.sigma[c] * y.sigma[d]);
+                // What goes opposite ways hardly ever happens together.
+                if rho > 0.0 {
+                    let apart = apart(rho);
+                    let (far, less) =
+                        if a.deviations > b.deviations { (a.deviations, a.tail) } else { (b.deviations, b.tail) };
+                    let joint = less * tails.shared(far, apart);
+                    if joint > best[i] {
+                        (best[i], self.parents[i]) = (joint, (last, apart));
+                    }
+                }
+                if next == usize::MAX || best[i] > best[next] {
+                    next = i;
+                }
+            }
+            last = next;
+        }
+    }
 
-/// The spanning tree of greatest joint tails: pairs and their correlations (Prim).
-fn tree(events: &[Event]) -> Vec<(usize, usize, f64)> {
-    let mut edges = Vec::with_capacity(events.len().saturating_sub(1));
-    let mut best: Vec<(f64, usize, f64)> = vec![(-1.0, 0, 0.0); events.len()];
-    let mut out: Vec<usize> = (1..events.len()).collect();
-    let mut last = 0;
-    while !out.is_empty() {
-        for &i in &out {
-            let rho = dot(&events[i].direction, &events[last].direction).clamp(-1.0, 1.0);
-            let joint = joint_tail(events[i].deviations, events[last].deviations, rho);
-            if joint > best[i].0 {
-                best[i] = (joint, last, rho);
+    /// At most this probability that any side is passed, with the common number of standard deviations so much higher.
+    fn passed(&self, more: f64, tails: &Tails) -> f64 {
+        let mut reach = [(0.0, 0.0); EVENTS];
+        for i in 0..self.count {
+            let e = &self.events[i];
+            let deviations = (e.deviations + more * e.rate).max(0.0);
+            reach[i] = (deviations, tails.tail(deviations));
+        }
+        let mut sum = 0.0;
+        for i in 0..self.count {
+            let (parent, apart) = self.parents[i];
+            sum += reach[i].1;
+            if apart >= 0.0 {
+                let (far, less) = if reach[i].0 > reach[parent].0 { reach[i] } else { reach[parent] };
+                sum -= less * tails.shared(far, apart);
             }
         }
-        let at = (0..out.len()).fold(0, |b, i| if best[out[i]].0 > best[out[b]].0 { i } else { b });
-        last = out.swap_remove(at);
-        edges.push((last, best[last].1, best[last].2));
+        sum.max(f64::MIN_POSITIVE)
     }
-    edges
+}
+
+/// The point that comes next after one with so many deviations, by deviations and then by number.
+fn next(seen: &[Seen], (c, sign): (usize, f64), limit: f64, after: (f64, usize)) -> Option<usize> {
+    let mut best: Option<(f64, usize)> = None;
+    for (i, s) in seen.iter().enumerate().filter(|(_, s)| s.sigma[c] > 0.0) {
+        let here = ((limit - sign * s.rough.at[c]) / s.sigma[c], i);
+        if here > after && best.is_none_or(|b| here < b) {
+            best = Some(here);
+        }
+    }
+    best.map(|b| b.1)
 }

@@ -1,44 +1,106 @@
 //! Nominal images of material points, with what each error does to them.
 
-use super::Projection;
-use super::errors::{Material, Uncertain};
-use super::passing::dot;
+use super::errors::{Each, Material, Placed, Uncertain};
+use super::{Projection, SIDES};
 use glam::DVec3;
 
-/// A point in the image with what each error does to it.
-pub(super) struct Seen {
-    pub point: Material,
+/// A point in the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rough {
+    pub point: Placed,
+    /// Columns are unwrapped to the first point's.
     pub at: [f64; 2],
-    /// Derivatives of column and row by each error.
-    pub slopes: [Vec<f64>; 2],
-    pub sigma: [f64; 2],
+    /// Of column and row by the position, body frame.
+    pub gradient: [DVec3; 2],
     pub lever: f64,
-    pub lever_sigma: f64,
-    /// Standard deviation of its position, body frame.
+    /// At least the standard deviation of its position, body frame.
     pub spread: f64,
 }
 
-/// Nominal images and their slopes. Columns are unwrapped to the first point's.
-pub(super) fn see(projection: &impl Projection, uncertain: &Uncertain, points: &[Material]) -> Vec<Seen> {
-    let mut all: Vec<Seen> = Vec::with_capacity(points.len());
+/// A point with what each error does to its image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    pub rough: Rough,
+    /// Derivatives of column and row by each error.
+    pub slopes: [Each; 2],
+    pub sigma: [f64; 2],
+}
+
+impl Seen {
+    pub fn new(uncertain: &Uncertain, rough: &Rough) -> Self {
+        let slopes = rough.gradient.map(|g| uncertain.slopes(&rough.point, g));
+        let sigma = [0, 1].map(|k| dot(&slopes[k], &slopes[k]).sqrt());
+        Self { rough: *rough, slopes, sigma }
+    }
+
+    /// How far towards a side it is at so many standard deviations.
+    pub fn reach(&self, (c, sign): (usize, f64), k: f64) -> f64 {
+        sign * self.rough.at[c] + k * self.sigma[c]
+    }
+}
+
+/// Lanes of a sum: the compiler adds side by side only what it is told to.
+const LANES: usize = 6;
+
+pub(super) fn dot(a: &Each, b: &Each) -> f64 {
+    let mut sums = [0.0; LANES];
+    for at in (0..a.len()).step_by(LANES) {
+        for k in 0..LANES {
+            sums[k] += a[at + k] * b[at + k];
+        }
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + (sums[4] + sums[5])
+}
+
+/// Nominal images of points.
+pub(super) fn rough(projection: &impl Projection, uncertain: &Uncertain, points: &[Material], into: &mut Vec<Rough>) {
+    into.clear();
     for point in points {
-        let p = uncertain.place(point, &[]);
-        let Some(mut at) = projection.project(p) else { continue };
-        if let Some(first) = all.first() {
+        let point = uncertain.nominal(point);
+        let Some(mut at) = projection.project(point.p) else { continue };
+        if let Some(first) = into.first() {
             at[0] = unwrapped(projection, at[0], first.at[0]);
         }
-        let Some(gradient) = gradient(projection, p, at) else { continue };
-        let moves = uncertain.slopes(point);
-        let slopes = gradient.map(|g| moves.iter().map(|s| g.dot(*s)).collect::<Vec<f64>>());
-        let sigma = [0, 1].map(|k| dot(&slopes[k], &slopes[k]).sqrt());
-        let spread = moves.iter().map(|s| s.length_squared()).sum::<f64>().sqrt();
-        let lever = projection.lever(p);
-        let towards = |s: &DVec3| (projection.lever(p + *s * 1e-6) - projection.lever(p - *s * 1e-6)) / 2e-6;
-        let lever_sigma = moves.iter().map(|s| towards(s).powi(2)).sum::<f64>().sqrt();
-        all.push(Seen { point: *point, at, slopes, sigma, lever, lever_sigma, spread });
+        // Without a derivative it is where projection is singular.
+        let (gradient, lever) = match projection.gradient(point.p, at) {
+            Some(gradient) => (gradient, projection.lever(point.p)),
+            None => ([DVec3::ZERO; 2], 0.0),
+        };
+        let spread = uncertain.spread(&point);
+        into.push(Rough { point, at, gradient, lever, spread });
     }
-    all
 }
+
+/// Points that are all looked at.
+const FEW: usize = 4;
+
+/// Those points that may decide a side at `k` standard deviations, with what errors do to them: a point is left out if,
+/// even with its greatest possible deviation, it stays behind another one.
+pub(super) fn see(uncertain: &Uncertain, all: &[Rough], k: f64, into: &mut Vec<Seen>) {
+    into.clear();
+    if all.len() <= FEW {
+        into.extend(all.iter().map(|rough| Seen::new(uncertain, rough)));
+        return;
+    }
+    let mut limits = [f64::NEG_INFINITY; 4];
+    let mut leaders = [0; 4];
+    for (side, (c, sign)) in SIDES.into_iter().enumerate() {
+        leaders[side] = (0..all.len()).fold(0, |b, i| if sign * all[i].at[c] > sign * all[b].at[c] { i } else { b });
+        let seen = Seen::new(uncertain, &all[leaders[side]]);
+        for (limit, side) in limits.iter_mut().zip(SIDES) {
+            *limit = limit.max(seen.reach(side, k));
+        }
+    }
+    let may = |rough: &Rough| {
+        let most = [0, 1].map(|c| (k + MARGIN) * rough.spread * rough.gradient[c].length());
+        SIDES.into_iter().zip(limits).any(|((c, sign), limit)| sign * rough.at[c] + most[c] >= limit)
+    };
+    let chosen = all.iter().enumerate().filter(|(i, rough)| leaders.contains(i) || may(rough));
+    into.extend(chosen.map(|(_, rough)| Seen::new(uncertain, rough)));
+}
+
+/// Standard deviations beyond the common number at which passing a side no longer counts: at 3 less than 0.6 % of it is left.
+pub(super) const MARGIN: f64 = 1.5;
 
 /// The column nearest to another, where columns go round.
 pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) -> f64 {
@@ -49,14 +111,18 @@ pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) ->
 }
 
 /// Derivatives of column and row by the position, by central differences: their error is of the second order of 1e-5.
-fn gradient(projection: &impl Projection, p: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
+pub(crate) fn differences(projection: &(impl Projection + ?Sized), p: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
     let step = 1e-5 * projection.lever(p).abs().max(1e-9 * p.length());
+    let near = |column: f64| match projection.turn() {
+        Some(turn) => column - turn * ((column - at[0]) / turn).round(),
+        None => column,
+    };
     let mut gradient = [DVec3::ZERO; 2];
     for k in 0..3 {
         let mut by = DVec3::ZERO;
         by[k] = step;
         let (up, down) = (projection.project(p + by)?, projection.project(p - by)?);
-        gradient[0][k] = (unwrapped(projection, up[0], at[0]) - unwrapped(projection, down[0], at[0])) / (2.0 * step);
+        gradient[0][k] = (near(up[0]) - near(down[0])) / (2.0 * step);
         gradient[1][k] = (up[1] - down[1]) / (2.0 * step);
     }
     Some(gradient)

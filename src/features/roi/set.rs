@@ -1,8 +1,12 @@
 //! Bounds where projection bends: the farthest value over a set of errors.
+//!
+//! The farthest value of a side over all errors of length k is that of first-order reliability's design point (Hasofer and
+//! Lind 1974); where the limit bends there the tail beyond it is larger by the curvature (Breitung 1984), and k rises until
+//! the tails fit, at most to the ball that holds all errors with the confidence.
 
-use super::errors::Uncertain;
-use super::passing::dot;
-use super::seen::{Seen, unwrapped};
+use super::errors::{ERRORS, Each, Uncertain};
+use super::passing::Level;
+use super::seen::{Rough, Seen, dot, unwrapped};
 use super::{GRAZING, Projection, SIDES};
 use crate::features::normal::{tail, tail_quantile};
 
@@ -10,44 +14,43 @@ use crate::features::normal::{tail, tail_quantile};
 pub(super) fn set_bounds(
     projection: &impl Projection,
     uncertain: &Uncertain,
-    seen: &[Seen],
-    fail: f64,
+    rough: &[Rough],
+    level: &Level,
     linear: f64,
 ) -> Option<[f64; 4]> {
+    let seen: Vec<Seen> = rough.iter().map(|rough| Seen::new(uncertain, rough)).collect();
+    // All of the ball: no set of errors of that probability is larger.
+    let ball = ball_radius(uncertain.dimensions(), level.fail).max(linear);
+    let farthest = |side, reach: f64| -> Option<(f64, f64)> {
+        let mut best = (f64::NEG_INFINITY, 1.0);
+        for s in &seen {
+            let found = farthest_value(projection, uncertain, s, side, reach)?;
+            if found.0 > best.0 {
+                best = found;
+            }
+        }
+        Some(best)
+    };
     let mut reach = linear;
     // Curvature raises the tails beyond the design points: k rises until they fit.
     for _ in 0..4 {
         let mut limits = [0.0; 4];
         let mut growth: f64 = 1.0;
         for (limit, side) in limits.iter_mut().zip(SIDES) {
-            let mut farthest = f64::NEG_INFINITY;
-            for s in seen {
-                let (value, factor) = farthest_value(projection, uncertain, s, side, reach)?;
-                if value > farthest {
-                    farthest = value;
-                    growth = growth.max(factor);
-                }
-            }
-            *limit = side.1 * farthest;
+            let (value, factor) = farthest(side, reach)?;
+            growth = growth.max(factor);
+            *limit = side.1 * value;
         }
-        let wanted = tail_quantile((tail(linear) / growth).max(1e-300)).max(linear);
-        // All of the ball: no set of errors of that probability is larger.
-        let ball = ball_radius(uncertain.dimensions(), fail);
-        let wanted = wanted.min(ball.max(linear));
+        let wanted = tail_quantile((tail(linear) / growth).max(1e-300)).max(linear).min(ball);
         if wanted <= reach + 1e-3 {
             let [right, left, bottom, top] = limits;
             return Some([left, top, right, bottom]);
         }
         reach = wanted;
     }
-    let ball = ball_radius(uncertain.dimensions(), fail).max(reach);
     let mut limits = [0.0; 4];
     for (limit, side) in limits.iter_mut().zip(SIDES) {
-        let mut farthest = f64::NEG_INFINITY;
-        for s in seen {
-            farthest = farthest.max(farthest_value(projection, uncertain, s, side, ball)?.0);
-        }
-        *limit = side.1 * farthest;
+        *limit = side.1 * farthest(side, ball.max(reach))?.0;
     }
     let [right, left, bottom, top] = limits;
     Some([left, top, right, bottom])
@@ -62,28 +65,27 @@ fn farthest_value(
     (c, sign): (usize, f64),
     reach: f64,
 ) -> Option<(f64, f64)> {
-    let n = uncertain.dimensions();
-    let value = |xi: &[f64]| -> Option<f64> {
-        let p = uncertain.place(&seen.point, xi);
+    let value = |xi: &Each| -> Option<f64> {
+        let p = uncertain.moved(&seen.rough.point, xi);
         let mut at = projection.project(p)?;
-        if projection.lever(p) <= GRAZING * seen.lever {
+        if projection.lever(p) <= GRAZING * seen.rough.lever {
             return None;
         }
-        at[0] = unwrapped(projection, at[0], seen.at[0]);
+        at[0] = unwrapped(projection, at[0], seen.rough.at[0]);
         Some(sign * at[c])
     };
-    if seen.sigma[c] <= 0.0 && seen.spread <= 0.0 {
-        return Some((sign * seen.at[c], 1.0));
+    if seen.sigma[c] <= 0.0 && seen.rough.spread <= 0.0 {
+        return Some((sign * seen.rough.at[c], 1.0));
     }
     let start = if seen.sigma[c] > 0.0 { &seen.slopes[c] } else { &seen.slopes[1 - c] };
     let length = dot(start, start).sqrt().max(f64::MIN_POSITIVE);
-    let mut xi: Vec<f64> = start.iter().map(|x| sign * x / length * reach).collect();
+    let mut xi = start.map(|x| sign * x / length * reach);
     let mut best = value(&xi)?;
     // The derivative at no error may miss the way that matters: a turn moves what is straight ahead up or down by the
     // second order only. So each axis is tried as well.
-    for i in 0..n {
+    for i in uncertain.used() {
         for reach in [reach, -reach] {
-            let mut axis = vec![0.0; n];
+            let mut axis = [0.0; ERRORS];
             axis[i] = reach;
             let there = value(&axis)?;
             if there > best {
@@ -91,10 +93,10 @@ fn farthest_value(
             }
         }
     }
-    let mut slope = vec![0.0; n];
+    let mut slope = [0.0; ERRORS];
     for _ in 0..6 {
-        for i in 0..n {
-            let (mut up, mut down) = (xi.clone(), xi.clone());
+        for i in uncertain.used() {
+            let (mut up, mut down) = (xi, xi);
             (up[i], down[i]) = (up[i] + 1e-4, down[i] - 1e-4);
             slope[i] = (value(&up)? - value(&down)?) / 2e-4;
         }
@@ -102,7 +104,7 @@ fn farthest_value(
         if length == 0.0 {
             break;
         }
-        let next: Vec<f64> = slope.iter().map(|s| s / length * reach).collect();
+        let next = slope.map(|s| s / length * reach);
         let there = value(&next)?;
         if there <= best + 1e-9 * best.abs().max(1.0) {
             break;
@@ -116,9 +118,9 @@ fn farthest_value(
     // Along a great circle the value falls by gradient * reach * angle^2 / 2 if the limit is flat, less if it bends round.
     let angle = 0.2f64;
     let mut growth = 1.0;
-    for i in 0..n {
+    for i in uncertain.used() {
         let along = xi[i] / reach;
-        let mut side: Vec<f64> = xi.iter().map(|x| -along * x / reach).collect();
+        let mut side = xi.map(|x| -along * x / reach);
         side[i] += 1.0;
         let length = dot(&side, &side).sqrt();
         if length < 1e-3 {
@@ -126,7 +128,7 @@ fn farthest_value(
         }
         let turned = |sign: f64| -> Option<f64> {
             let (sin, cos) = (sign * angle).sin_cos();
-            value(&xi.iter().zip(&side).map(|(x, s)| cos * x + sin * reach * s / length).collect::<Vec<f64>>())
+            value(&std::array::from_fn(|j| cos * xi[j] + sin * reach * side[j] / length))
         };
         let mean = 0.5 * (turned(1.0)? + turned(-1.0)?);
         let flat = gradient * reach * (1.0 - angle.cos());
@@ -135,7 +137,7 @@ fn farthest_value(
         growth = f64::max(growth, 1.0 / share.sqrt());
     }
     // Passed on both sides of no error alike: twice as often.
-    let opposite = value(&xi.iter().map(|x| -x).collect::<Vec<f64>>())?;
+    let opposite = value(&xi.map(|x| -x))?;
     let twice = if best - opposite < 0.3 * gradient * reach { 2.0 } else { 1.0 };
     Some((best, twice * growth * growth.sqrt()))
 }

@@ -1,0 +1,162 @@
+//! Boxes for predicted features: how uncertain each is, and which of its points the box is to hold.
+
+mod image;
+mod points;
+
+pub(crate) use image::{Image, Kind};
+
+use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Roi, Uncertain, Viewpoint, image_covariance};
+use super::{FeaturePrediction, PlacedFeature, SeenFeature};
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::sensor::Sensor;
+use crate::world::World;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// How uncertain everything is, and how sure boxes are to be.
+#[derive(Clone, Debug)]
+pub struct BoxOptions {
+    /// Covariance of the sensor's pose, along the world's axes: translation added, rotation by Exp(dtheta) from the left.
+    pub sensor: PoseCovariance,
+    /// Covariances of objects' poses by index of the object, in the object's own axes.
+    pub objects: Vec<(u32, PoseCovariance)>,
+    /// Probability with which a box holds its feature.
+    pub confidence: f64,
+}
+
+impl Default for BoxOptions {
+    fn default() -> Self {
+        Self { sensor: [[0.0; 6]; 6], objects: Vec::new(), confidence: 0.99 }
+    }
+}
+
+/// Gives every feature that is seen its box and the covariance of its defining points in the image.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+pub fn add_boxes(
+    prediction: &mut FeaturePrediction,
+    placed: &[PlacedFeature],
+    world: &World,
+    sensor: &Sensor,
+    world_from_sensor: &Pose,
+    options: &BoxOptions,
+) -> Result<()> {
+    let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
+    let features = prediction.features.par_iter_mut().zip(placed).with_min_len(64);
+    features.for_each_init(Room::default, |room, (seen, placed)| {
+        let uncertain = frame.uncertain(placed);
+        if frame.prepare(seen, &uncertain, &mut room.points) {
+            set(seen, room.finder.find(&frame.image, &uncertain, &room.points, &frame.level));
+        }
+    });
+    Ok(())
+}
+
+/// What one worker keeps.
+#[derive(Default)]
+struct Room {
+    points: Vec<Material>,
+    finder: Finder,
+}
+
+/// What the boxes of one prediction share.
+pub(crate) struct BoxFrame<'a> {
+    pub image: Image<'a>,
+    pub viewpoint: Viewpoint,
+    pub level: Level,
+    world: &'a World,
+    objects: Vec<(u32, PoseErrors)>,
+}
+
+impl<'a> BoxFrame<'a> {
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    pub fn new(world: &'a World, sensor: &'a Sensor, world_from_sensor: &Pose, options: &BoxOptions) -> Result<Self> {
+        if !(0.5..1.0).contains(&options.confidence) {
+            return Err(Error::usage(
+                format!("confidence {} is not in 0.5..1", options.confidence),
+                "give a probability such as 0.99",
+            ));
+        }
+        let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
+        // Of an object named twice the first counts.
+        objects.sort_by_key(|(object, _)| *object);
+        Ok(Self {
+            image: Image::of(sensor),
+            viewpoint: Viewpoint::new(world_from_sensor, &options.sensor),
+            level: Level::new(options.confidence),
+            world,
+            objects,
+        })
+    }
+
+    /// The errors of a feature.
+    pub fn uncertain(&self, placed: &PlacedFeature) -> Uncertain {
+        let object = placed.object.and_then(|o| self.world.environment().objects().get(o as usize));
+        let world_from_frame = object.map_or(Pose::IDENTITY, |o| o.world_from_object);
+        let first = |object: u32| self.objects.partition_point(|(o, _)| *o < object);
+        let known = |object: u32| self.objects.get(first(object)).filter(|(o, _)| *o == object).map(|(_, e)| e);
+        let errors = placed.object.and_then(known);
+        Uncertain::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
+    }
+
+    /// Gives a feature its covariances, and lists the points that its box is to hold; false if none is seen.
+    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &Uncertain, points: &mut Vec<Material>) -> bool {
+        points::defining(&seen.feature.shape, points);
+        seen.image_covariance = points.iter().map(|p| image_covariance(&self.image, uncertain, p)).collect();
+        if seen.visible.is_empty() {
+            return false;
+        }
+        points::seen(&self.image, uncertain, seen, points);
+        !points.is_empty()
+    }
+}
+
+/// Writes a box down.
+pub(crate) fn set(seen: &mut SeenFeature, found: Option<Roi>) {
+    if let Some(found) = found {
+        seen.roi = Some(found.bounds);
+        seen.roi_flag = Some(found.flag.name());
+    }
+}
+
+/// The covariance of a sensor's pose from that of the robot which carries it: both along the world's axes.
+/// `world_axes_lever` is the sensor's position relative to the robot's, along the world's axes, metres.
+pub fn sensor_covariance(robot: &PoseCovariance, world_axes_lever: DVec3) -> PoseCovariance {
+    let l = world_axes_lever;
+    // d_sensor = d_robot + dtheta x lever.
+    let cross = [[0.0, l.z, -l.y], [-l.z, 0.0, l.x], [l.y, -l.x, 0.0]];
+    let mut adjoint = [[0.0; 6]; 6];
+    for i in 0..6 {
+        adjoint[i][i] = 1.0;
+    }
+    for i in 0..3 {
+        for j in 0..3 {
+            adjoint[i][3 + j] = cross[i][j];
+        }
+    }
+    let mut moved = [[0.0; 6]; 6];
+    for (i, j) in (0..6).flat_map(|i| (0..6).map(move |j| (i, j))) {
+        for (k, l) in (0..6).flat_map(|k| (0..6).map(move |l| (k, l))) {
+            moved[i][j] += adjoint[i][k] * robot[k][l] * adjoint[j][l];
+        }
+    }
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lever_turns_heading_into_position() {
+        let mut robot = [[0.0; 6]; 6];
+        robot[5][5] = 0.01;
+        let moved = sensor_covariance(&robot, DVec3::new(2.0, 0.0, 1.0));
+        // A turn by 0.1 moves what is 2 m ahead by 0.2 m to the left.
+        assert!((moved[1][1] - 0.04).abs() < 1e-15 && (moved[1][5] - 0.02).abs() < 1e-15);
+        assert_eq!((moved[0][0], moved[2][2], moved[5][5]), (0.0, 0.0, 0.01));
+    }
+}

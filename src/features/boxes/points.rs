@@ -1,0 +1,196 @@
+//! Which material points of a feature its box is to hold: those seen at the nominal pose.
+//!
+//! A pinhole image of a straight line is straight wherever errors bring it, so that its extremes stay its ends'; the
+//! image of a plane patch is the convex hull of its corners'. Elsewhere lines curve, and points between are taken too.
+
+use super::image::{Image, Kind};
+use crate::environment::FeatureShape;
+use crate::features::roi::{Material, Projection, Uncertain};
+use crate::features::{MAX_PATCH_SAMPLES, STEP, SeenFeature, VisibleInterval};
+use crate::geometry::plane_of_polygon;
+use glam::{DVec2, DVec3};
+
+/// Points of a segment's visible part where lines curve in no way that is known.
+const POINTS: usize = 9;
+
+/// Parts of an outline's edge.
+const PARTS: usize = 8;
+
+/// Pixels by which a line may curve and still count as straight.
+const SAGITTA: f64 = 1.0 / 32.0;
+
+/// The points that define a feature.
+pub(super) fn defining(shape: &FeatureShape, into: &mut Vec<Material>) {
+    into.clear();
+    match shape {
+        FeatureShape::Segment { ends, .. } => into.extend([0.0, 1.0].map(|t| Material::on_segment(ends, t))),
+        other => into.extend(other.points().iter().map(|p| Material::rigid(*p))),
+    }
+}
+
+/// The points that a feature's box is to hold.
+pub(super) fn seen(image: &Image<'_>, uncertain: &Uncertain, seen: &SeenFeature, into: &mut Vec<Material>) {
+    into.clear();
+    let shape = &seen.feature.shape;
+    match shape {
+        FeatureShape::Segment { ends, .. } => {
+            let from = seen.visible.iter().map(|v| v.t[0]).fold(1.0, f64::min);
+            let to = seen.visible.iter().map(|v| v.t[1]).fold(0.0, f64::max);
+            segment(image, uncertain, ends, [from, to], into);
+        }
+        FeatureShape::Patch { corners, .. } => patch(image, uncertain, corners, seen, into),
+        FeatureShape::Fiducial { corners, .. } => patch(image, uncertain, corners, seen, into),
+        FeatureShape::Point { at, .. } | FeatureShape::Reflector { at, .. } => into.push(Material::rigid(*at)),
+    }
+}
+
+fn segment(
+    image: &Image<'_>,
+    uncertain: &Uncertain,
+    ends: &[DVec3; 2],
+    [from, to]: [f64; 2],
+    into: &mut Vec<Material>,
+) {
+    let mut put = |t: f64| into.push(Material::on_segment(ends, t));
+    put(from);
+    match image.kind {
+        Kind::Pinhole(_) => {}
+        Kind::Beams([_, rows]) => {
+            let [a, b] = [from, to].map(|t| uncertain.nominal(&Material::on_segment(ends, t)).p);
+            // A great circle leaves the chord between two of its points by an eighth of the square of their angle at most.
+            if a.angle_between(b).powi(2) / 8.0 * rows.abs() > SAGITTA {
+                [0.25, 0.5, 0.75].into_iter().for_each(|s| put(from + s * (to - from)));
+                if let Some(t) = culmination(a, b) {
+                    put(from + t * (to - from));
+                }
+            }
+        }
+        _ => (1..POINTS - 1).for_each(|i| put(from + (to - from) * i as f64 / (POINTS - 1) as f64)),
+    }
+    put(to);
+}
+
+/// Where between two points the elevation is greatest or least, if that is not at an end: z / rho is stationary there.
+fn culmination(a: DVec3, b: DVec3) -> Option<f64> {
+    let d = b - a;
+    let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
+    let t = (d.z * aa - a.z * ad) / (a.z * dd - d.z * ad);
+    (t > 0.0 && t < 1.0).then_some(t)
+}
+
+fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &SeenFeature, into: &mut Vec<Material>) {
+    let [visible] = seen.visible.as_slice() else { return };
+    let window = Window::of(image, uncertain, corners, visible);
+    let whole = seen.hidden.is_empty();
+    let holds = |p: DVec3| match image.project(uncertain.nominal(&Material::rigid(p)).p) {
+        Some(at) => whole || window.holds(at),
+        None => false,
+    };
+    let straight = matches!(image.kind, Kind::Pinhole(_));
+    let parts = if straight && whole { 1 } else { PARTS };
+    for (k, a) in corners.iter().enumerate() {
+        let b = corners[(k + 1) % corners.len()];
+        let mut before = (*a, holds(*a));
+        for i in 1..=parts {
+            let p = a.lerp(b, i as f64 / parts as f64);
+            let here = (p, holds(p));
+            if before.1 {
+                into.push(Material::rigid(before.0));
+            }
+            if before.1 != here.1 {
+                into.push(Material::rigid(crossing(before, here, &holds)));
+            }
+            before = here;
+        }
+    }
+    if !(straight && whole) {
+        inside(image, uncertain, corners, if whole { None } else { Some(window) }, into);
+    }
+}
+
+/// The last point held between one that is and one that is not.
+fn crossing(a: (DVec3, bool), b: (DVec3, bool), holds: &impl Fn(DVec3) -> bool) -> DVec3 {
+    let (mut inside, mut outside) = if a.1 { (a.0, b.0) } else { (b.0, a.0) };
+    for _ in 0..30 {
+        let middle = 0.5 * (inside + outside);
+        if holds(middle) { inside = middle } else { outside = middle }
+    }
+    inside
+}
+
+/// Points of a patch that are not on its outline: on the border of the part that is seen, and on a scanner's axis, around
+/// which a patch has no outermost points in the image.
+fn inside(
+    image: &Image<'_>,
+    uncertain: &Uncertain,
+    corners: &[DVec3],
+    window: Option<Window>,
+    into: &mut Vec<Material>,
+) {
+    let in_body: Vec<DVec3> = corners.iter().map(|c| uncertain.nominal(&Material::rigid(*c)).p).collect();
+    let Some(plane) = plane_of_polygon(&in_body) else { return };
+    let sign = plane.offset.signum();
+    let edge = |k: usize| sign * in_body[k].cross(in_body[(k + 1) % in_body.len()] - in_body[k]);
+    let edges: Vec<DVec3> = (0..in_body.len()).map(edge).collect();
+    let mut meet = |ray: DVec3| {
+        let inverse = plane.normal.dot(ray) / plane.offset;
+        if inverse > 0.0 && edges.iter().all(|e| e.dot(ray) >= 0.0) {
+            into.push(Material::rigid(uncertain.in_frame(ray / inverse)));
+        }
+    };
+    let body_from_image = image.image_from_body.transpose();
+    if let Some(Window { low, high, .. }) = window {
+        for i in 0..=PARTS {
+            let at = low + (high - low) * (i as f64 / PARTS as f64);
+            for pixel in [(at.x, low.y), (at.x, high.y), (low.x, at.y), (high.x, at.y)] {
+                if let Some(ray) = image.sensor.ray_at(pixel.0, pixel.1) {
+                    meet(body_from_image * ray);
+                }
+            }
+        }
+    }
+    if matches!(image.kind, Kind::Beams(_) | Kind::Scanner) {
+        let shown = |axis: &DVec3| match (window, image.project(body_from_image * *axis)) {
+            (Some(w), Some(at)) => (w.low.y..=w.high.y).contains(&at[1]),
+            _ => true,
+        };
+        [DVec3::Z, DVec3::NEG_Z].into_iter().filter(shown).for_each(|axis| meet(body_from_image * axis));
+    }
+}
+
+/// The part of the image in which a patch is seen.
+#[derive(Clone, Copy)]
+struct Window {
+    low: DVec2,
+    high: DVec2,
+    turn: Option<f64>,
+}
+
+impl Window {
+    /// Around samples, with what each stands for: half a step of the grid that was laid over the patch's image.
+    fn of(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], visible: &VisibleInterval) -> Self {
+        let (w, h) = image.size();
+        let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
+        let (mut low, mut high) = (most, DVec2::splat(-0.5));
+        for corner in corners {
+            match image.project(uncertain.nominal(&Material::rigid(*corner)).p).map(DVec2::from) {
+                Some(at) if matches!(image.kind, Kind::Pinhole(_)) => {
+                    (low, high) = (low.min(at).max(DVec2::splat(-0.5)), high.max(at).min(most));
+                }
+                // Behind the camera, or an image whose outline bulges: all of it at most.
+                _ => (low, high) = (DVec2::splat(-0.5), most),
+            }
+        }
+        let size = (high - low).max(DVec2::ZERO);
+        let step = (size.x * size.y / MAX_PATCH_SAMPLES as f64).sqrt().max(STEP);
+        let half = DVec2::splat(0.5 * step);
+        Self { low: visible.pixels[0] - half, high: visible.pixels[1] + half, turn: image.turn() }
+    }
+
+    fn holds(&self, [mut u, v]: [f64; 2]) -> bool {
+        if let Some(turn) = self.turn {
+            u -= turn * ((u - 0.5 * (self.low.x + self.high.x)) / turn).round();
+        }
+        u >= self.low.x && u <= self.high.x && v >= self.low.y && v <= self.high.y
+    }
+}
