@@ -8,7 +8,13 @@ pub mod roi;
 mod sample;
 mod visible;
 
+#[cfg(feature = "gpu")]
+pub(crate) use boxes::{BoxFrame, Kind as ImageKind, set as set_box};
 pub use boxes::{BoxOptions, add_boxes, sensor_covariance};
+#[cfg(all(feature = "gpu", test))]
+pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
+#[cfg(feature = "gpu")]
+pub(crate) use normal::{TAIL_STEPS, Tails};
 pub use place::place;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};

@@ -63,6 +63,7 @@ impl Tails {
     }
 
     /// Row by row, as shaders have them.
+    #[cfg(feature = "gpu")]
     pub fn rows(&self) -> &[[f64; TAIL_COLUMNS]] {
         &self.rows
     }

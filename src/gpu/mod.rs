@@ -11,6 +11,7 @@ mod grid;
 mod layout;
 mod near;
 mod resolve;
+mod roi;
 mod shaders;
 mod stage;
 mod stages;
@@ -59,6 +60,8 @@ pub struct Engine {
     rebind: bool,
     /// Stages that have a CPU twin run there: the same cores, without the detour.
     software: bool,
+    /// Made when boxes are first asked for.
+    roi: Option<roi::RoiStage>,
 }
 
 impl Engine {
@@ -83,6 +86,7 @@ impl Engine {
             placed: false,
             rebind: true,
             software,
+            roi: None,
         })
     }
 

@@ -16,16 +16,18 @@ pub(super) const RASTER_RAYS_64: &str = unit!("common.wgsl", "cones.wgsl", "rast
 pub(super) const RASTER_RAYS_32: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
 pub(super) const RESOLVE: &str = unit!("common.wgsl", "resolve.wgsl");
 pub(super) const VISIBLE: &str = unit!("common.wgsl", "visible.wgsl");
+pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
 
 #[cfg(test)]
 mod tests {
     use super::super::layout::{self, Counters, Instance, Params, Survivor};
     use super::super::visible;
+    use super::super::roi::{self, RoiBox, RoiFeature, RoiParams, RoiPoint};
     use super::*;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
-    const UNITS: [(&str, &str); 11] = [
+    const UNITS: [(&str, &str); 12] = [
         ("cull camera", CULL_CAMERA),
         ("cull scanner", CULL_SCANNER),
         ("cull rays", CULL_RAYS),
@@ -37,6 +39,7 @@ mod tests {
         ("raster rays 32", RASTER_RAYS_32),
         ("resolve", RESOLVE),
         ("visible", VISIBLE),
+        ("roi", ROI),
     ];
 
     fn parse(name: &str, text: &str) -> naga::Module {
@@ -97,6 +100,12 @@ mod tests {
         assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
             records, raster_groups, raster_y, raster_z, lost_ids);
         assert_same!(&module, Survivor: polygon, instance, lines, flags);
+        let module = parse("roi", ROI);
+        assert_same!(&module, RoiParams: sensor, by, size, turn, log_fail, lowest, first, highest, margin, bent, grazing,
+            slightly, slight, tail_steps, feature_count);
+        assert_same!(&module, RoiFeature: origin, first_point, points, first_column, object_columns, columns);
+        assert_same!(&module, RoiPoint: p, share, at, other_share, spread);
+        assert_same!(&module, RoiBox: bounds, deviations, flag, padding);
     }
 
     #[test]
@@ -133,6 +142,19 @@ mod tests {
         assert_eq!(value(&cull, "RUN_WORDS"), layout::RUN_WORDS as u32);
         let lines = parse("raster lines 32", RASTER_LINES_32);
         assert_eq!(value(&lines, "SHORT_GRID"), layout::SHORT_GRID);
+        let boxes = parse("roi", ROI);
+        for (name, ours) in [
+            ("KIND", crate::features::roi::KIND),
+            ("POINTS", roi::MAX_POINTS),
+            ("MOST", crate::features::roi::MOST),
+            ("EVENTS", crate::features::roi::EVENTS),
+            ("TAIL_CELLS", crate::features::TAIL_CELLS),
+            ("TAIL_COLUMNS", crate::features::TAIL_COLUMNS),
+            ("TAIL_ROWS", crate::features::TAIL_ROWS),
+            ("LINEAR", roi::LINEAR as usize),
+        ] {
+            assert_eq!(value(&boxes, name) as usize, ours, "{name}");
+        }
         assert_eq!(value(&rays, "TILES_PER_SUPERTILE"), layout::TILES_PER_SUPERTILE);
         let seen = parse("visible", VISIBLE);
         assert_eq!(value(&seen, "SAMPLES_AT"), visible::SAMPLES_AT as u32);

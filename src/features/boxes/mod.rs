@@ -3,7 +3,9 @@
 mod image;
 mod points;
 
-pub(crate) use image::{Image, Kind};
+use image::Image;
+#[cfg(feature = "gpu")]
+pub(crate) use image::Kind;
 
 use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Roi, Uncertain, Viewpoint, image_covariance};
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
@@ -100,6 +102,22 @@ impl<'a> BoxFrame<'a> {
         let known = |object: u32| self.objects.get(first(object)).filter(|(o, _)| *o == object).map(|(_, e)| e);
         let errors = placed.object.and_then(known);
         Uncertain::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
+    }
+
+    /// Finds the boxes of some features of a prediction.
+    #[cfg(feature = "gpu")]
+    pub fn finish(&self, prediction: &mut FeaturePrediction, placed: &[PlacedFeature], which: &[u32]) {
+        let features = &prediction.features;
+        let find = |room: &mut Room, i: &u32| {
+            let (seen, placed) = (&features[*i as usize], &placed[*i as usize]);
+            let uncertain = self.uncertain(placed);
+            points::seen(&self.image, &uncertain, seen, &mut room.points);
+            room.finder.find(&self.image, &uncertain, &room.points, &self.level)
+        };
+        let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(Room::default, find).collect();
+        for (i, found) in which.iter().zip(found) {
+            set(&mut prediction.features[*i as usize], found);
+        }
     }
 
     /// Gives a feature its covariances, and lists the points that its box is to hold; false if none is seen.

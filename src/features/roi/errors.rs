@@ -56,6 +56,14 @@ impl Viewpoint {
     }
 }
 
+impl Viewpoint {
+    /// Both vectors of an error of the sensor, negated, body axes.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn pair(&self, i: usize) -> [DVec3; 2] {
+        self.columns.pair(i)
+    }
+}
+
 /// What errors do, body axes: two vectors an error, by coordinate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Columns {
@@ -194,6 +202,7 @@ impl Uncertain {
     }
 
     /// What errors do.
+    #[cfg(feature = "gpu")]
     pub(crate) fn columns(&self) -> &Columns {
         &self.columns
     }

@@ -15,11 +15,19 @@ mod passing;
 mod seen;
 mod set;
 
-pub(crate) use errors::{Columns, ERRORS, KIND, Placed};
 pub use errors::{Material, PoseErrors, Uncertain, Viewpoint};
-pub(crate) use linear::{SLIGHT, SLIGHTLY};
 pub(crate) use passing::Level;
 pub(crate) use seen::differences;
+
+// What the shader shares.
+#[cfg(all(feature = "gpu", test))]
+pub(crate) use passing::{EVENTS, MOST};
+#[cfg(feature = "gpu")]
+pub(crate) use {
+    errors::{ERRORS, KIND},
+    linear::{SLIGHT, SLIGHTLY},
+    seen::MARGIN,
+};
 
 use glam::DVec3;
 use linear::{bent_bounds, linear_bounds};

@@ -10,10 +10,10 @@ use super::seen::{MARGIN, Seen, dot};
 use crate::features::normal::{Tails, apart, tail_quantile};
 
 /// Most points of a side that are looked at.
-const MOST: usize = 3;
+pub(crate) const MOST: usize = 3;
 
 /// Most events.
-const EVENTS: usize = 4 * MOST;
+pub(crate) const EVENTS: usize = 4 * MOST;
 
 /// What a confidence says about thresholds, made once for all features.
 #[derive(Clone, Copy, Debug)]

@@ -100,7 +100,7 @@ pub(super) fn see(uncertain: &Uncertain, all: &[Rough], k: f64, into: &mut Vec<S
 }
 
 /// Standard deviations beyond the common number at which passing a side no longer counts: at 3 less than 0.6 % of it is left.
-pub(super) const MARGIN: f64 = 1.5;
+pub(crate) const MARGIN: f64 = 1.5;
 
 /// The column nearest to another, where columns go round.
 pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) -> f64 {
