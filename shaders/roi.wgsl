@@ -229,11 +229,11 @@ fn choose_events(k: f32) {
             var next = POINTS;
             var next_deviations = 0.0;
             for (var i = 0u; i < feature.points; i++) {
-                if !(sigmas[i][c] > 0.0) {
+                if i == best || !(sigmas[i][c] > 0.0) {
                     continue;
                 }
                 let here = (limit - sign_of(side) * point_of(i).at[c]) / sigmas[i][c];
-                let after = here > deviations || here == deviations && i > at;
+                let after = at == best || here > deviations || here == deviations && i > at;
                 if after && (next == POINTS || here < next_deviations) {
                     next = i;
                     next_deviations = here;

@@ -75,11 +75,16 @@ impl Tails {
         (i, at - i as f64)
     }
 
-    /// P(X > x) for x >= 0.
-    pub fn tail(&self, x: f64) -> f64 {
+    /// Mills' ratio, P(X > x) exp(x^2 / 2), for x >= 0.
+    pub fn mills(&self, x: f64) -> f64 {
         let (i, share) = self.row(x);
         let [below, above] = [self.rows[i][0], self.rows[i + 1][0]];
-        (below + share * (above - below)) * (-0.5 * x * x).exp()
+        below + share * (above - below)
+    }
+
+    /// P(X > x) for x >= 0.
+    pub fn tail(&self, x: f64) -> f64 {
+        self.mills(x) * (-0.5 * x * x).exp()
     }
 
     /// P(Y > x | X > x) for x >= 0, by [`apart`].

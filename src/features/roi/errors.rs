@@ -88,13 +88,8 @@ impl Columns {
 
     /// The errors of a kind, by their coefficients.
     fn sum(&self, at: usize, xi: &Each) -> [DVec3; 2] {
-        let mut sum = [DVec3::ZERO; 2];
-        for i in at..at + KIND {
-            let [first, second] = self.pair(i);
-            sum[0] += first * xi[i];
-            sum[1] += second * xi[i];
-        }
-        sum
+        let part = |of: &Each| (0..KIND).map(|i| of[at + i] * xi[at + i]).sum::<f64>();
+        [&self.first, &self.second].map(|of| DVec3::new(part(&of[0]), part(&of[1]), part(&of[2])))
     }
 }
 
@@ -107,8 +102,6 @@ pub struct Uncertain {
     columns: Columns,
     /// As [`Viewpoint`]'s: of sensor, object, ends.
     sizes: [[f64; 2]; 3],
-    /// The errors that are not nothing.
-    used: [bool; ERRORS],
 }
 
 /// A material point of a feature: where it is in the feature's frame, and how much of each end's error it takes.
@@ -176,14 +169,12 @@ impl Uncertain {
         let ends = ends_errors(shape).map(|pair| pair.map(|v| body_from_frame * v));
         columns.put(2 * KIND, &ends);
         sizes[2] = self::sizes(&ends);
-        let none = [DVec3::ZERO; 2];
-        let used = std::array::from_fn(|i| columns.pair(i) != none);
-        Self { body_from_frame, origin: viewpoint.body_from_world * apart, columns, sizes, used }
+        Self { body_from_frame, origin: viewpoint.body_from_world * apart, columns, sizes }
     }
 
     /// Number of independent errors.
     pub fn dimensions(&self) -> usize {
-        self.used.iter().filter(|used| **used).count()
+        self.used().count()
     }
 
     /// Where a point comes to be, body frame, under errors `xi` (standard normal, one for each dimension); exact.
@@ -197,8 +188,7 @@ impl Uncertain {
 
     /// Numbers of the errors that are not nothing.
     pub(super) fn used(&self) -> impl Iterator<Item = usize> {
-        let used = self.used;
-        (0..ERRORS).filter(move |i| used[*i])
+        (0..ERRORS).filter(|i| self.columns.pair(*i) != [DVec3::ZERO; 2])
     }
 
     /// What errors do.
@@ -239,19 +229,38 @@ impl Uncertain {
     /// Derivatives, by each error at none, of what has the gradient `g` at a point.
     pub(super) fn slopes(&self, point: &Placed, g: DVec3) -> Each {
         let mut slopes = [0.0; ERRORS];
-        let mut add = |at: usize, g: DVec3, w: DVec3| {
-            let (a, b) = (&self.columns.first, &self.columns.second);
-            for i in at..at + KIND {
-                slopes[i] =
-                    a[0][i] * g.x + a[1][i] * g.y + a[2][i] * g.z + b[0][i] * w.x + b[1][i] * w.y + b[2][i] * w.z;
-            }
-        };
-        add(0, g, point.p.cross(g));
+        self.put_slopes(&mut slopes, 0, [g, point.p.cross(g)]);
         if self.has_object() {
-            add(KIND, g, point.q.cross(g));
+            self.put_slopes(&mut slopes, KIND, [g, point.q.cross(g)]);
         }
-        add(2 * KIND, point.shares[0] * g, point.shares[1] * g);
+        self.put_slopes(&mut slopes, 2 * KIND, point.shares.map(|share| share * g));
         slopes
+    }
+
+    /// Derivatives by each error at errors `xi`, which brought a point to `there`, of what has the gradient `g` there.
+    /// An angle changed by d turns what Exp(angle) has turned by J d, with J the left Jacobian of the rotations.
+    pub(super) fn slopes_at(&self, point: &Placed, xi: &Each, there: DVec3, g: DVec3) -> Each {
+        let mut slopes = [0.0; ERRORS];
+        let [_, turn] = self.columns.sum(0, xi);
+        self.put_slopes(&mut slopes, 0, [turned(-turn, g), left_jacobian(-turn, there.cross(g))]);
+        let mut g = turned(-turn, g);
+        if self.has_object() {
+            let [_, turn] = self.columns.sum(KIND, xi);
+            let [first, second] = self.columns.sum(2 * KIND, xi);
+            let v = turned(turn, point.q + first * point.shares[0] + second * point.shares[1]);
+            self.put_slopes(&mut slopes, KIND, [g, left_jacobian(-turn, v.cross(g))]);
+            g = turned(-turn, g);
+        }
+        self.put_slopes(&mut slopes, 2 * KIND, point.shares.map(|share| share * g));
+        slopes
+    }
+
+    /// Derivatives by the errors of a kind, of which the two vectors meet two others.
+    fn put_slopes(&self, slopes: &mut Each, at: usize, [g, w]: [DVec3; 2]) {
+        let (a, b) = (&self.columns.first, &self.columns.second);
+        for i in at..at + KIND {
+            slopes[i] = a[0][i] * g.x + a[1][i] * g.y + a[2][i] * g.z + b[0][i] * w.x + b[1][i] * w.y + b[2][i] * w.z;
+        }
     }
 
     /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
@@ -275,6 +284,23 @@ fn turned(turn: DVec3, v: DVec3) -> DVec3 {
     let versine = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0)));
     let across = turn.cross(v);
     v + sine * across + versine * turn.cross(across)
+}
+
+/// J v, with J the left Jacobian of the rotation by `turn`: its transpose is that of the rotation back.
+fn left_jacobian(turn: DVec3, v: DVec3) -> DVec3 {
+    let square = turn.length_squared();
+    // (1 - cos a) / a^2 and (a - sin a) / a^3.
+    let (versine, rest) = if square > 0.06 {
+        let angle = square.sqrt();
+        ((1.0 - angle.cos()) / square, (angle - angle.sin()) / (square * angle))
+    } else {
+        (
+            0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
+            (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))) / 6.0,
+        )
+    };
+    let across = turn.cross(v);
+    v + versine * across + rest * turn.cross(across)
 }
 
 fn sizes(pairs: &[[DVec3; 2]; KIND]) -> [f64; 2] {

@@ -41,7 +41,8 @@ pub(super) fn bent_bounds(
         if s.sigma[c] <= 0.0 {
             continue;
         }
-        let xi = s.slopes[c].map(|x| sign * k * x / s.sigma[c]);
+        let scale = sign * k / s.sigma[c];
+        let xi = s.slopes[c].map(|x| scale * x);
         let mut at = projection.project(uncertain.moved(&s.rough.point, &xi))?;
         at[0] = unwrapped(projection, at[0], s.rough.at[0]);
         let off = [0, 1].map(|c| at[c] - s.rough.at[c] - dot(&s.slopes[c], &xi));

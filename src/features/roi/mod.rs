@@ -1,13 +1,73 @@
-//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.4).
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
 //!
 //! Errors of the sensor's pose, of the object's pose and of the feature are one standard normal vector, taken through
-//! square roots of their covariances. A side of the box is passed by the feature when a linear function of that vector
-//! passes a threshold; the thresholds are set at the same number k of standard deviations on all sides, and k so that the
-//! probability to pass any of them is at most 1 - confidence: Bonferroni's sum less the joint tails along a greatest
-//! spanning tree (Hunter 1976, Worsley 1982), which is a bound for any correlations and nearly exact for few events.
+//! square roots of their covariances (`errors`). A side of the box is passed by the feature when a linear function of that
+//! vector passes a threshold; the thresholds are set at the same number k of standard deviations on all sides, and k so that
+//! the probability to pass any of them is at most 1 - confidence (`passing`): for events `A_i` of which each has the tail
+//! `P(A_i) = 1 - Phi(b_i)`,
+//!
+//! ```text
+//! P(A_1 or .. or A_n) <= sum_i P(A_i) - sum_(i,j in T) P(A_i and A_j)
+//! ```
+//!
+//! for any spanning tree T (Hunter 1976, "An upper bound for the probability of a union", J. Appl. Prob. 13; Worsley 1982, "An
+//! improved Bonferroni inequality and applications", Biometrika 69), least for the greatest tree, and nearly exact for few
+//! events. Joint tails are tabulated by Owen's function (Owen 1956; Genz 2004, "Numerical computation of rectangular bivariate
+//! and trivariate normal and t probabilities", Stat. Comput. 14, compares the ways).
 //!
 //! Where projection bends over the reach of the errors, the side is instead the farthest value over all errors of that size
-//! (the design point of first-order reliability), with the size raised for the curvature there (Breitung 1984).
+//! (the design point of first-order reliability), with the size raised for the curvature there (Breitung 1984; `set`).
+//!
+//! # The paper's Fig. 10
+//!
+//! A robot knows where it is to 3 cm in x and y, and its heading to 1 degree. In which columns will it find a vertical line
+//! 4 m ahead that is known to 1 cm? Sideways errors count by the distance, the heading as it is:
+//!
+//! ```
+//! use glam::{DMat3, DVec3};
+//! use presight::Pose;
+//! use presight::environment::FeatureShape;
+//! use presight::features::roi::{Material, Projection, RoiFlag, Uncertain, roi};
+//!
+//! /// A pinhole camera of 640 x 480 pixels, body axes: x forward, y left, z up.
+//! struct Camera;
+//! impl Projection for Camera {
+//!     fn project(&self, p: DVec3) -> Option<[f64; 2]> {
+//!         (p.x > 0.0).then(|| [319.5 - 500.0 * p.y / p.x, 239.5 - 500.0 * p.z / p.x])
+//!     }
+//!     fn lever(&self, p: DVec3) -> f64 {
+//!         p.x
+//!     }
+//!     fn size(&self) -> (u32, u32) {
+//!         (640, 480)
+//!     }
+//!     fn turn(&self) -> Option<f64> {
+//!         None
+//!     }
+//! }
+//!
+//! let (xy, heading, line) = (0.03, 1f64.to_radians(), 0.01);
+//! let mut robot = [[0.0; 6]; 6];
+//! for (i, sigma) in [(0, xy), (1, xy), (5, heading)] {
+//!     robot[i][i] = sigma * sigma;
+//! }
+//! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
+//! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
+//! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
+//! let uncertain = Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape);
+//! let points = [0.0, 1.0].map(|t| Material::on_segment(&ends, t));
+//! let found = roi(&Camera, &uncertain, &points, 0.99).expect("it is before the camera");
+//!
+//! let sigma = 500.0 * ((xy * xy + line * line) / 16.0 + heading * heading).sqrt();
+//! let [left, _, right, _] = found.bounds;
+//! // Left or right alone would be passed at 2.58 sigma; with both ends, top and bottom besides it is a little more.
+//! let deviations = 0.5 * (right - left) / sigma;
+//! assert!(2.58 < deviations && deviations < 3.1, "{deviations}");
+//! assert!((0.5 * (left + right) - 319.5).abs() < 0.1);
+//! assert_eq!(found.flag, RoiFlag::Linear);
+//! ```
+//!
+//! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.
 
 mod errors;
 mod linear;
@@ -86,7 +146,7 @@ pub trait Projection: Sync {
 
     /// Derivatives of column and row by the position of a point whose image is `at`; by differences unless told better.
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
-        seen::differences(self, p_in_body, at)
+        differences(self, p_in_body, at)
     }
 
     /// Derivative of the lever.

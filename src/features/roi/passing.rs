@@ -70,7 +70,7 @@ pub(super) fn common_deviation(seen: &[Seen], level: &Level) -> f64 {
     let excess = |k: f64| events.passed(k - level.first, tails).ln() - wanted;
     let within = |k: f64| k.clamp(level.lowest, level.highest);
     // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
-    let hazard = |k: f64| (0.398_942_280_401_432_7 * (-0.5 * k * k).exp()) / tails.tail(k);
+    let hazard = |k: f64| 0.398_942_280_401_432_7 / tails.mills(k);
     let before = excess(level.first);
     let k = within(level.first + before / hazard(level.first));
     let step = k - level.first;
@@ -87,16 +87,17 @@ impl Events {
     fn new(seen: &[Seen], k: f64, tails: &Tails) -> Self {
         let none = Event::default();
         let mut all = Self { events: [none; EVENTS], count: 0, parents: [(0, -1.0); EVENTS] };
+        let at_first = tails.tail(k);
         for side in SIDES {
             let c = side.0;
             let maker =
                 (0..seen.len()).fold(0, |b, i| if seen[i].reach(side, k) > seen[b].reach(side, k) { i } else { b });
             let (limit, sigma) = (seen[maker].reach(side, k), seen[maker].sigma[c]);
             let first = all.count;
-            let mut at = Some(maker);
-            while let Some(i) = at {
+            let mut at = Some((f64::NEG_INFINITY, maker));
+            while let Some((nearest, i)) = at {
                 let s = &seen[i];
-                let deviations = (limit - side.1 * s.rough.at[c]) / s.sigma[c];
+                let deviations = nearest.max(k);
                 if !(s.sigma[c] > 0.0 && deviations < k + MARGIN) {
                     break;
                 }
@@ -106,14 +107,17 @@ impl Events {
                 };
                 if !all.events[first..all.count].iter().any(one) {
                     let rate = sigma / s.sigma[c];
-                    all.events[all.count] = Event { seen: i, side, deviations, rate, tail: tails.tail(deviations) };
+                    // Those that make a side are all as far.
+                    let tail = if deviations == k { at_first } else { tails.tail(deviations) };
+                    all.events[all.count] = Event { seen: i, side, deviations, rate, tail };
                     all.count += 1;
                 }
                 if all.count == first + MOST {
                     break;
                 }
                 // The next nearest.
-                at = next(seen, side, limit, (deviations, i));
+                let after = if i == maker { (f64::NEG_INFINITY, 0) } else { (nearest, i) };
+                at = next(seen, side, limit, maker, after);
             }
         }
         all
@@ -124,6 +128,7 @@ impl Events {
         let mut best = [-1.0f64; EVENTS];
         let mut out = [true; EVENTS];
         let mut last = 0;
+        let mut products = Products::new(seen);
         for _ in 1..self.count {
             out[last] = false;
             let mut next = usize::MAX;
@@ -131,7 +136,7 @@ impl Events {
                 let (a, b) = (&self.events[i], &self.events[last]);
                 let (x, y) = (&seen[a.seen], &seen[b.seen]);
                 let ((c, s), (d, t)) = (a.side, b.side);
-                let rho = s * t * dot(&x.slopes[c], &y.slopes[d]) / (x.sigma[c] * y.sigma[d]);
+                let rho = s * t * products.of((a.seen, c), (b.seen, d)) / (x.sigma[c] * y.sigma[d]);
                 // What goes opposite ways hardly ever happens together.
                 if rho > 0.0 {
                     let apart = apart(rho);
@@ -156,7 +161,13 @@ impl Events {
         for i in 0..self.count {
             let e = &self.events[i];
             let deviations = (e.deviations + more * e.rate).max(0.0);
-            reach[i] = (deviations, tails.tail(deviations));
+            let same = reach[..i].last().filter(|r| r.0 == deviations);
+            reach[i] = match same {
+                _ if more == 0.0 => (e.deviations, e.tail),
+                Some(known) => *known,
+                None if deviations == reach[0].0 => reach[0],
+                None => (deviations, tails.tail(deviations)),
+            };
         }
         let mut sum = 0.0;
         for i in 0..self.count {
@@ -171,14 +182,43 @@ impl Events {
     }
 }
 
-/// The point that comes next after one with so many deviations, by deviations and then by number.
-fn next(seen: &[Seen], (c, sign): (usize, f64), limit: f64, after: (f64, usize)) -> Option<usize> {
+/// Columns and rows of four points.
+const DIRECTIONS: usize = 8;
+
+/// Scalar products of slopes, each made once: both ways through a side are one direction.
+struct Products<'a> {
+    seen: &'a [Seen],
+    known: [[f64; DIRECTIONS]; DIRECTIONS],
+}
+
+impl<'a> Products<'a> {
+    fn new(seen: &'a [Seen]) -> Self {
+        Self { seen, known: [[f64::NAN; DIRECTIONS]; DIRECTIONS] }
+    }
+
+    fn of(&mut self, (a, c): (usize, usize), (b, d): (usize, usize)) -> f64 {
+        let made = || dot(&self.seen[a].slopes[c], &self.seen[b].slopes[d]);
+        let (i, j) = (2 * a + c, 2 * b + d);
+        if i.max(j) >= DIRECTIONS {
+            return made();
+        }
+        if self.known[i][j].is_nan() {
+            let product = made();
+            (self.known[i][j], self.known[j][i]) = (product, product);
+        }
+        self.known[i][j]
+    }
+}
+
+/// The point that comes next after one with so many deviations, by deviations and then by number; not the one that makes
+/// the side.
+fn next(seen: &[Seen], (c, sign): (usize, f64), limit: f64, maker: usize, after: (f64, usize)) -> Option<(f64, usize)> {
     let mut best: Option<(f64, usize)> = None;
-    for (i, s) in seen.iter().enumerate().filter(|(_, s)| s.sigma[c] > 0.0) {
+    for (i, s) in seen.iter().enumerate().filter(|(i, s)| *i != maker && s.sigma[c] > 0.0) {
         let here = ((limit - sign * s.rough.at[c]) / s.sigma[c], i);
         if here > after && best.is_none_or(|b| here < b) {
             best = Some(here);
         }
     }
-    best.map(|b| b.1)
+    best
 }

@@ -1,6 +1,6 @@
 //! Nominal images of material points, with what each error does to them.
 
-use super::errors::{Each, Material, Placed, Uncertain};
+use super::errors::{Each, KIND, Material, Placed, Uncertain};
 use super::{Projection, SIDES};
 use glam::DVec3;
 
@@ -39,15 +39,11 @@ impl Seen {
     }
 }
 
-/// Lanes of a sum: the compiler adds side by side only what it is told to.
-const LANES: usize = 6;
-
+/// Side by side for each kind: the compiler adds in lanes only what it is told to.
 pub(super) fn dot(a: &Each, b: &Each) -> f64 {
-    let mut sums = [0.0; LANES];
-    for at in (0..a.len()).step_by(LANES) {
-        for k in 0..LANES {
-            sums[k] += a[at + k] * b[at + k];
-        }
+    let mut sums = [0.0; KIND];
+    for k in 0..KIND {
+        sums[k] = a[k] * b[k] + a[KIND + k] * b[KIND + k] + a[2 * KIND + k] * b[2 * KIND + k];
     }
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + (sums[4] + sums[5])
 }

@@ -21,10 +21,12 @@ pub(super) fn set_bounds(
     let seen: Vec<Seen> = rough.iter().map(|rough| Seen::new(uncertain, rough)).collect();
     // All of the ball: no set of errors of that probability is larger.
     let ball = ball_radius(uncertain.dimensions(), level.fail).max(linear);
-    let farthest = |side, reach: f64| -> Option<(f64, f64)> {
+    // Where each point was farthest towards each side: where the next search begins.
+    let mut known: Vec<[Option<Each>; 4]> = vec![[None; 4]; seen.len()];
+    let mut farthest = |side: usize, reach: f64| -> Option<(f64, f64)> {
         let mut best = (f64::NEG_INFINITY, 1.0);
-        for s in &seen {
-            let found = farthest_value(projection, uncertain, s, side, reach)?;
+        for (s, known) in seen.iter().zip(&mut known) {
+            let found = farthest_value(projection, uncertain, s, SIDES[side], reach, &mut known[side])?;
             if found.0 > best.0 {
                 best = found;
             }
@@ -36,10 +38,10 @@ pub(super) fn set_bounds(
     for _ in 0..4 {
         let mut limits = [0.0; 4];
         let mut growth: f64 = 1.0;
-        for (limit, side) in limits.iter_mut().zip(SIDES) {
+        for (side, limit) in limits.iter_mut().enumerate() {
             let (value, factor) = farthest(side, reach)?;
             growth = growth.max(factor);
-            *limit = side.1 * value;
+            *limit = SIDES[side].1 * value;
         }
         let wanted = tail_quantile((tail(linear) / growth).max(1e-300)).max(linear).min(ball);
         if wanted <= reach + 1e-3 {
@@ -49,8 +51,8 @@ pub(super) fn set_bounds(
         reach = wanted;
     }
     let mut limits = [0.0; 4];
-    for (limit, side) in limits.iter_mut().zip(SIDES) {
-        *limit = side.1 * farthest(side, ball.max(reach))?.0;
+    for (side, limit) in limits.iter_mut().enumerate() {
+        *limit = SIDES[side].1 * farthest(side, ball.max(reach))?.0;
     }
     let [right, left, bottom, top] = limits;
     Some([left, top, right, bottom])
@@ -64,9 +66,11 @@ fn farthest_value(
     seen: &Seen,
     (c, sign): (usize, f64),
     reach: f64,
+    known: &mut Option<Each>,
 ) -> Option<(f64, f64)> {
+    let point = &seen.rough.point;
     let value = |xi: &Each| -> Option<f64> {
-        let p = uncertain.moved(&seen.rough.point, xi);
+        let p = uncertain.moved(point, xi);
         let mut at = projection.project(p)?;
         if projection.lever(p) <= GRAZING * seen.rough.lever {
             return None;
@@ -77,13 +81,17 @@ fn farthest_value(
     if seen.sigma[c] <= 0.0 && seen.rough.spread <= 0.0 {
         return Some((sign * seen.rough.at[c], 1.0));
     }
-    let start = if seen.sigma[c] > 0.0 { &seen.slopes[c] } else { &seen.slopes[1 - c] };
-    let length = dot(start, start).sqrt().max(f64::MIN_POSITIVE);
+    let start = match known {
+        Some(known) => known.map(|x| sign * x),
+        None if seen.sigma[c] > 0.0 => seen.slopes[c],
+        None => seen.slopes[1 - c],
+    };
+    let length = dot(&start, &start).sqrt().max(f64::MIN_POSITIVE);
     let mut xi = start.map(|x| sign * x / length * reach);
     let mut best = value(&xi)?;
     // The derivative at no error may miss the way that matters: a turn moves what is straight ahead up or down by the
     // second order only. So each axis is tried as well.
-    for i in uncertain.used() {
+    for i in uncertain.used().filter(|_| known.is_none()) {
         for reach in [reach, -reach] {
             let mut axis = [0.0; ERRORS];
             axis[i] = reach;
@@ -95,11 +103,9 @@ fn farthest_value(
     }
     let mut slope = [0.0; ERRORS];
     for _ in 0..6 {
-        for i in uncertain.used() {
-            let (mut up, mut down) = (xi, xi);
-            (up[i], down[i]) = (up[i] + 1e-4, down[i] - 1e-4);
-            slope[i] = (value(&up)? - value(&down)?) / 2e-4;
-        }
+        let there = uncertain.moved(point, &xi);
+        let gradient = projection.gradient(there, projection.project(there)?)?[c];
+        slope = uncertain.slopes_at(point, &xi, there, sign * gradient);
         let length = dot(&slope, &slope).sqrt();
         if length == 0.0 {
             break;
@@ -111,6 +117,7 @@ fn farthest_value(
         }
         (xi, best) = (next, there);
     }
+    *known = Some(xi);
     let gradient = dot(&slope, &slope).sqrt();
     if gradient == 0.0 || reach <= 0.0 {
         return Some((best, 1.0));

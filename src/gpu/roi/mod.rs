@@ -3,7 +3,9 @@
 
 mod plan;
 
-pub(super) use plan::{MAX_POINTS, RoiBox, RoiFeature, RoiParams, RoiPlan, RoiPoint};
+#[cfg(test)]
+pub(super) use plan::MAX_POINTS;
+pub(super) use plan::{RoiBox, RoiFeature, RoiParams, RoiPlan, RoiPoint};
 
 use super::Engine;
 use super::buffers::{Growable, Mapping, Uploads};

@@ -1,0 +1,533 @@
+//! Regions of interest held to draws of the errors: boxes hold as often as they say, and are hardly larger than the best.
+//!
+//! The draws know nothing of the code under test: poses and points are moved in space by errors from a Cholesky
+//! decomposition of their own, and imaged by `Sensor::project`. `PRESIGHT_DRAWS` sets their number; the default is 10^6
+//! where `CI` is set and 10^5 elsewhere.
+
+mod common;
+
+use common::{Random, env_number, scenes};
+use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
+use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
+use presight::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval, add_boxes,
+    predict_features,
+};
+use presight::{Angles, Camera, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+type Covariance = [[f64; 6]; 6];
+const CONFIDENCES: [f64; 3] = [0.9, 0.99, 0.999];
+
+fn draws() -> usize {
+    let default = if std::env::var_os("CI").is_some() { 1_000_000 } else { 100_000 };
+    env_number("PRESIGHT_DRAWS", default) as usize
+}
+
+/// 640 x 480 pixels.
+fn camera() -> Sensor {
+    let camera = Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5);
+    Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap()
+}
+
+/// All round, from pole to pole.
+fn scanner() -> Sensor {
+    let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 0.5, count: 720 };
+    let elevation = Angles::Uniform { start_deg: -90.0, step_deg: 1.0, count: 181 };
+    let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
+    Sensor::new(SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner))).unwrap()
+}
+
+/// L with L L^T the covariance, zero where it is singular.
+fn cholesky(covariance: &Covariance) -> Covariance {
+    let mut l = [[0.0; 6]; 6];
+    for j in 0..6 {
+        let rest = covariance[j][j] - (0..j).map(|k| l[j][k] * l[j][k]).sum::<f64>();
+        if rest <= 1e-12 * covariance[j][j] {
+            continue;
+        }
+        l[j][j] = rest.sqrt();
+        for i in j + 1..6 {
+            l[i][j] = (covariance[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>()) / l[j][j];
+        }
+    }
+    l
+}
+
+/// Standard normal numbers, by Box and Muller.
+struct Normal(Random, Option<f64>);
+
+impl Normal {
+    fn next(&mut self) -> f64 {
+        if let Some(kept) = self.1.take() {
+            return kept;
+        }
+        let length = (-2.0 * self.0.uniform(0.0, 1.0).max(1e-300).ln()).sqrt();
+        let (sin, cos) = self.0.uniform(0.0, TAU).sin_cos();
+        self.1 = Some(length * sin);
+        length * cos
+    }
+
+    /// Two vectors with the covariance L L^T.
+    fn pair(&mut self, l: &Covariance) -> [DVec3; 2] {
+        let mut x = [0.0; 6];
+        for j in (0..6).filter(|j| l[*j][*j] > 0.0) {
+            let normal = self.next();
+            (j..6).for_each(|i| x[i] += l[i][j] * normal);
+        }
+        [DVec3::new(x[0], x[1], x[2]), DVec3::new(x[3], x[4], x[5])]
+    }
+}
+
+fn ends_covariance(shape: &FeatureShape) -> Covariance {
+    let mut all = [[0.0; 6]; 6];
+    let mut put = |row: usize, column: usize, m: &DMat3| {
+        for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+            all[row + i][column + j] = m.col(j)[i];
+        }
+    };
+    match shape {
+        FeatureShape::Segment { covariances: [a, b], cross, .. } => {
+            put(0, 0, a);
+            put(3, 3, b);
+            put(0, 3, cross);
+            put(3, 0, &cross.transpose());
+        }
+        FeatureShape::Point { covariance, .. } | FeatureShape::Patch { covariance, .. } => put(0, 0, covariance),
+        other => panic!("{other:?}"),
+    }
+    all
+}
+
+/// Material points in the feature's frame with the shares of both ends' errors.
+fn material(shape: &FeatureShape, parts: usize) -> Vec<(DVec3, [f64; 2])> {
+    match shape {
+        FeatureShape::Segment { ends: [a, b], .. } => {
+            let at = |i: usize| i as f64 / parts as f64;
+            (0..=parts).map(|i| (a.lerp(*b, at(i)), [1.0 - at(i), at(i)])).collect()
+        }
+        other => other.points().iter().map(|p| (*p, [1.0, 0.0])).collect(),
+    }
+}
+
+/// One feature before one sensor, seen whole.
+#[derive(Clone)]
+struct Case {
+    name: String,
+    sensor: Sensor,
+    pose: Pose,
+    covariance: Covariance,
+    shape: FeatureShape,
+    /// Greatest area beside the best box, if the case is to be tight.
+    tight: Option<f64>,
+}
+
+type Reach = Option<[f64; 4]>;
+
+impl Case {
+    fn found(&self, confidence: f64) -> ([f64; 4], &'static str) {
+        let feature = Feature {
+            id: 1,
+            name: None,
+            object: None,
+            shape: self.shape.clone(),
+            existence: Existence::default(),
+            properties: Properties::default(),
+        };
+        let placed = PlacedFeature { feature: feature.clone(), object: None, slots: Vec::new() };
+        let seen = SeenFeature {
+            feature,
+            points_world: self.shape.points().to_vec(),
+            normal_world: None,
+            visible_fraction: 1.0,
+            visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
+            hidden: Vec::new(),
+            range: None,
+            cos_incidence: None,
+            existence: 1.0,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+        };
+        let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
+        let world = World::new(Environment::default());
+        let options = BoxOptions { sensor: self.covariance, confidence, ..BoxOptions::default() };
+        add_boxes(&mut prediction, &[placed], &world, &self.sensor, &self.pose, &options).unwrap();
+        let seen = &prediction.features[0];
+        (seen.roi.expect("it has an image"), seen.roi_flag.expect("with a flag"))
+    }
+
+    /// Where the feature's image reaches in each draw: x0, y0, x1, y1, unwrapped to the nominal; `None` where a point has
+    /// none. With `clipped` only points that are in the image count: what has left it need not be found there.
+    fn reaches(&self, seed: u64, draws: usize, clipped: bool) -> Vec<Reach> {
+        const CHUNK: usize = 10_000;
+        let (sensor_root, ends_root) = (cholesky(&self.covariance), cholesky(&ends_covariance(&self.shape)));
+        let points = material(&self.shape, 8);
+        let turn = self.sensor.columns_of_a_turn();
+        let image_from_body = self.sensor.body_from_image().transpose();
+        let image_from_world = image_from_body * self.pose.rotation_matrix().transpose();
+        let (w, h) = (f64::from(self.sensor.width()) - 0.5, f64::from(self.sensor.height()) - 0.5);
+        let (near, _) = self.sensor.project(image_from_world * (points[0].0 - self.pose.translation)).unwrap();
+        let one = |normal: &mut Normal| -> Reach {
+            let [shift, angle] = normal.pair(&sensor_root);
+            let ends = normal.pair(&ends_root);
+            // The pose is Exp(angle) R, t + shift.
+            let turned = image_from_world * DMat3::from_quat(DQuat::from_scaled_axis(-angle));
+            let mut reach = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+            for (at, shares) in &points {
+                let p = *at + ends[0] * shares[0] + ends[1] * shares[1] - self.pose.translation - shift;
+                let Some((mut u, v)) = self.sensor.project(turned * p) else {
+                    if clipped {
+                        continue;
+                    }
+                    return None;
+                };
+                let inside = v >= -0.5 && v <= h && (turn.is_some() || u >= -0.5 && u <= w);
+                if clipped && !inside {
+                    continue;
+                }
+                u -= turn.map_or(0.0, |turn| turn * ((u - near) / turn).round());
+                reach = [reach[0].min(u), reach[1].min(v), reach[2].max(u), reach[3].max(v)];
+            }
+            Some(reach)
+        };
+        let chunk = |i: usize| {
+            let mut normal = Normal(Random(seed.wrapping_mul(1 << 32).wrapping_add(i as u64)), None);
+            (0..CHUNK.min(draws - i * CHUNK)).map(|_| one(&mut normal)).collect::<Vec<_>>()
+        };
+        (0..draws.div_ceil(CHUNK)).into_par_iter().flat_map_iter(chunk).collect()
+    }
+
+    fn missed(&self, bounds: &[f64; 4], flag: &str, reaches: &[Reach]) -> f64 {
+        let turn = self.sensor.columns_of_a_turn().unwrap_or(0.0);
+        let holds = |reach: &Reach| {
+            let Some(r) = reach else { return false };
+            let across = |shift: f64| r[0] + shift >= bounds[0] - 1e-9 && r[2] + shift <= bounds[2] + 1e-9;
+            flag == "whole_image"
+                || r[0] > r[2]
+                || [-turn, 0.0, turn].into_iter().any(across) && r[1] >= bounds[1] - 1e-9 && r[3] <= bounds[3] + 1e-9
+        };
+        reaches.par_iter().filter(|r| !holds(r)).count() as f64 / reaches.len() as f64
+    }
+
+    /// What is wrong, at any confidence.
+    fn check(&self) -> Vec<String> {
+        let n = draws();
+        let reaches = self.reaches(11, n, true);
+        let others = self.tight.map(|_| Best::new(&self.reaches(12, n.min(200_000), false)));
+        let mut wrong = Vec::new();
+        for confidence in CONFIDENCES {
+            let (bounds, flag) = self.found(confidence);
+            let missed = self.missed(&bounds, flag, &reaches);
+            let fail = 1.0 - confidence;
+            let most = 1.1 * fail + 3.0 * (fail * confidence / n as f64).sqrt();
+            let name = format!("{}, {}, {confidence}: {bounds:.2?} {flag}", self.name, self.sensor.spec().name);
+            let mut line = format!("{name}: missed {missed:.5} of {fail:.3}");
+            if missed > most {
+                wrong.push(format!("{name}: missed {missed}, at most {most}"));
+            }
+            let (w, h) = (f64::from(self.sensor.width()) - 0.5, f64::from(self.sensor.height()) - 0.5);
+            let all_round = self.sensor.columns_of_a_turn().is_some();
+            let cut = bounds[1] <= -0.5 || bounds[3] >= h || !all_round && (bounds[0] <= -0.5 || bounds[2] >= w);
+            if let (Some(tight), Some(best), false) = (self.tight, &others, cut) {
+                let ratio = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / best.area(confidence);
+                line += &format!(", {ratio:.3} x the best");
+                if !(ratio <= tight) || flag == "whole_image" {
+                    wrong.push(format!("{name}: {ratio} times the best area"));
+                }
+            }
+            println!("{line}");
+        }
+        wrong
+    }
+}
+
+/// Draws, and their sides in order.
+struct Best {
+    known: Vec<[f64; 4]>,
+    sorted: [Vec<f64>; 4],
+    lost: usize,
+}
+
+impl Best {
+    fn new(reaches: &[Reach]) -> Self {
+        let known: Vec<[f64; 4]> = reaches.iter().flatten().copied().collect();
+        let sorted = std::array::from_fn(|c| {
+            let mut values: Vec<f64> = known.iter().map(|r| r[c]).collect();
+            values.par_sort_unstable_by(f64::total_cmp);
+            values
+        });
+        Self { lost: reaches.len() - known.len(), known, sorted }
+    }
+
+    /// The least area of boxes that hold so many of the draws: sides at tails in several proportions, as rare as can be.
+    fn area(&self, confidence: f64) -> f64 {
+        let patterns: Vec<[f64; 4]> = [0.5, 1.0, 2.0]
+            .into_iter()
+            .flat_map(|x| [[x, 1.0, x, 1.0], [x, 1.0, 1.0, 1.0], [1.0, x, 1.0, 1.0], [1.0, 1.0, x, 1.0]])
+            .collect();
+        patterns.par_iter().map(|weights| self.area_at(confidence, weights)).reduce(|| f64::INFINITY, f64::min)
+    }
+
+    fn area_at(&self, confidence: f64, weights: &[f64; 4]) -> f64 {
+        let n = self.known.len();
+        let bounds = |tail: f64| {
+            let low = |c: usize| ((tail * weights[c] * n as f64) as usize).min(n - 1);
+            let s = &self.sorted;
+            [s[0][low(0)], s[1][low(1)], s[2][n - 1 - low(2)], s[3][n - 1 - low(3)]]
+        };
+        let share = |b: &[f64; 4]| {
+            let inside = |r: &&[f64; 4]| r[0] >= b[0] && r[1] >= b[1] && r[2] <= b[2] && r[3] <= b[3];
+            self.known.iter().filter(inside).count() as f64 / (n + self.lost) as f64
+        };
+        let (mut low, mut high) = (0.0, 1.0 - confidence);
+        for _ in 0..16 {
+            let middle = 0.5 * (low + high);
+            if share(&bounds(middle)) >= confidence { low = middle } else { high = middle }
+        }
+        let b = bounds(low);
+        (b[2] - b[0]).max(1.0) * (b[3] - b[1]).max(1.0)
+    }
+}
+
+fn diagonal(sigmas: [f64; 6]) -> Covariance {
+    let mut m = [[0.0; 6]; 6];
+    for (i, s) in sigmas.into_iter().enumerate() {
+        m[i][i] = s * s;
+    }
+    m
+}
+
+fn isotropic(sigma: f64) -> DMat3 {
+    DMat3::from_diagonal(DVec3::splat(sigma * sigma))
+}
+
+fn segment(a: DVec3, b: DVec3, sigma: f64) -> FeatureShape {
+    FeatureShape::Segment { ends: [a, b], covariances: [isotropic(sigma); 2], cross: DMat3::ZERO }
+}
+
+fn assert_all(cases: &[Case]) {
+    let wrong: Vec<String> = cases.iter().flat_map(Case::check).collect();
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+/// With both sensors, from the origin.
+fn both(name: &str, covariance: Covariance, shape: FeatureShape, tight: Option<f64>) -> [Case; 2] {
+    [camera(), scanner()].map(|sensor| {
+        let shape = shape.clone();
+        Case { name: name.to_owned(), sensor, pose: Pose::IDENTITY, covariance, shape, tight }
+    })
+}
+
+fn robot(xy: f64, heading_deg: f64) -> Covariance {
+    diagonal([xy, xy, 0.0, 0.0, 0.0, heading_deg.to_radians()])
+}
+
+fn post(x: f64, y: f64, sigma: f64) -> FeatureShape {
+    segment(DVec3::new(x, y, -0.8), DVec3::new(x, y, 0.7), sigma)
+}
+
+fn point(x: f64, y: f64, z: f64, covariance: DMat3) -> FeatureShape {
+    FeatureShape::Point { at: DVec3::new(x, y, z), covariance }
+}
+
+#[test]
+fn comfortable_boxes_hold_as_often_as_they_say_and_are_tight() {
+    let mut correlated = diagonal([0.05, 0.05, 0.05, 0.01, 0.01, 0.01]);
+    (correlated[0][5], correlated[5][0]) = (4e-4, 4e-4);
+    (correlated[1][5], correlated[5][1]) = (-4.5e-4, -4.5e-4);
+    let slanting = segment(DVec3::new(4.0, -1.0, -0.6), DVec3::new(6.0, 1.0, 0.8), 0.03);
+    let square = [(-0.3, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.3, 0.3)].map(|(y, z)| DVec3::new(5.0 + 0.5 * y, y, z));
+    let patch = FeatureShape::Patch { corners: square.to_vec(), covariance: isotropic(0.01) };
+    assert_all(
+        &[
+            both("a post, robot uncertain in x, y and heading", robot(0.03, 1.0), post(5.0, 0.4, 0.01), Some(1.15)),
+            both("a point", robot(0.05, 1.0), point(6.0, -1.0, 0.5, isotropic(0.05)), Some(1.15)),
+            both("a point, all pose errors", correlated, point(6.0, -1.0, 0.5, isotropic(0.05)), Some(1.15)),
+            both("a slanting edge", robot(0.02, 0.5), slanting, Some(1.15)),
+            both("a patch", robot(0.03, 1.0), patch, Some(1.15)),
+            both("only the feature", diagonal([0.0; 6]), point(4.0, 0.3, 0.2, isotropic(0.04)), Some(1.15)),
+        ]
+        .concat(),
+    );
+}
+
+#[test]
+fn extreme_boxes_hold_as_often_as_they_say() {
+    let line = DVec3::new(0.3, 0.2, 0.5);
+    let singular = DMat3::from_cols(line * line.x, line * line.y, line * line.z) * 0.01;
+    let near = segment(DVec3::new(0.3, 0.0, -0.05), DVec3::new(0.3, 0.0, 0.05), 0.002);
+    let kilometre = diagonal([1e3, 1e3, 1e3, 0.0, 0.0, 0.1]);
+    assert_all(
+        &[
+            both("nothing is uncertain", diagonal([0.0; 6]), point(4.0, 0.3, 0.2, DMat3::ZERO), None),
+            both("a singular covariance", diagonal([0.0; 6]), point(4.0, 0.3, 0.2, singular), Some(2.0)),
+            both("a post 3 m ahead", robot(0.15, 4.0), post(3.0, 0.1, 0.01), Some(2.0)),
+            both("a post 1.5 m ahead", robot(0.1, 5.0), post(1.5, 0.1, 0.01), Some(2.0)),
+            both("0.3 m ahead, heading 20 degrees", robot(0.02, 20.0), near, Some(2.0)),
+            both("sigma 1e-9 m", diagonal([1e-9; 6]), point(4.0, 0.3, 0.2, isotropic(1e-9)), None),
+            both("sigma 1e3 m", kilometre, point(4.0, 0.3, 0.2, isotropic(1e-9)), None),
+        ]
+        .concat(),
+    );
+}
+
+/// A covariance of random directions, sometimes singular.
+fn any_covariance(random: &mut Random, position: f64, angle: f64) -> Covariance {
+    let root: [[f64; 6]; 6] = std::array::from_fn(|i| {
+        let sigma = if i < 3 { position } else { angle };
+        std::array::from_fn(|_| sigma / 6f64.sqrt() * random.uniform(-1.0, 1.0) * 3f64.sqrt())
+    });
+    let rank = 3 + random.below(4);
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..rank).map(|k| root[i][k] * root[j][k]).sum()))
+}
+
+/// Points, edges and patches around `distance` ahead.
+fn any_shape(random: &mut Random, distance: f64, sigma: f64) -> FeatureShape {
+    let at = distance * DVec3::new(1.0, random.uniform(-0.2, 0.2), random.uniform(-0.15, 0.15));
+    let mut by = || DVec3::from_array([0; 3].map(|_| random.uniform(-0.1, 0.1))) * distance;
+    let (along, across) = (by(), by());
+    match random.below(4) {
+        0 => FeatureShape::Point { at, covariance: isotropic(sigma) },
+        1 => {
+            let corners = [at - along, at - across, at + along, at + across].to_vec();
+            FeatureShape::Patch { corners, covariance: isotropic(sigma) }
+        }
+        _ => segment(at - along, at + along, sigma),
+    }
+}
+
+fn family(seed: u64, count: usize, distances: [f64; 2], relative: f64, heading_deg: f64, tight: f64) -> Vec<Case> {
+    let mut random = Random(seed);
+    let one = |i: usize| {
+        let distance = distances[0] * (distances[1] / distances[0]).powf(random.uniform(0.0, 1.0));
+        let position = relative * distance * random.uniform(0.2, 1.0);
+        let angle = heading_deg.to_radians() * random.uniform(0.2, 1.0);
+        let covariance = any_covariance(&mut random, position, angle);
+        let sigma = 0.3 * position * random.uniform(0.0, 1.0);
+        let shape = any_shape(&mut random, distance, sigma);
+        let sensor = if i % 2 == 0 { camera() } else { scanner() };
+        Case {
+            name: format!("family {seed}, {i}"),
+            sensor,
+            pose: Pose::IDENTITY,
+            covariance,
+            shape,
+            tight: Some(tight),
+        }
+    };
+    (0..count).map(one).collect()
+}
+
+/// Range sigma up to 5 %, angles up to 2 degrees, away from border and seam.
+#[test]
+fn a_comfortable_family_is_tight() {
+    assert_all(&family(1, 16, [2.0, 20.0], 0.05 / 3f64.sqrt(), 2.0, 1.15));
+}
+
+#[test]
+fn a_family_beyond_is_at_most_twice_the_best() {
+    assert_all(&family(2, 12, [0.5, 5.0], 0.12, 6.0, 2.0));
+}
+
+/// Hardly indefinite, as files may be: the box is that of the nearest covariance.
+#[test]
+fn covariances_at_the_limit_of_what_is_accepted_are_sound() {
+    let (shape, mut wrong) = (point(6.0, -1.0, 0.5, isotropic(0.01)), diagonal([0.1, 0.05, 0.02, 0.0, 0.0, 0.02]));
+    let put = |m: &mut Covariance, i: usize, j: usize, rho: f64| {
+        m[i][j] = rho * (m[i][i] * m[j][j]).sqrt();
+        m[j][i] = m[i][j];
+    };
+    for (i, j) in [(0, 1), (0, 2), (1, 2)] {
+        put(&mut wrong, i, j, 1.0);
+    }
+    let sound = wrong;
+    for off in [1e-5, -1e-5] {
+        put(&mut wrong, 1, 2, 1.0 + off);
+        // A remainder far smaller than what is off beside it: a pivot that would blow up.
+        wrong[2][2] = sound[2][2] * (1.0 + 1e-13);
+        let cases = both("at the limit", wrong, shape.clone(), None);
+        for (case, clean) in cases.iter().zip(&both("sound", sound, shape.clone(), None)) {
+            assert_all(std::slice::from_ref(case));
+            let size = |b: [f64; 4]| [b[2] - b[0], b[3] - b[1]];
+            let (got, expected) = (size(case.found(0.99).0), size(clean.found(0.99).0));
+            let same = (0..2).all(|k| (got[k] / expected[k] - 1.0).abs() < 0.01);
+            assert!(same, "{}: {got:?} and {expected:?}", case.sensor.spec().name);
+        }
+    }
+}
+
+fn patch(corners: [DVec3; 4], sigma: f64) -> FeatureShape {
+    FeatureShape::Patch { corners: corners.to_vec(), covariance: isotropic(sigma) }
+}
+
+/// The box of a feature in a world, by way of what is seen of it.
+fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
+    let (existence, properties) = (Existence::default(), Properties::default());
+    let feature = Feature { id: 1, name: None, object: None, shape: case.shape.clone(), existence, properties };
+    let placed = [PlacedFeature { feature, object: None, slots: Vec::new() }];
+    let images = common::reference(&common::plan(world, &case.sensor, &case.pose));
+    let options = FeatureOptions::default();
+    let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();
+    let options = BoxOptions { sensor: case.covariance, confidence, ..BoxOptions::default() };
+    add_boxes(&mut prediction, &placed, world, &case.sensor, &case.pose, &options).unwrap();
+    prediction.features[0].roi.expect("it is seen")
+}
+
+/// A wall, half of it behind a pillar: the box is that of the other half.
+#[test]
+fn patches_seen_in_part_have_the_boxes_of_that_part() {
+    let mut environment = scenes::empty();
+    let pillar = scenes::cuboid(Vec3::new(3.0, 0.5, -4.0), Vec3::new(3.2, 6.0, 4.0));
+    environment.insert(NewObject::new("pillar", Pose::IDENTITY, Arc::new(pillar))).unwrap();
+    let world = World::new(environment);
+    let wall = |left: f64| [(-3.0, -1.0), (left, -1.0), (left, 1.0), (-3.0, 1.0)].map(|(y, z)| DVec3::new(5.0, y, z));
+    for case in both("half a wall", robot(0.03, 1.0), patch(wall(3.0), 0.01), None) {
+        let shape = patch(wall(5.0 * 0.5 / 3.0), 0.01);
+        let half = Case { shape, ..case.clone() };
+        let reaches = half.reaches(3, draws().min(200_000), true);
+        for confidence in CONFIDENCES {
+            let bounds = box_in(&world, &case, confidence);
+            let fail = 1.0 - confidence;
+            let missed = half.missed(&bounds, "linear", &reaches);
+            let most = 1.1 * fail + 3.0 * (fail * confidence / reaches.len() as f64).sqrt();
+            assert!(missed <= most, "{}: missed {missed}", case.sensor.spec().name);
+            let best = Best::new(&half.reaches(4, 100_000, false)).area(confidence);
+            let ratio = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / best;
+            assert!(ratio <= 1.15, "{}: {ratio} times the best", case.sensor.spec().name);
+        }
+    }
+}
+
+/// A strip of floor that begins behind the camera: its corners there have no image, and yet it reaches the lower border.
+#[test]
+fn patches_that_begin_behind_the_camera_reach_the_border() {
+    let strip = [(-10.0, -1.0), (10.0, -1.0), (10.0, 1.0), (-10.0, 1.0)].map(|(x, y)| DVec3::new(x, y, -1.2));
+    let [case, _] = both("a strip of floor", diagonal([1e-6; 6]), patch(strip, 0.0), None);
+    let [x0, y0, x1, y1] = box_in(&World::new(scenes::empty()), &case, 0.99);
+    // At the lower border, 240 pixels below the middle, it is 2.5 m away and 400 pixels wide; at its end 10 m away.
+    assert!((y1 - 479.5).abs() < 1.0 && (y0 - 299.5).abs() < 2.0, "{y0} {y1}");
+    assert!((x0 - 119.5).abs() < 3.0 && (x1 - 519.5).abs() < 3.0, "{x0} {x1}");
+}
+
+/// Planted faults: each side drawn in by a fifth, and two axes of the covariance swapped.
+#[test]
+fn boxes_drawn_in_are_noticed() {
+    let [case, _] = both("a post", robot(0.03, 1.0), post(5.0, 0.4, 0.01), None);
+    let reaches = case.reaches(5, draws().min(200_000), true);
+    let (good, flag) = case.found(0.99);
+    assert!(case.missed(&good, flag, &reaches) < 0.0115);
+    for side in 0..4 {
+        let mut bad = good;
+        bad[side] += (good[2 + side % 2] - good[side % 2]) * if side < 2 { 0.2 } else { -0.2 };
+        let missed = case.missed(&bad, flag, &reaches);
+        assert!(missed > 0.02, "side {side}: {missed}");
+    }
+    let mut swapped = case.clone();
+    swapped.covariance.swap(4, 5);
+    swapped.covariance.iter_mut().for_each(|row| row.swap(4, 5));
+    let (bad, flag) = swapped.found(0.99);
+    assert!(case.missed(&bad, flag, &reaches) > 0.02);
+}
