@@ -4,7 +4,7 @@ use crate::cpu;
 use crate::error::{Error, ErrorKind, Result};
 #[cfg(feature = "gpu")]
 use crate::features::Visibility;
-use crate::features::{FeatureOptions, FeaturePrediction, PlacedFeature, Prepared};
+use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, Prepared, add_boxes};
 use crate::geometry::Pose;
 #[cfg(feature = "gpu")]
 use crate::gpu;
@@ -244,6 +244,49 @@ impl Predictor {
             stats.count(name, n);
         }
         Ok(prediction)
+    }
+
+    /// Gives features their boxes, as [`crate::features::add_boxes`] does, on the predictor's own threads, or on the device
+    /// where that is no program on the same cores.
+    ///
+    /// # Errors
+    /// As [`crate::features::add_boxes`]; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] of a GPU that was asked
+    /// for by name; [`ErrorKind::System`] if threads cannot be started.
+    #[expect(clippy::too_many_arguments, reason = "those of a prediction, its features, and where its cost is told")]
+    pub fn add_boxes(
+        &mut self,
+        prediction: &mut FeaturePrediction,
+        placed: &[PlacedFeature],
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        options: &BoxOptions,
+        stats: &mut Stats,
+    ) -> Result<()> {
+        let start = Instant::now();
+        #[cfg(feature = "gpu")]
+        if let Engine::Gpu(engine) = &mut self.engine
+            && engine.proposes()
+        {
+            let pool = match self.pool.take() {
+                Some(pool) => pool,
+                None => cpu::threads(self.options.threads)?,
+            };
+            let pool = self.pool.insert(pool);
+            match pool.install(|| engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options)) {
+                Ok(made) => {
+                    stats.count("regions of interest made on the device", made);
+                    stats.stage("regions of interest", start);
+                    return Ok(());
+                }
+                // The CPU finds the same; the next prediction opens the device again.
+                Err(e) if self.options.backend == Backend::Auto && e.kind() != ErrorKind::Usage => {}
+                Err(e) => return Err(e),
+            }
+        }
+        self.on_threads(|| add_boxes(prediction, placed, world, sensor, world_from_sensor, options))??;
+        stats.stage("regions of interest", start);
+        Ok(())
     }
 
     /// Does something on the predictor's own threads.

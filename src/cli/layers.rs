@@ -5,8 +5,7 @@ use super::pose::GivenPose;
 use super::pose_cov;
 use super::print;
 use crate::error::{Error, Result};
-use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature};
-use crate::features::{add_boxes, place};
+use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, place};
 use crate::geometry::Pose;
 use crate::io::{layer, prediction_json};
 use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
@@ -14,7 +13,6 @@ use crate::predict::{Prediction, Predictor};
 use crate::sensor::Sensor;
 use crate::virtual_sensors::{VirtualReading, VirtualSensor};
 use std::path::PathBuf;
-use std::time::Instant;
 
 /// Which features are predicted, and where they go.
 #[derive(Debug, clap::Args)]
@@ -188,9 +186,7 @@ impl Layers {
         let (world, placed) = (&scene.world, &self.placed);
         let mut features = predictor.predict_features(world, sensor, pose, images, placed, &self.options, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
-        let start = Instant::now();
-        predictor.on_threads(|| add_boxes(&mut features, placed, world, sensor, pose, &self.boxes))??;
-        stats.stage("regions of interest", start);
+        predictor.add_boxes(&mut features, placed, world, sensor, pose, &self.boxes, stats)?;
         Ok(features)
     }
 }

@@ -22,12 +22,13 @@ pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
 mod tests {
     use super::super::layout::{self, Counters, Instance, Params, Survivor};
     use super::super::roi::{self, RoiBox, RoiFeature, RoiParams, RoiPoint};
+    use super::super::roi::{self, RoiBox, RoiFeature, RoiParams, RoiPoint};
     use super::super::visible;
     use super::*;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
-    const UNITS: [(&str, &str); 11] = [
+    const UNITS: [(&str, &str); 12] = [
         ("cull camera", CULL_CAMERA),
         ("cull scanner", CULL_SCANNER),
         ("cull rays", CULL_RAYS),

@@ -81,7 +81,14 @@ fn culmination(a: DVec3, b: DVec3) -> Option<f64> {
 fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &SeenFeature, into: &mut Vec<Material>) {
     let [visible] = seen.visible.as_slice() else { return };
     let window = Window::of(image, uncertain, corners, visible);
-    let whole = seen.hidden.is_empty();
+    // What is outside the image is no hidden part: a patch is seen whole only if its corners are in the image.
+    let (w, h) = image.size();
+    let inside_image = |corner: &DVec3| {
+        let at = image.project(uncertain.nominal(&Material::rigid(*corner)).p);
+        let within = |x: f64, size: u32| (-0.5..=f64::from(size) - 0.5).contains(&x);
+        at.is_some_and(|[u, v]| within(u, w) && within(v, h))
+    };
+    let whole = seen.hidden.is_empty() && corners.iter().all(inside_image);
     let holds = |p: DVec3| match image.project(uncertain.nominal(&Material::rigid(p)).p) {
         Some(at) => whole || window.holds(at),
         None => false,
@@ -102,6 +109,12 @@ fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &See
             }
             before = here;
         }
+    }
+    if into.is_empty() {
+        // Seen from its edge, at its middle.
+        into.extend(
+            corners.iter().map(|p| Material::rigid(*p)).filter(|p| image.project(uncertain.nominal(p).p).is_some()),
+        );
     }
     if !(straight && whole) {
         inside(image, uncertain, corners, if whole { None } else { Some(window) }, into);
@@ -167,7 +180,7 @@ struct Window {
 }
 
 impl Window {
-    /// Around samples, with what each stands for: half a step of the grid that was laid over the patch's image.
+    /// Around samples, by a step of the grid that was laid over the patch's image: so far off may the next one be, and not seen.
     fn of(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], visible: &VisibleInterval) -> Self {
         let (w, h) = image.size();
         let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
@@ -183,8 +196,8 @@ impl Window {
         }
         let size = (high - low).max(DVec2::ZERO);
         let step = (size.x * size.y / MAX_PATCH_SAMPLES as f64).sqrt().max(STEP);
-        let half = DVec2::splat(0.5 * step);
-        Self { low: visible.pixels[0] - half, high: visible.pixels[1] + half, turn: image.turn() }
+        let (low, high) = (visible.pixels[0] - step, visible.pixels[1] + step);
+        Self { low, high, turn: image.turn() }
     }
 
     fn holds(&self, [mut u, v]: [f64; 2]) -> bool {

@@ -122,6 +122,22 @@ fn farthest_value(
     if gradient == 0.0 || reach <= 0.0 {
         return Some((best, 1.0));
     }
+    let growth = growth(uncertain, &value, &xi, best, gradient, reach)?;
+    // Passed on both sides of no error alike: twice as often.
+    let opposite = value(&xi.map(|x| -x))?;
+    let twice = if best - opposite < 0.3 * gradient * reach { 2.0 } else { 1.0 };
+    Some((best, twice * growth * growth.sqrt()))
+}
+
+/// By how much more than at a flat limit errors pass beyond the design point `xi`, for one axis in its bend.
+fn growth(
+    uncertain: &Uncertain,
+    value: &impl Fn(&Each) -> Option<f64>,
+    xi: &Each,
+    best: f64,
+    gradient: f64,
+    reach: f64,
+) -> Option<f64> {
     // Along a great circle the value falls by gradient * reach * angle^2 / 2 if the limit is flat, less if it bends round.
     let angle = 0.2f64;
     let mut growth = 1.0;
@@ -143,10 +159,7 @@ fn farthest_value(
         // Several axes may lie in the same bend: the worst stands for all but one more.
         growth = f64::max(growth, 1.0 / share.sqrt());
     }
-    // Passed on both sides of no error alike: twice as often.
-    let opposite = value(&xi.map(|x| -x))?;
-    let twice = if best - opposite < 0.3 * gradient * reach { 2.0 } else { 1.0 };
-    Some((best, twice * growth * growth.sqrt()))
+    Some(growth)
 }
 
 /// The radius of the ball that holds a standard normal vector with probability 1 - fail (Wilson and Hilferty, which is
