@@ -265,7 +265,7 @@ impl Predictor {
     ) -> Result<()> {
         let start = Instant::now();
         #[cfg(feature = "gpu")]
-        if let Engine::Gpu(engine) = &mut self.engine
+        if let Engine::Gpu(engine, _) = &mut self.engine
             && engine.proposes()
         {
             let pool = match self.pool.take() {
