@@ -110,14 +110,14 @@ fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &See
             before = here;
         }
     }
+    if !(straight && whole) {
+        inside(image, uncertain, corners, if whole { None } else { Some(window) }, into);
+    }
     if into.is_empty() {
         // Seen from its edge, at its middle.
         into.extend(
             corners.iter().map(|p| Material::rigid(*p)).filter(|p| image.project(uncertain.nominal(p).p).is_some()),
         );
-    }
-    if !(straight && whole) {
-        inside(image, uncertain, corners, if whole { None } else { Some(window) }, into);
     }
 }
 
