@@ -1,6 +1,7 @@
 //! The paper's Fig. 10: a robot uncertain in x, y and heading looks for a vertical line. Prints how wide the region of
 //! interest is at several distances, and draws it over lines seen from 150 drawn poses:
 //! `cargo run --example region_of_interest -- region_of_interest.svg`.
+#![expect(clippy::print_stdout, reason = "an example prints")]
 
 use glam::{DMat3, DVec3};
 use plotters::prelude::*;

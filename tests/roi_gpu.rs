@@ -185,7 +185,7 @@ fn ahead(
         let at = distance * DVec3::new(1.0, side, random.uniform(-0.3, 0.3));
         let mut by = || DVec3::from_array([0; 3].map(|_| random.uniform(-0.1, 0.1))) * distance;
         let (along, across) = (by(), by());
-        let object = (id % 3 == 0 && !objects.is_empty()).then(|| id / 3 % objects.len() as u32);
+        let object = (id.is_multiple_of(3) && !objects.is_empty()).then(|| id / 3 % objects.len() as u32);
         let world_from_frame = object.map_or(Pose::IDENTITY, |o| objects[o as usize].world_from_object);
         let place = |p: DVec3| {
             let p = pose.transform_point(p) - world_from_frame.translation;

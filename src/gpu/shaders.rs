@@ -21,8 +21,8 @@ pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
 #[cfg(test)]
 mod tests {
     use super::super::layout::{self, Counters, Instance, Params, Survivor};
-    use super::super::visible;
     use super::super::roi::{self, RoiBox, RoiFeature, RoiParams, RoiPoint};
+    use super::super::visible;
     use super::*;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
