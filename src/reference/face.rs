@@ -55,7 +55,10 @@ impl Face {
     pub fn renew(&mut self, instance: &Instance, mesh: &Mesh, polygon: u32) {
         let image_from_mesh = instance.image_from_mesh;
         let Self { in_mesh, relative, corners, edges, .. } = self;
-        (in_mesh.clear(), relative.clear(), corners.clear(), edges.clear());
+        for list in [&mut *in_mesh, &mut *relative, &mut *corners] {
+            list.clear();
+        }
+        edges.clear();
         in_mesh.extend(mesh.corners_of(polygon));
         relative.extend(in_mesh.iter().map(|p| p - instance.center_in_mesh));
         corners.extend(relative.iter().map(|p| image_from_mesh * *p));
