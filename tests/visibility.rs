@@ -563,7 +563,6 @@ fn visible_fractions_agree_in_five_environments() {
                 }
                 assert!(off <= most, "{scene} {}: {off} off of {length} pixels", seen.feature.id);
                 *worst = worst.max(off);
-                assert!(off <= most, "{scene} {}: {off} off of {length} pixels", seen.feature.id);
                 long += usize::from(length > 50.0);
                 short += usize::from(length <= 50.0);
                 partly += usize::from((0.01..0.99).contains(&seen.visible_fraction));
