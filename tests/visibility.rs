@@ -517,7 +517,7 @@ fn visible_fractions_agree_in_five_environments() {
     for scene in data::SCENES {
         let Some(world) = data::scene(scene, true) else { return };
         let sensor = scenes::camera(512, 384);
-        let (mut long, mut short, mut partly) = (0, 0, 0);
+        let (mut long, mut short, mut partly, mut ties) = (0, 0, 0, 0);
         let (mut worst_share, mut worst_pixels) = (0.0f64, 0.0f64);
         for pose in data::poses(&world, 2, env_number("PRESIGHT_SEED", 1)) {
             let placed = near_edges(&world, &pose, 1500, &mut random);
@@ -526,22 +526,43 @@ fn visible_fractions_agree_in_five_environments() {
             let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
             for (placed, seen) in placed.iter().zip(&prediction.features) {
                 let [a, b] = [0, 1].map(|i| world_from_image.transpose() * (seen.points_world[i] - pose.translation));
-                let (mut length, mut clear) = (0.0, 0.0);
-                Sampler::new(&sensor).segment(a, b, &mut |piece| {
-                    let Piece::Inside(s) = piece else { return };
-                    let (range, ray) = (s.at.length(), world_from_image * s.at.normalize());
-                    length += s.weight;
-                    let end = range * (1.0 - SHORT_IN_F32);
-                    clear += if oracle.hides(pose.translation, ray, end, &placed.slots) { 0.0 } else { s.weight };
-                });
+                // Length, what the oracle sees of it, and what it sees or not within a sixteenth of a pixel.
+                let lengths = |careful: bool| {
+                    let (mut length, mut clear, mut unsure) = (0.0, 0.0, 0.0);
+                    Sampler::new(&sensor).segment(a, b, &mut |piece| {
+                        let Piece::Inside(s) = piece else { return };
+                        let end = s.at.length() * (1.0 - SHORT_IN_F32);
+                        let hides =
+                            |ray: DVec3| oracle.hides(pose.translation, world_from_image * ray, end, &placed.slots);
+                        let hidden = hides(s.at.normalize());
+                        let around =
+                            (0..8).map(|k| DVec2::from_angle(f64::from(k) * std::f64::consts::FRAC_PI_4) / 16.0);
+                        let mut rays = around.filter_map(|by| sensor.ray_at(s.pixel.x + by.x, s.pixel.y + by.y));
+                        length += s.weight;
+                        if careful && rays.any(|ray| hides(ray) != hidden) {
+                            unsure += s.weight;
+                        } else if !hidden {
+                            clear += s.weight;
+                        }
+                    });
+                    (length, clear, unsure)
+                };
+                let (length, clear, _) = lengths(false);
                 if length == 0.0 {
                     continue;
                 }
-                let off = (clear / length - seen.visible_fraction).abs();
                 let (worst, most) = if length > 50.0 { (&mut worst_share, 0.02) } else { (&mut worst_pixels, 1.0) };
-                let off = if length > 50.0 { off } else { off * length };
-                *worst = worst.max(off);
+                let unit = if length > 50.0 { 1.0 } else { length };
+                let mut off = (clear / length - seen.visible_fraction).abs() * unit;
+                if off > most {
+                    // An edge seen along another's: either is right.
+                    let (_, clear, unsure) = lengths(true);
+                    let (low, high) = (clear / length, (clear + unsure) / length);
+                    off = (low - seen.visible_fraction).max(seen.visible_fraction - high).max(0.0) * unit;
+                    ties += 1;
+                }
                 assert!(off <= most, "{scene} {}: {off} off of {length} pixels", seen.feature.id);
+                *worst = worst.max(off);
                 long += usize::from(length > 50.0);
                 short += usize::from(length <= 50.0);
                 partly += usize::from((0.01..0.99).contains(&seen.visible_fraction));
@@ -549,8 +570,9 @@ fn visible_fractions_agree_in_five_environments() {
         }
         eprintln!(
             "{scene}: {long} features over 50 pixels, off by {worst_share:.4} at most; {short} shorter, {worst_pixels:.3} \
-             pixels; {partly} seen in part"
+             pixels; {partly} seen in part, {ties} along others"
         );
+        assert!(ties * 50 <= long + short, "{scene}: {ties} ties");
         assert!(long >= 10 && short >= 10 && partly > 0, "{scene}");
     }
 }
