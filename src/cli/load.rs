@@ -1,5 +1,6 @@
 //! Reads what commands name: scenes and sensors.
 
+#[cfg(feature = "script")]
 use super::print;
 use crate::acquire::{ImportReport, Imported};
 #[cfg(not(all(feature = "script", feature = "store")))]

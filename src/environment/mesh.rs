@@ -251,7 +251,7 @@ impl Mesh {
     }
 
     /// The same polygons of other materials.
-    #[cfg(feature = "store")]
+    #[cfg(any(feature = "script", feature = "store"))]
     pub(crate) fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
         let mut mesh = self.clone();
         mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
