@@ -6,6 +6,7 @@ mod place;
 mod prediction;
 pub mod roi;
 mod sample;
+mod straight;
 mod visible;
 
 #[cfg(feature = "gpu")]

@@ -5,7 +5,7 @@ use super::known::{Known, Nearer};
 use super::tally::{State, Tally};
 use super::{Frame, Visibility};
 use crate::features::Reason;
-use crate::features::sample::Straight;
+use crate::features::straight::Straight;
 use glam::DVec3;
 use std::ops::Range;
 
