@@ -572,7 +572,8 @@ fn visible_fractions_agree_in_five_environments() {
             "{scene}: {long} features over 50 pixels, off by {worst_share:.4} at most; {short} shorter, {worst_pixels:.3} \
              pixels; {partly} seen in part, {ties} along others"
         );
-        assert!(ties * 50 <= long + short, "{scene}: {ties} ties");
+        // As for samples: under a twentieth may be left to the oracle's own doubt.
+        assert!(ties * 20 <= long + short, "{scene}: {ties} ties");
         assert!(long >= 10 && short >= 10 && partly > 0, "{scene}");
     }
 }

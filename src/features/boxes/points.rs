@@ -196,8 +196,14 @@ impl Window {
         }
         let size = (high - low).max(DVec2::ZERO);
         let step = (size.x * size.y / MAX_PATCH_SAMPLES as f64).sqrt().max(STEP);
-        let (low, high) = (visible.pixels[0] - step, visible.pixels[1] + step);
-        Self { low, high, turn: image.turn() }
+        let (mut low, mut high) = (visible.pixels[0] - step, visible.pixels[1] + step);
+        // Beyond the border nothing is seen; around a turn there is none at the sides.
+        let turn = image.turn();
+        (low.y, high.y) = (low.y.max(-0.5), high.y.min(most.y));
+        if turn.is_none() {
+            (low.x, high.x) = (low.x.max(-0.5), high.x.min(most.x));
+        }
+        Self { low, high, turn }
     }
 
     fn holds(&self, [mut u, v]: [f64; 2]) -> bool {

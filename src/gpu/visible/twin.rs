@@ -186,14 +186,13 @@ fn the_device_answers_as_its_twin() {
             let seen = count(|a| *a == Proposal::Seen);
             let ties = differing(&twin);
             eprintln!("{hidden} hidden, {seen} seen of {}, {ties} otherwise than the twin", answers.len());
-            assert!(hidden > 300 && seen > 100 && hidden + seen < 3990, "{hidden} {seen}");
+            assert!(hidden > 100 && seen > 100 && hidden + seen < 3990, "{hidden} {seen}");
             // Products of three terms may be contracted: what is within 2^-22 of an edge or of its own range.
             assert!(ties <= 4, "{ties}");
             // A planted fault: the planes of all polygons turned round.
             for record in left.slots.iter().map(|s| s[3]).filter(|r| *r < STAMPED) {
-                if let Some(word) = left.records.get_mut(record as usize) {
-                    *word ^= STAMPED;
-                }
+                let normal = left.records.get_mut(record as usize..record as usize + 3);
+                normal.into_iter().flatten().for_each(|word| *word ^= STAMPED);
             }
             assert!(differing(&left.answers(&asked)) > 100);
         }
