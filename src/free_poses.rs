@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::index::{Found, Region};
 use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
+use crate::random::SplitMix64;
 use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use crate::world::World;
 use glam::DVec3;
@@ -29,7 +30,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
     let bounds = world.environment().bounds();
     let sensor = all_round()?;
     let mut engine = Engine::new(0)?;
-    let mut random = Random(seed);
+    let mut random = SplitMix64(seed);
     let mut found = Found::default();
     let mut poses = Vec::with_capacity(n);
     for _ in 0..TRIES * n {
@@ -53,20 +54,6 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
         ));
     }
     Ok(poses)
-}
-
-/// SplitMix64: good enough to spread poses, and the same everywhere.
-struct Random(u64);
-
-impl Random {
-    /// Uniform in 0..1.
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
 }
 
 /// Rays spread evenly over the sphere along a spiral (Fibonacci lattice).

@@ -56,6 +56,7 @@ pub mod limits;
 pub mod plan;
 mod predict;
 pub mod probe;
+mod random;
 pub mod reference;
 pub mod report;
 pub mod sensor;

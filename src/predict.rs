@@ -228,7 +228,8 @@ impl Predictor {
         options: &FeatureOptions,
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
-        let start = Instant::now();
+        #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "the device's part is told apart"))]
+        let mut start = Instant::now();
         let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
         #[cfg(feature = "gpu")]
         let told = if placed.is_empty() || options.visibility == Visibility::Rays {
@@ -236,6 +237,11 @@ impl Predictor {
         } else {
             self.told(&prepared, world, sensor, world_from_sensor, placed, stats)?
         };
+        #[cfg(feature = "gpu")]
+        if told.is_some() {
+            stats.stage("features on the device", start);
+            start = Instant::now();
+        }
         #[cfg(not(feature = "gpu"))]
         let told: Option<Vec<Vec<Option<u32>>>> = None;
         let prediction = self.on_threads(|| prepared.finish(told.as_deref()))?;
@@ -268,11 +274,7 @@ impl Predictor {
         if let Engine::Gpu(engine, _) = &mut self.engine
             && engine.proposes()
         {
-            let pool = match self.pool.take() {
-                Some(pool) => pool,
-                None => cpu::threads(self.options.threads)?,
-            };
-            let pool = self.pool.insert(pool);
+            let pool = pool_of(&mut self.pool, self.options.threads)?;
             match pool.install(|| engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options)) {
                 Ok(made) => {
                     stats.count("regions of interest made on the device", made);
@@ -297,13 +299,7 @@ impl Predictor {
         match &self.engine {
             Engine::Cpu(engine) => Ok(engine.on_threads(work)),
             #[cfg(feature = "gpu")]
-            Engine::Gpu(..) => {
-                let pool = match self.pool.take() {
-                    Some(pool) => pool,
-                    None => cpu::threads(self.options.threads)?,
-                };
-                Ok(self.pool.insert(pool).install(work))
-            }
+            Engine::Gpu(..) => Ok(pool_of(&mut self.pool, self.options.threads)?.install(work)),
         }
     }
 
@@ -327,7 +323,6 @@ impl Predictor {
         if !there || !self.plan.as_ref().is_some_and(same) {
             return Ok(None);
         }
-        let start = Instant::now();
         let asking = self.on_threads(|| prepared.asking())?;
         let mut asked = gpu::Asked::new(asking.iter().map(Vec::len).sum(), sensor);
         for (samples, placed) in asking.iter().zip(placed) {
@@ -352,7 +347,6 @@ impl Predictor {
             "feature samples in doubt on the device",
             told.iter().flatten().filter(|t| t.is_none()).count() - seen,
         );
-        stats.stage("features on the device", start);
         Ok(Some(told))
     }
 
@@ -425,6 +419,16 @@ impl Predictor {
         };
         move || device.iter().for_each(|lose| lose())
     }
+}
+
+/// The threads of a predictor whose engine has none, started when they are first needed.
+#[cfg(feature = "gpu")]
+fn pool_of(pool: &mut Option<rayon::ThreadPool>, threads: usize) -> Result<&rayon::ThreadPool> {
+    let started = match pool.take() {
+        Some(started) => started,
+        None => cpu::threads(threads)?,
+    };
+    Ok(pool.insert(started))
 }
 
 /// No GPU engine was built.

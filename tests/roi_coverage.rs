@@ -8,12 +8,9 @@
 mod common;
 
 use common::{Random, env_number, scenes};
-use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval, add_boxes,
-    predict_features,
-};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, add_boxes, predict_features};
 use presight::{Angles, Camera, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -137,21 +134,8 @@ impl Case {
             existence: Existence::default(),
             properties: Properties::default(),
         };
-        let placed = PlacedFeature { feature: feature.clone(), object: None, slots: Vec::new() };
-        let seen = SeenFeature {
-            feature,
-            points_world: self.shape.points().to_vec(),
-            normal_world: None,
-            visible_fraction: 1.0,
-            visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
-            hidden: Vec::new(),
-            range: None,
-            cos_incidence: None,
-            existence: 1.0,
-            roi: None,
-            roi_flag: None,
-            image_covariance: None,
-        };
+        let seen = common::seen_whole(&feature);
+        let placed = PlacedFeature { feature, object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
         let options = BoxOptions { sensor: self.covariance, confidence, ..BoxOptions::default() };

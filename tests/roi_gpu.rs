@@ -6,11 +6,10 @@
 mod common;
 
 use common::{Random, data, scenes};
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval, add_boxes, place,
-    predict_features,
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, add_boxes, place, predict_features,
 };
 use presight::gpu::{DeviceOptions, Engine};
 use presight::io::gltf::{ImportOptions, import};
@@ -139,21 +138,8 @@ fn check(name: &str, engine: &mut Engine, setting: &Setting<'_>) -> usize {
 }
 
 fn all_seen(placed: &[PlacedFeature]) -> FeaturePrediction {
-    let seen = |placed: &PlacedFeature| SeenFeature {
-        feature: placed.feature.clone(),
-        points_world: placed.feature.shape.points().to_vec(),
-        normal_world: None,
-        visible_fraction: 1.0,
-        visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
-        hidden: Vec::new(),
-        range: None,
-        cos_incidence: None,
-        existence: 1.0,
-        roi: None,
-        roi_flag: None,
-        image_covariance: None,
-    };
-    FeaturePrediction { features: placed.iter().map(seen).collect(), ..FeaturePrediction::default() }
+    let features = placed.iter().map(|p| common::seen_whole(&p.feature)).collect();
+    FeaturePrediction { features, ..FeaturePrediction::default() }
 }
 
 /// A random covariance of a standard deviation, sometimes singular.

@@ -7,6 +7,9 @@ pub mod hard;
 pub mod oracle;
 pub mod scenes;
 
+use glam::DVec2;
+use presight::environment::Feature;
+use presight::features::{SeenFeature, VisibleInterval};
 use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
 
 /// A plan that asks for everything.
@@ -21,6 +24,24 @@ pub fn reference(plan: &FramePlan) -> Images {
     let mut images = Images::default();
     presight::reference::render(plan, &mut images).expect("the reference renders");
     images
+}
+
+/// A feature as if all of it were seen, for what follows from that.
+pub fn seen_whole(feature: &Feature) -> SeenFeature {
+    SeenFeature {
+        feature: feature.clone(),
+        points_world: feature.shape.points().to_vec(),
+        normal_world: None,
+        visible_fraction: 1.0,
+        visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
+        hidden: Vec::new(),
+        range: None,
+        cos_incidence: None,
+        existence: 1.0,
+        roi: None,
+        roi_flag: None,
+        image_covariance: None,
+    }
 }
 
 /// A small seeded generator (SplitMix64), so that a failing case is named by its seed.

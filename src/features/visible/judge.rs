@@ -553,12 +553,15 @@ impl<'a> Judge<'a> {
         }
         let planes = &planes[..planes_in_image.len()];
         let region = Region::frustum(frame.world_from_sensor.translation, planes, farthest * (1.0 + 1e-9));
+        self.gather_from(&region, own);
+    }
+
+    /// Fills `near` with the polygons in a region that may hide what is asked for.
+    fn gather_from(&mut self, region: &Region, own: &Own<'_>) {
+        let frame = self.frame;
         self.found.clear();
-        frame.world.index().query(frame.environment, &region, &mut self.found);
-        for slot in self.found.all() {
-            if own.slots.contains(&slot) {
-                continue;
-            }
+        frame.world.index().query(frame.environment, region, &mut self.found);
+        for slot in self.found.all().filter(|slot| !own.slots.contains(slot)) {
             if let Some(at) = self.faces.of_slot(frame, slot).filter(|at| self.faces.known[*at].covers) {
                 self.near.push(at as u32);
             }
@@ -576,16 +579,7 @@ impl<'a> Judge<'a> {
             self.begin();
             let direction = frame.image_from_world.transpose() * (at / range);
             let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
-            self.found.clear();
-            frame.world.index().query(frame.environment, &region, &mut self.found);
-            for slot in self.found.all() {
-                if own.slots.contains(&slot) {
-                    continue;
-                }
-                if let Some(at) = self.faces.of_slot(frame, slot).filter(|at| self.faces.known[*at].covers) {
-                    self.near.push(at as u32);
-                }
-            }
+            self.gather_from(&region, own);
             self.hide_sample(i, own);
         }
     }

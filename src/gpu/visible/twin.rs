@@ -5,6 +5,7 @@ use crate::gpu::layout::{Params, RECORD_WORDS, SLOT_WORDS};
 use crate::gpu::near::STAMPED;
 use crate::gpu::{DeviceOptions, Engine};
 use crate::plan::{FramePlan, Images, Request, Stats};
+use crate::random::SplitMix64;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, SensorSpec};
 use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use glam::{DQuat, Vec3};
@@ -91,16 +92,12 @@ fn words(engine: &Engine, buffer: &Growable) -> Vec<u32> {
     bytemuck::pod_collect_to_vec(&view)
 }
 
-/// A small seeded generator (SplitMix64).
-struct Random(u64);
+/// Draws cases.
+struct Random(SplitMix64);
 
 impl Random {
     fn uniform(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        low + (high - low) * self.0.unit()
     }
 
     fn place(&mut self, most: DVec3) -> DVec3 {
@@ -150,7 +147,7 @@ fn the_device_answers_as_its_twin() {
                 return;
             }
         };
-        let mut random = Random(if without_int64 { 5 } else { 4 });
+        let mut random = Random(SplitMix64(if without_int64 { 5 } else { 4 }));
         for sensor in sensors() {
             let world = hard(&mut random);
             let pose = Pose::from_xyz_rpy(random.place(DVec3::splat(0.3)), 0.1, 0.05, random.uniform(-3.0, 3.0));
