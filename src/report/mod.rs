@@ -1,5 +1,9 @@
 //! Studies: what things cost, measured.
 
+#[cfg(feature = "report")]
+pub mod chart;
 pub mod index_study;
+#[cfg(feature = "report")]
+pub mod page;
 #[cfg(feature = "report")]
 mod plot;
