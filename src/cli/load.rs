@@ -97,6 +97,13 @@ pub fn no_store() -> Error {
     Error::new(ErrorKind::Unsupported, what, "build it with the cargo feature `store`")
 }
 
+/// What a build without the cargo feature `report` answers.
+#[cfg(not(feature = "report"))]
+pub fn no_report() -> Error {
+    let what = "this presight was built without studies";
+    Error::new(crate::error::ErrorKind::Unsupported, what, "build it with the cargo feature `report`")
+}
+
 /// BLAKE3 of a file, hexadecimal.
 ///
 /// # Errors

@@ -13,6 +13,8 @@ mod pose;
 mod pose_cov;
 mod predict;
 mod print;
+#[cfg(feature = "report")]
+mod report;
 mod sensors;
 mod statistics;
 mod virtual_sensor;
@@ -38,6 +40,7 @@ const EXAMPLES: &str = "Examples:
   presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
   presight compare reference.exr other.exr      do two predictions agree?
   presight doctor                               which engines work here
+  presight report hall.glb --out study          error against run time, as a page
   presight env create hall.presight hall.glb    keep a model, and every change to it
 
 Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
@@ -52,6 +55,15 @@ enum Command {
     Compare(compare::Args),
     Features(Box<features::Args>),
     Doctor(doctor::Args),
+    #[cfg(feature = "report")]
+    Report(report::Args),
+    /// Measure error against run time: not in this build
+    #[cfg(not(feature = "report"))]
+    #[command(disable_help_flag = true)]
+    Report {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
     #[cfg(feature = "store")]
     Env(env::Args),
     /// Keep an environment in a file: not in this build
@@ -77,6 +89,10 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "report")]
+        Command::Report(args) => report::run(&args),
+        #[cfg(not(feature = "report"))]
+        Command::Report { .. } => Err(load::no_report()),
         #[cfg(feature = "store")]
         Command::Env(args) => env::run(&args),
         #[cfg(not(feature = "store"))]

@@ -57,6 +57,18 @@ pub fn write_preview_with(
     })
 }
 
+/// [`write_preview`] into memory: the bytes of a PNG file.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size.
+pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<Vec<u8>> {
+    let canvas = preview(images, sensor, output, None, None)?;
+    let mut bytes = Vec::new();
+    encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+        .map_err(|e| Error::invalid(format!("the preview is no PNG: {e}"), ""))?;
+    Ok(bytes)
+}
+
 fn preview(
     images: &Images,
     sensor: &Sensor,

@@ -7,3 +7,5 @@ pub mod index_study;
 pub mod page;
 #[cfg(feature = "report")]
 mod plot;
+#[cfg(feature = "report")]
+pub mod work_precision;

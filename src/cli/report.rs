@@ -1,0 +1,150 @@
+//! `presight report`: studies as pages.
+
+use super::{Verdict, load, print};
+use crate::error::{Error, Result};
+use crate::free_poses::free_poses;
+use crate::index::Scheme;
+use crate::io::atomic::write_atomically;
+use crate::io::gltf::ImportOptions;
+use crate::io::{load_sensor, preset, tum};
+use crate::report::work_precision::{self, Effort, Findings, Machine, Scene, Study};
+use crate::sensor::Sensor;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight report hall.glb --out study                     index.html, work_precision.csv, report.json
+  presight report hall.glb --out study --quick             in well under a minute
+  presight report hall.glb --sensor my-camera.toml --out study";
+
+/// Measure error against run time, and say what to take
+///
+/// Every engine and every knob that trades the one for the other: resolution, part of the image, ray table, index,
+/// visibility of features, regions of interest. Errors are against the reference engine.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The models: .glb or .gltf files, .rhai scripts, or stores
+    scenes: Vec<PathBuf>,
+
+    /// Write the study into this folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Fewer poses, runs and draws: under a minute on two cores
+    #[arg(long)]
+    quick: bool,
+
+    /// With this sensor; may be given again [default: video-camera, vlp-16, and a fisheye camera if not --quick]
+    #[arg(long = "sensor", value_name = "PRESET|FILE")]
+    sensors: Vec<String>,
+
+    /// Poses of the sensors, instead of free ones: lines of timestamp tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE.tum")]
+    poses: Option<PathBuf>,
+
+    /// Which free poses
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "poses")]
+    seed: u64,
+}
+
+/// Free poses in a full study; a quick one has one.
+const POSES: usize = 3;
+
+/// Runs the command.
+///
+/// # Errors
+/// Wrong usage, those of scenes and sensors, of predictions, and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    work_precision(args)
+}
+
+fn work_precision(args: &Args) -> Result<Verdict> {
+    let study = args.study()?;
+    // What cannot be written is better known before than after minutes of work.
+    std::fs::create_dir_all(&args.out).map_err(|e| refused(&args.out, e))?;
+    let progress = bar(study.steps() as u64);
+    let findings = study.run(|what| {
+        progress.set_message(what.to_owned());
+        progress.inc(1);
+    });
+    progress.finish_and_clear();
+    let findings = findings?;
+    let machine = Machine::this(std::env::args().collect());
+    write(&args.out, &findings, &machine)?;
+    print::data(&summary(&args.out, &findings))?;
+    Ok(Verdict::Done)
+}
+
+fn write(folder: &Path, findings: &Findings, machine: &Machine) -> Result<()> {
+    let files = [
+        ("index.html", work_precision::to_html(findings, machine)?),
+        ("work_precision.csv", work_precision::to_csv(findings)),
+        ("report.json", work_precision::to_json(findings, machine)?),
+    ];
+    for (name, text) in files {
+        write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
+    }
+    Ok(())
+}
+
+/// A folder that cannot be made is the system's refusal, whatever it calls it.
+fn refused(folder: &Path, source: std::io::Error) -> Error {
+    let what = format!("cannot make the folder: {source}");
+    Error::new(crate::error::ErrorKind::System, what, "give another --out").in_file(folder).caused_by(source)
+}
+
+/// On stderr, and only if that is a terminal.
+fn bar(steps: u64) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{bar:24} {pos}/{len} {elapsed} {wide_msg}");
+    ProgressBar::new(steps).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+fn summary(folder: &Path, findings: &Findings) -> String {
+    let advice: String = findings.findings.iter().map(|f| format!("{}\n", f.advice)).collect();
+    format!("{advice}{}\n", folder.join("index.html").display())
+}
+
+impl Args {
+    fn study(&self) -> Result<Study> {
+        if self.scenes.is_empty() {
+            let remedy = "name one or more: .glb, .gltf, .rhai or a store";
+            return Err(Error::usage("there is no scene to measure", remedy));
+        }
+        let sensors = self.sensors()?;
+        let given = self.poses.as_deref().map(tum::read).transpose()?;
+        let mut scenes = Vec::new();
+        for path in &self.scenes {
+            let world = load::scene(path, &ImportOptions::default(), Scheme::default())?.world;
+            let poses = match &given {
+                Some(given) => given.iter().map(|stamped| stamped.pose).collect(),
+                None => {
+                    free_poses(&world, if self.quick { 1 } else { POSES }, self.seed).map_err(|e| e.in_file(path))?
+                }
+            };
+            scenes.push(Scene { name: path.display().to_string(), world, poses });
+        }
+        let effort = if self.quick { Effort::QUICK } else { Effort::FULL };
+        Ok(Study { scenes, sensors, effort })
+    }
+
+    fn sensors(&self) -> Result<Vec<Sensor>> {
+        if self.sensors.is_empty() {
+            let mut sensors = vec![preset("video-camera")?, preset("vlp-16")?];
+            if !self.quick {
+                sensors.push(work_precision::fisheye()?);
+            }
+            return Ok(sensors);
+        }
+        let read = |name: &String| {
+            let (sensor, notices) = load_sensor(name)?;
+            print::notices(&notices);
+            Ok(sensor)
+        };
+        self.sensors.iter().map(read).collect()
+    }
+}

@@ -1,0 +1,120 @@
+//! What to take, worked out from the rows.
+
+use super::Row;
+
+/// What is less exact must take at most this share of the time to be worth a word.
+const WORTH: f64 = 0.9;
+
+/// A sentence or two for one scene and sensor.
+pub(super) fn of(scene: &str, sensor: &str, rows: &[Row]) -> String {
+    let error = |of: &Row, kind: &str| {
+        let same = |r: &&Row| r.engine == of.engine && r.variant == of.variant && r.error_kind == kind;
+        rows.iter().find(same).map(|r| r.error)
+    };
+    // Each path has one such row.
+    let paths = || rows.iter().filter(|r| r.error_kind == "id_mismatch");
+    let fastest = |a: &&Row, b: &&Row| a.median_ms.total_cmp(&b.median_ms);
+    let exact = |r: &&Row| error(r, "fault_share") == Some(0.0) && error(r, "missing_share").is_none();
+    let Some(best) = paths().filter(exact).min_by(fastest) else {
+        return format!("For {scene} and {sensor} no path agrees with the reference: see the faults below.");
+    };
+    let mut text = format!(
+        "For {scene} and {sensor} on this machine take {}, {}: exact to rounding ({}) in {} (95 % within {}).",
+        best.engine,
+        best.variant,
+        ids(best.error),
+        ms(best.median_ms),
+        ms(best.p95_ms),
+    );
+    let rough = |r: &&Row| !exact(r) && error(r, "missing_share").is_none() && r.median_ms < WORTH * best.median_ms;
+    match paths().filter(rough).min_by(|a, b| a.error.total_cmp(&b.error)) {
+        Some(rough) => {
+            let moved = error(rough, "silhouette_px").unwrap_or(0.0);
+            text += &format!(
+                " If {} and silhouettes off by {moved:.2} pixels on average will do, {}, {} takes {}.",
+                ids(rough.error),
+                rough.engine,
+                rough.variant,
+                ms(rough.median_ms),
+            );
+        }
+        None => text += " Nothing less exact is faster by a tenth.",
+    }
+    let seen = rows.iter().filter(|r| r.error_kind == "visible_fraction" && r.error == 0.0).min_by(fastest);
+    if let Some(seen) = seen {
+        text += &format!(" For features take {}, {}: no error in {}.", seen.engine, seen.variant, ms(seen.median_ms));
+    }
+    let wrong: Vec<String> = paths()
+        .filter(|r| error(r, "fault_share").is_some_and(|share| share > 0.0))
+        .map(|r| format!("{}, {}", r.engine, r.variant))
+        .collect();
+    if !wrong.is_empty() {
+        text += &format!(" Do not take {}: pixels that no rounding explains.", wrong.join(" or "));
+    }
+    text
+}
+
+fn ids(share: f64) -> String {
+    if share == 0.0 {
+        "every polygon as in the reference".into()
+    } else {
+        format!("{:.3} % other polygons", 100.0 * share)
+    }
+}
+
+fn ms(ms: f64) -> String {
+    if ms < 10.0 { format!("{ms:.2} ms") } else { format!("{ms:.0} ms") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(variant: &str, error_kind: &'static str, error: f64, median_ms: f64) -> Row {
+        Row {
+            scene: "s".into(),
+            sensor: "c".into(),
+            engine: "cpu".into(),
+            variant: variant.into(),
+            error_kind,
+            error,
+            bound: None,
+            median_ms,
+            p95_ms: median_ms,
+            pareto: false,
+            runs: 1,
+            family: String::new(),
+            label: String::new(),
+        }
+    }
+
+    fn path(variant: &str, ids: f64, faults: Option<f64>, ms: f64) -> Vec<Row> {
+        let mut rows = vec![row(variant, "id_mismatch", ids, ms), row(variant, "silhouette_px", 0.5, ms)];
+        rows.extend(faults.map(|f| row(variant, "fault_share", f, ms)));
+        rows
+    }
+
+    #[test]
+    fn it_follows_the_rows() {
+        let slow = path("slow", 0.0, Some(0.0), 9.0);
+        let fast = path("fast", 0.0, Some(0.0), 2.0);
+        let half = path("half", 0.04, None, 1.0);
+        let all = [slow.clone(), fast, half.clone()].concat();
+        let text = of("hall", "camera", &all);
+        assert!(text.contains("take cpu, fast: exact") && text.contains("4.000 % other polygons"), "{text}");
+        assert!(text.contains("cpu, half takes 1.00 ms") && !text.contains("Do not take"), "{text}");
+        let text = of("hall", "camera", &[slow, path("fast", 0.0, Some(0.1), 2.0)].concat());
+        assert!(text.contains("take cpu, slow: exact") && text.contains("Do not take cpu, fast"), "{text}");
+        assert!(text.contains("Nothing less exact") || text.contains("If "), "{text}");
+        assert!(of("hall", "camera", &half).contains("no path agrees"));
+    }
+
+    #[test]
+    fn a_part_of_the_image_is_no_exact_answer() {
+        let mut rows = path("part", 0.0, Some(0.0), 1.0);
+        rows.push(row("part", "missing_share", 0.75, 1.0));
+        rows.extend(path("all", 0.0, Some(0.0), 4.0));
+        let text = of("hall", "camera", &rows);
+        assert!(text.contains("take cpu, all: exact") && text.contains("Nothing less exact"), "{text}");
+    }
+}

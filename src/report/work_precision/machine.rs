@@ -1,0 +1,66 @@
+//! What the figures were taken on.
+
+use serde::Serialize;
+
+/// The machine, the program and how it was called.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// As the system names it; the architecture where it does not.
+    pub cpu: String,
+    /// Threads that run at once.
+    pub threads: usize,
+    /// Operating system and architecture.
+    pub system: String,
+    /// Of presight.
+    pub version: &'static str,
+    /// Optional parts that were built in.
+    pub features: Vec<&'static str>,
+    /// Built with the compiler's checks: slower.
+    pub debug: bool,
+    /// The command line.
+    pub command: Vec<String>,
+}
+
+impl Machine {
+    /// This one; `command` is how the program was called.
+    pub fn this(command: Vec<String>) -> Self {
+        let optional = [
+            ("gpu", cfg!(feature = "gpu")),
+            ("script", cfg!(feature = "script")),
+            ("store", cfg!(feature = "store")),
+            ("report", cfg!(feature = "report")),
+        ];
+        Self {
+            cpu: cpu().unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            version: env!("CARGO_PKG_VERSION"),
+            features: optional.into_iter().filter(|(_, built)| *built).map(|(name, _)| name).collect(),
+            debug: cfg!(debug_assertions),
+            command,
+        }
+    }
+
+    /// Names and values, with the adapter.
+    pub(super) fn lines(&self, adapter: &str) -> Vec<[String; 2]> {
+        let build = if self.debug { ", debug build: times mean nothing" } else { "" };
+        let features = self.features.join(", ");
+        [
+            ("command", self.command.join(" ")),
+            ("presight", format!("{}, with {features}{build}", self.version)),
+            ("CPU", format!("{}, {} threads", self.cpu, self.threads)),
+            ("adapter and driver", adapter.to_owned()),
+            ("system", self.system.clone()),
+        ]
+        .map(|(name, value)| [name.to_owned(), value])
+        .to_vec()
+    }
+}
+
+/// Linux tells it in a file.
+fn cpu() -> Option<String> {
+    let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
+    let line = text.lines().find(|l| l.starts_with("model name"))?;
+    let name = line.split_once(':')?.1.trim();
+    (!name.is_empty()).then(|| name.to_owned())
+}

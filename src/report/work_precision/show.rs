@@ -1,0 +1,284 @@
+//! Findings as CSV, JSON and a page.
+
+use super::{Finding, Findings, Machine, PathNotes, Row};
+use crate::error::{Error, Result};
+use crate::report::chart::{Chart, Series, Style};
+use crate::report::page::{Part, Section, Table, page};
+use serde::Serialize;
+
+/// The version of report.json.
+const FORMAT: u32 = 1;
+
+/// The columns that scripts rely on.
+const COLUMNS: &str = "scene,sensor,engine,variant,error_kind,error,bound,median_ms,p95_ms,pareto";
+
+/// Kinds of errors: name, unit, what it is.
+const KINDS: [(&str, &str); 13] = [
+    (
+        "id_mismatch",
+        "share of pixels that show another polygon than the reference, or something where it shows nothing",
+    ),
+    (
+        "range_ulp",
+        "greatest difference of ranges where both show the same polygon, in units in the last place of an f32",
+    ),
+    ("range_m", "the same in metres; its bound is what rounding allows at that pixel"),
+    ("range_mean_m", "mean difference of ranges over all pixels where both see something, metres"),
+    ("range_of_bound", "greatest share of what rounding allows at its pixel; 1 is the bound"),
+    ("silhouette_px", "mean distance between the borders of objects in both images, pixels, both ways, at most 16"),
+    ("silhouette_most_px", "the greatest such distance"),
+    ("fault_share", "of paths that are to be exact: share of pixels that no rounding, edge or tie explains"),
+    ("missing_share", "share of the sensor's pixels that the path leaves out; its other errors are of the rest"),
+    ("visible_fraction", "greatest error of a feature's visible fraction; the truth is a ray to every sample"),
+    ("visible_fraction_mean", "the mean error over all features"),
+    (
+        "roi_missed",
+        "share of draws of the errors in which a feature is outside its region of interest, mean over regions",
+    ),
+    ("roi_missed_worst", "the same of the worst region; its bound has room for chance"),
+];
+
+/// Charts: kind, title, label of the axis.
+const CHARTS: [(&str, &str, &str); 5] = [
+    ("id_mismatch", "Other polygons against time", "share of pixels"),
+    ("range_m", "Range error against time", "greatest error, m"),
+    ("silhouette_px", "Silhouettes against time", "mean displacement, pixels"),
+    ("visible_fraction", "Visible fractions against time", "greatest error"),
+    ("roi_missed", "Missed regions of interest against time of 100 regions", "share of draws"),
+];
+
+/// One line a row, with the contract's columns.
+pub fn to_csv(findings: &Findings) -> String {
+    let quoted = |text: &str| {
+        let special = text.contains([',', '"', '\n', '\r']);
+        if special { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+    };
+    let mut csv = format!("{COLUMNS}\n");
+    for r in findings.findings.iter().flat_map(|f| &f.rows) {
+        let names = [&r.scene, &r.sensor, &r.engine, &r.variant].map(|name| quoted(name)).join(",");
+        let bound = r.bound.map(|b| format!("{b:e}")).unwrap_or_default();
+        csv += &format!(
+            "{names},{},{:e},{bound},{:.4},{:.4},{}\n",
+            r.error_kind, r.error, r.median_ms, r.p95_ms, r.pareto
+        );
+    }
+    csv
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    format: u32,
+    machine: &'a Machine,
+    #[serde(flatten)]
+    findings: &'a Findings,
+}
+
+/// Everything, for programs. Infinite bounds are null.
+///
+/// # Errors
+/// None for what studies find; the serializer's own.
+pub fn to_json(findings: &Findings, machine: &Machine) -> Result<String> {
+    serde_json::to_string_pretty(&Document { format: FORMAT, machine, findings })
+        .map_err(|e| Error::invalid(format!("the findings are no JSON: {e}"), ""))
+}
+
+/// Everything, for people: one HTML file.
+///
+/// # Errors
+/// Those of charts.
+pub fn to_html(findings: &Findings, machine: &Machine) -> Result<String> {
+    let mut sections = vec![answer(findings), about(findings, machine)];
+    for finding in &findings.findings {
+        sections.push(section(finding)?);
+    }
+    sections.push(kinds());
+    let lead = "What each way from a scene to an image costs, and how far its images are from the truth. The truth is the \
+                reference, a plain z-buffer in f64.";
+    Ok(page("presight: error against run time", lead, &sections))
+}
+
+fn answer(findings: &Findings) -> Section {
+    let parts = findings.findings.iter().map(|f| Part::Advice(f.advice.clone())).collect();
+    Section { title: "What to take".into(), parts }
+}
+
+fn about(findings: &Findings, machine: &Machine) -> Section {
+    let rows = machine.lines(&findings.adapter).into_iter().map(Vec::from).collect();
+    let head = vec!["what".into(), String::new()];
+    let missing = "Not in the product, and so not here: the GPU's render pipeline for cameras (measured in \
+                   benches/render_pipeline), planar images resampled to curved ones (benches/resampling). A request names \
+                   no region of the image: a smaller sensor does, as the `roi` of a ROS camera_info file; it is measured \
+                   as \"middle part\". Features are sampled at every pixel; another step is another resolution.";
+    let parts = vec![
+        Part::Table(Table { caption: "How it was measured".into(), head, rows, marked: Vec::new() }),
+        Part::Text(missing.into()),
+    ];
+    Section { title: "Machine and paths".into(), parts }
+}
+
+fn kinds() -> Section {
+    let rows = KINDS.iter().map(|(kind, text)| vec![(*kind).to_owned(), (*text).to_owned()]).collect();
+    let head = vec!["error_kind".into(), "what it is".into()];
+    let text = "Errors are the worst over all poses, shares and means are over all of them. Times are of all runs after one \
+                that is not counted; they include selection and all images in memory, with the GPU synchronised. Those of \
+                features include their image. A row is on the Pareto front if no other of its kind is as fast and as exact.";
+    let table = Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() };
+    Section { title: "How to read it".into(), parts: vec![Part::Text(text.into()), Part::Table(table)] }
+}
+
+fn section(finding: &Finding) -> Result<Section> {
+    let (w, h) = finding.size;
+    let mut parts = vec![
+        Part::Advice(finding.advice.clone()),
+        Part::Picture { png: finding.preview.clone(), caption: "The range image at the first pose.".into() },
+        Part::Heading("Error against time".into()),
+    ];
+    for (kind, title, label) in CHARTS {
+        let rows: Vec<&Row> = finding.rows.iter().filter(|r| r.error_kind == kind).collect();
+        if !rows.is_empty() {
+            let caption = "Rings: the Pareto front. 1/2, 1/4: reduced resolution; table: the same rays from a table; part: \
+                           the middle of the image only. A mark at 0 has no error at all.";
+            let roi =
+                "One mark for each size of the pose's error, by how the region was found; dashed: what was asked for.";
+            let caption = if kind == "roi_missed" { roi } else { caption };
+            parts.push(Part::Chart { svg: chart(&rows, title, label).svg()?, caption: caption.into() });
+        }
+    }
+    parts.push(Part::Heading("Paths".into()));
+    parts.extend(tables(&finding.rows));
+    parts.push(Part::Heading("Stages".into()));
+    parts.push(Part::Table(stages(&finding.notes)));
+    parts.push(Part::Heading("Left out".into()));
+    parts.push(Part::Table(left_out(&finding.notes)));
+    Ok(Section { title: format!("{}, {} ({w} x {h})", finding.scene, finding.sensor), parts })
+}
+
+fn chart(rows: &[&Row], title: &str, label: &str) -> Chart {
+    let mut series: Vec<Series> = Vec::new();
+    for row in rows {
+        let at = series.iter().position(|s| s.name == row.family).unwrap_or_else(|| {
+            series.push(Series { name: row.family.clone(), color: series.len(), ..Series::default() });
+            series.len() - 1
+        });
+        series[at].points.push((row.median_ms, row.error));
+        series[at].labels.push(row.label.clone());
+    }
+    let mut front: Vec<(f64, f64)> = rows.iter().filter(|r| r.pareto).map(|r| (r.median_ms, r.error)).collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    if !front.is_empty() {
+        series.push(Series { name: "Pareto front".into(), points: front, style: Style::Front, ..Series::default() });
+    }
+    // A bound that all share is a line across; others are in the table.
+    let bounds: Vec<f64> = rows.iter().filter_map(|r| r.bound).collect();
+    if let Some(bound) = bounds.first().filter(|b| **b > 0.0 && bounds.iter().all(|x| x == *b)) {
+        let times = || rows.iter().map(|r| r.median_ms);
+        let (low, high) = (times().fold(f64::INFINITY, f64::min), times().fold(0.0, f64::max));
+        let points = vec![(low, *bound), (high, *bound)];
+        series.push(Series { name: "bound".into(), points, style: Style::Bound, color: 7, ..Series::default() });
+    }
+    let (title, x_label, y_label) = (title.to_owned(), "median time, ms".to_owned(), label.to_owned());
+    Chart { title, x_label, y_label, x_log: true, y_log: true, series }
+}
+
+/// One table for images, one for features, one for regions of interest: a row for each path, a column for each kind.
+fn tables(rows: &[Row]) -> Vec<Part> {
+    let families: [(&str, &[&str]); 3] = [
+        (
+            "Images",
+            &[
+                "id_mismatch",
+                "range_ulp",
+                "range_m",
+                "range_mean_m",
+                "range_of_bound",
+                "silhouette_px",
+                "silhouette_most_px",
+                "fault_share",
+                "missing_share",
+            ],
+        ),
+        ("Features", &["visible_fraction", "visible_fraction_mean"]),
+        ("Regions of interest: times of 100", &["roi_missed", "roi_missed_worst"]),
+    ];
+    families.iter().filter_map(|(caption, kinds)| table(rows, caption, kinds)).map(Part::Table).collect()
+}
+
+fn table(rows: &[Row], caption: &str, kinds: &[&str]) -> Option<Table> {
+    let firsts: Vec<&Row> = rows.iter().filter(|r| Some(&r.error_kind) == kinds.first()).collect();
+    if firsts.is_empty() {
+        return None;
+    }
+    let mut head: Vec<String> = ["engine", "variant", "median ms", "p95 ms", "runs"].map(String::from).to_vec();
+    head.extend(kinds.iter().map(|k| (*k).to_owned()));
+    let mut table = Table { caption: caption.to_owned(), head, ..Table::default() };
+    for (i, first) in firsts.into_iter().enumerate() {
+        let of_path = |kind: &&str| {
+            let same = |r: &&Row| r.engine == first.engine && r.variant == first.variant && r.error_kind == *kind;
+            rows.iter().find(same)
+        };
+        let cell = |kind: &&str| match of_path(kind) {
+            None => "-".into(),
+            Some(Row { error, bound: Some(bound), .. }) if *bound > 0.0 => {
+                format!("{} of {}", short(*error), short(*bound))
+            }
+            Some(row) => short(row.error),
+        };
+        if kinds.iter().any(|kind| of_path(kind).is_some_and(|r| r.pareto)) {
+            table.marked.push(i);
+        }
+        let times = [first.median_ms, first.p95_ms].map(|ms| format!("{ms:.3}"));
+        let [median, p95] = times;
+        let mut cells = vec![first.engine.clone(), first.variant.clone(), median, p95, first.runs.to_string()];
+        cells.extend(kinds.iter().map(cell));
+        table.rows.push(cells);
+    }
+    table.caption += "; bold: on the Pareto front of some kind";
+    Some(table)
+}
+
+fn short(value: f64) -> String {
+    match value {
+        0.0 => "0".into(),
+        v if (1e-3..1e5).contains(&v.abs()) => {
+            let digits = (2 - v.abs().log10().floor() as i32).clamp(0, 5) as usize;
+            format!("{v:.digits$}")
+        }
+        v => format!("{v:.1e}"),
+    }
+}
+
+/// Median milliseconds of stages, and counts.
+fn stages(notes: &[PathNotes]) -> Table {
+    let row = |n: &PathNotes| {
+        let stages: Vec<String> = n.stages_ms.iter().map(|(name, ms)| format!("{name} {}", short(*ms))).collect();
+        let counts: Vec<String> =
+            n.counts.iter().map(|(name, count)| format!("{} {count}", name.replace('_', " "))).collect();
+        vec![n.engine.clone(), n.variant.clone(), stages.join(", "), counts.join(", ")]
+    };
+    Table {
+        caption: "Medians in ms; counts of the last run".into(),
+        head: ["engine", "variant", "stages", "counts"].map(String::from).to_vec(),
+        rows: notes.iter().map(row).collect(),
+        marked: Vec::new(),
+    }
+}
+
+/// What was not needed, each with its reason and by which paths.
+fn left_out(notes: &[PathNotes]) -> Table {
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for n in notes {
+        let path = format!("{}, {}", n.engine, n.variant);
+        for left in &n.left_out {
+            match rows.iter_mut().find(|r| r[0] == left.what && r[1] == left.why) {
+                Some(row) => row[2] = format!("{}; {path}", row[2]),
+                None => rows.push(vec![left.what.clone(), left.why.clone(), path.clone()]),
+            }
+        }
+    }
+    Table {
+        caption: "What the predictions did not need, and why nothing is lost by that (last pose)".into(),
+        head: ["left out", "why", "by"].map(String::from).to_vec(),
+        rows,
+        marked: Vec::new(),
+    }
+}
