@@ -141,7 +141,7 @@ impl Chart {
         for (i, series) in self.series.iter().enumerate() {
             let y = 20 + 20 * i as i32;
             let ends = match series.style {
-                Style::Points => vec![(22, y)],
+                Style::Points | Style::Front => vec![(22, y)],
                 _ => vec![(10, y), (34, y)],
             };
             draw_series(&legend, series, &ends)?;

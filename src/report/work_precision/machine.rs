@@ -43,7 +43,7 @@ impl Machine {
 
     /// Names and values, with the adapter.
     pub(super) fn lines(&self, adapter: &str) -> Vec<[String; 2]> {
-        let build = if self.debug { ", debug build: times mean nothing" } else { "" };
+        let build = if self.debug { ", built with assertions: slower than a release" } else { "" };
         let features = self.features.join(", ");
         [
             ("command", self.command.join(" ")),

@@ -21,13 +21,16 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
 }
 
 /// Marks the front among the rows of each kind of error. Regions of interest have none: each row is of other features or
-/// other errors of the pose, so that none can take another's place.
+/// other errors of the pose, so that none can take another's place; nor can a part of the image take that of the whole.
 pub(super) fn mark(rows: &mut [Row]) {
+    let path = |r: &Row| (r.engine.clone(), r.variant.clone());
+    let partial: Vec<_> = rows.iter().filter(|r| r.error_kind == "missing_share").map(path).collect();
     let mut kinds: Vec<&'static str> = rows.iter().map(|r| r.error_kind).collect();
     kinds.sort_unstable();
     kinds.dedup();
     for kind in kinds.into_iter().filter(|k| !k.starts_with("roi")) {
-        let of_kind: Vec<usize> = (0..rows.len()).filter(|i| rows[*i].error_kind == kind).collect();
+        let alike = |r: &Row| r.error_kind == kind && !partial.contains(&path(r));
+        let of_kind: Vec<usize> = (0..rows.len()).filter(|i| alike(&rows[*i])).collect();
         let points: Vec<(f64, f64)> = of_kind.iter().map(|i| (rows[*i].median_ms, rows[*i].error)).collect();
         for (i, on) in of_kind.into_iter().zip(front(&points)) {
             rows[i].pareto = on;

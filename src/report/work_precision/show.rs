@@ -29,7 +29,10 @@ const KINDS: [(&str, &str); 13] = [
     ("silhouette_most_px", "the greatest such distance"),
     ("fault_share", "of paths that are to be exact: share of pixels that no rounding, edge or tie explains"),
     ("missing_share", "share of the sensor's pixels that the path leaves out; its other errors are of the rest"),
-    ("visible_fraction", "greatest error of a feature's visible fraction; the truth is a ray to every sample"),
+    (
+        "visible_fraction",
+        "greatest error of a feature's visible fraction; the truth is a ray to every sample; below 1e-12 it counts as none",
+    ),
     ("visible_fraction_mean", "the mean error over all features"),
     (
         "roi_missed",
@@ -121,7 +124,7 @@ fn kinds() -> Section {
     let head = vec!["error_kind".into(), "what it is".into()];
     let text = "Errors are the worst over all poses, shares and means are over all of them. Times are of all runs after one \
                 that is not counted; they include selection and all images in memory, with the GPU synchronised. Those of \
-                features include their image. A row is on the Pareto front if no other of its kind is as fast and as exact.";
+                features include their image. A row is on the Pareto front if no other of its kind is as fast and as exact; paths that leave a part of the image out have no place on it.";
     let table = Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() };
     Section { title: "How to read it".into(), parts: vec![Part::Text(text.into()), Part::Table(table)] }
 }
