@@ -3,7 +3,7 @@
 #[cfg(feature = "script")]
 use super::print;
 use crate::acquire::{ImportReport, Imported};
-#[cfg(not(all(feature = "script", feature = "store")))]
+#[cfg(not(all(feature = "script", feature = "store", feature = "report")))]
 use crate::error::ErrorKind;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -101,7 +101,7 @@ pub fn no_store() -> Error {
 #[cfg(not(feature = "report"))]
 pub fn no_report() -> Error {
     let what = "this presight was built without studies";
-    Error::new(crate::error::ErrorKind::Unsupported, what, "build it with the cargo feature `report`")
+    Error::new(ErrorKind::Unsupported, what, "build it with the cargo feature `report`")
 }
 
 /// BLAKE3 of a file, hexadecimal.

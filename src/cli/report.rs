@@ -1,7 +1,7 @@
 //! `presight report`: studies as pages.
 
 use super::{Verdict, load, print};
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::free_poses::free_poses;
 use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
@@ -52,7 +52,7 @@ pub struct Args {
 /// Free poses in a full study; a quick one has one.
 const POSES: usize = 3;
 
-/// Runs the command.
+/// Runs the command: each study has a function of its own here.
 ///
 /// # Errors
 /// Wrong usage, those of scenes and sensors, of predictions, and of writing.
@@ -92,7 +92,7 @@ fn write(folder: &Path, findings: &Findings, machine: &Machine) -> Result<()> {
 /// A folder that cannot be made is the system's refusal, whatever it calls it.
 fn refused(folder: &Path, source: std::io::Error) -> Error {
     let what = format!("cannot make the folder: {source}");
-    Error::new(crate::error::ErrorKind::System, what, "give another --out").in_file(folder).caused_by(source)
+    Error::new(ErrorKind::System, what, "give another --out").in_file(folder).caused_by(source)
 }
 
 /// On stderr, and only if that is a terminal.
