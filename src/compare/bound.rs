@@ -76,7 +76,7 @@ impl Precision {
     }
 
     /// Ranges may be compared with each other and with the limits when they are rounded already: by this factor.
-    pub(super) fn limit_slack(self) -> f64 {
+    pub(crate) fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }
 }
@@ -120,7 +120,7 @@ impl PlaneBound {
 #[derive(Clone, Debug)]
 pub(crate) struct FaceBound {
     /// Radians by edge, for the ray too but without the span's share; infinite where the edge's line meets the centre.
-    edges: Vec<f64>,
+    pub edges: Vec<f64>,
     /// Error of n . u.
     cosine: f64,
     /// Error of cos_incidence: that, and the plane's tilt.
