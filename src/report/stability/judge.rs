@@ -4,6 +4,7 @@ use super::oracle::{ExactFace, Oracle, Sight, Truth};
 use crate::compare::{Precision, Values, span, ulp};
 use crate::plan::{FramePlan, Images};
 use crate::sensor::Sensor;
+use rayon::prelude::*;
 
 /// The truth of all pixels of a plan, row by row.
 pub(super) struct Picture<'a> {
@@ -38,7 +39,8 @@ impl<'a> Picture<'a> {
         let oracle = Oracle::new(plan);
         let (w, h) = (plan.sensor.width(), plan.sensor.height());
         let pixels = (0..h).flat_map(|row| (0..w).map(move |column| (column, row)));
-        let pixels = pixels.map(|(column, row)| oracle.look(column, row)).collect();
+        let pixels: Vec<_> = pixels.collect();
+        let pixels = pixels.into_par_iter().map(|(column, row)| oracle.look(column, row)).collect();
         Self { oracle, plan, pixels }
     }
 
@@ -156,10 +158,11 @@ impl<'a> Looked<'a> {
         let range = f64::from(shown.range.unwrap_or(f32::NAN));
         let off = (range - true_range) / true_range;
         // Beyond its outline a polygon's plane may be met behind the sensor.
-        let known = true_range > 0.0 && farthest.is_finite();
+        let ahead = true_range > 0.0;
+        let known = ahead && farthest.is_finite();
         let below_or_above = if off < 0.0 { true_range - nearest } else { farthest - true_range };
         let bound = if known { (below_or_above + ulps(true_range)) / true_range } else { f64::INFINITY };
-        let error = if known { off.abs() } else { 0.0 };
+        let error = if ahead { off.abs() } else { 0.0 };
         let wrong = |what: String| Err(Wrong(off.abs(), if what.starts_with("range") { bound } else { 0.0 }, what));
         if self.inside[k] < -1.0 {
             return wrong(format!("the ray is {:.3} edge bounds outside", -self.inside[k]));

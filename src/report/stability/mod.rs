@@ -15,7 +15,7 @@ mod subjects;
 mod tests;
 
 pub use families::{Family, Finding, Outcome, all};
-pub use output::{About, write};
+pub use output::{About, faults, to_csv, to_html, to_json};
 #[cfg(feature = "gpu")]
 pub use subjects::Gpu;
 pub use subjects::{BoxSetting, Cpu, Reference, Subject, subjects};

@@ -26,7 +26,7 @@ const CENTRE: [f64; 2] = [319.5, 239.5];
 struct Factors {
     sensor: [[f64; 6]; 6],
     feature: [[f64; 3]; 3],
-    /// Taken off the covariance's smallest eigenvalue, relative to the largest.
+    /// Taken off the smallest eigenvalue of the pose's covariance, relative to the largest.
     negative: f64,
 }
 
@@ -86,7 +86,8 @@ pub(super) const ALL: [Boxes; 5] = [
     },
     Boxes {
         name: "indefinite",
-        about: "Covariances with an eigenvalue ever further below 0: rounding of six digits is let pass, more is refused.",
+        about: "A pose covariance with an eigenvalue ever further below 0: what six written digits can bring about is let pass and \
+                taken for 0, more is refused.",
         axis: "negative eigenvalue by the greatest",
         difficulties: |quick| powers(-16, -1, quick),
         factors: |negative| Factors { negative, ..by_condition(1e30) },
@@ -197,7 +198,7 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
     let camera = Camera::pinhole(640, 480, F, F, CENTRE[0], CENTRE[1]);
     let sensor = Sensor::new(SensorSpec::new("camera", "study", Geometry::Camera(camera)))?;
     let world_from_sensor = Pose::from_xyz_rpy(DVec3::new(3.0, -7.0, 2.0), 0.2, 0.1, 0.9);
-    let covariance = DMat3::from_cols_array_2d(&product(&factors.feature, factors.negative));
+    let covariance = DMat3::from_cols_array_2d(&product(&factors.feature, 0.0));
     let mut world = World::new(Environment::new());
     let (mut features, mut placed) = (Vec::new(), Vec::new());
     let ahead = [[3.0, 0.0, 0.0], [4.0, 1.2, -0.7], [2.0, -1.0, 0.5], [30.0, 5.0, 3.0], [0.6, 0.1, -0.2]];

@@ -251,7 +251,7 @@ fn corners(count: f64) -> Result<Vec<Case>> {
     Ok(scene.seen_by([(camera(30.0, 16.0, 16.3, 8.1)?, Pose::IDENTITY), all, around]))
 }
 
-/// The corner in the middle of the upper polygon's lower side is moved up by `dent`.
+/// The corner in the middle of the upper polygon's lower side is moved up by `dent`, and fills a neighbour below; or down.
 fn dented(dent: f64) -> Result<Vec<Case>> {
     let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
     // About the sensor's height, so that f32 keeps the dent.
@@ -259,7 +259,7 @@ fn dented(dent: f64) -> Result<Vec<Case>> {
     let middle = point([2.0, 0.0, dent]);
     let upper = vec![b, point([2.0, 1.0, 2.0]), point([2.0, -1.0, 2.0]), a, middle];
     let lower = vec![a, point([2.0, -1.0, -2.0]), point([2.0, 1.0, -2.0]), b, middle];
-    scene.add(&[upper, lower], Pose::IDENTITY)?;
+    scene.add(&if dent > 0.0 { vec![upper, lower] } else { vec![upper] }, Pose::IDENTITY)?;
     scene.add(&[wall(5.0, [-9.0, 9.0], [-9.0, 9.0])], Pose::IDENTITY)?;
     let narrow = camera(30.0, (16.0 / dent.abs()).min(1e9), 16.3, 8.1)?;
     let [all, _] = sensors(DVec3::ZERO)?;
