@@ -16,9 +16,9 @@ pub(super) struct Picture<'a> {
 /// What an engine's pixels come to.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Verdict {
-    /// Relative error of the range at the worst pixel: the first wrong one, else the one with the greatest error.
+    /// Greatest relative error of the range; that of the first wrong pixel if there is one.
     pub error: f64,
-    /// Its bound there; infinite where the bound knows nothing of the range.
+    /// Greatest bound of all pixels, each of which is held to its own; infinite where one knows nothing of the range.
     pub bound: f64,
     /// Pixels that show something.
     pub hits: usize,
@@ -54,8 +54,9 @@ impl<'a> Picture<'a> {
                 Ok(Right(Some((error, bound)))) => {
                     verdict.hits += 1;
                     verdict.unbounded += usize::from(bound.is_infinite());
-                    if verdict.fault.is_none() && (error, bound) > (verdict.error, verdict.bound) {
-                        (verdict.error, verdict.bound) = (error, bound);
+                    if verdict.fault.is_none() {
+                        verdict.error = verdict.error.max(error);
+                        verdict.bound = verdict.bound.max(bound);
                     }
                 }
                 Err(Wrong(error, bound, what)) if verdict.fault.is_none() => {

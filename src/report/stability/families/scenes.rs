@@ -140,7 +140,7 @@ impl Family for SceneFamily {
     }
 }
 
-/// The findings of all engines on some cases together: the first fault, else the greatest error.
+/// The findings of all engines on some cases together: the first fault, else the greatest error and bound.
 pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>> {
     let mut verdicts = vec![Verdict::default(); subjects.len()];
     for case in cases {
@@ -153,8 +153,10 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Resu
             subject.draw(&plan, &mut images).map_err(|e| e.at(subject.name()))?;
             let one = picture.judge(&images, subject.precision());
             let fault = one.fault.map(|what| format!("{}: {what}", case.sensor.spec().name));
-            if all.fault.is_none() && (fault.is_some() || one.error > all.error) {
-                (all.error, all.bound, all.fault) = (one.error, one.bound, fault);
+            match (&all.fault, fault) {
+                (Some(_), _) => {}
+                (None, None) => (all.error, all.bound) = (all.error.max(one.error), all.bound.max(one.bound)),
+                (None, fault) => (all.error, all.bound, all.fault) = (one.error, one.bound, fault),
             }
             all.hits += one.hits;
             all.unbounded += one.unbounded;
@@ -168,8 +170,6 @@ fn finding(engine: String, verdict: Verdict) -> Finding {
     let outcome = if fault.is_some() { Outcome::Fault } else { Outcome::Ok };
     let unknown = format!("the bound knows nothing of the range at {unbounded} of {hits} pixels");
     let note = fault.unwrap_or_else(|| if unbounded > 0 { unknown } else { String::new() });
-    // Where no pixel has a bound there is none to show.
-    let bound = if unbounded == hits && hits > 0 { f64::INFINITY } else { bound };
     Finding { engine, error, bound, outcome, note }
 }
 
