@@ -81,7 +81,7 @@ pub(super) const SCENES: &[SceneFamily] = &[
                 dent; where it turns too far it is refused.",
         axis: "depth of the dent, m",
         difficulties: |quick| powers(-1, -9, quick),
-        cases: |depth| dented(depth),
+        cases: dented,
     },
     SceneFamily {
         name: "bulge",
