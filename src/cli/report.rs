@@ -7,6 +7,7 @@ use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
 use crate::io::{load_sensor, preset, tum};
+use crate::report::stability;
 use crate::report::work_precision::{self, Effort, Findings, Machine, Scene, Study};
 use crate::sensor::Sensor;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -16,9 +17,10 @@ use std::path::{Path, PathBuf};
 const EXAMPLES: &str = "Examples:
   presight report hall.glb --out study                     index.html, work_precision.csv, report.json
   presight report hall.glb --out study --quick             in well under a minute
-  presight report hall.glb --sensor my-camera.toml --out study";
+  presight report hall.glb --sensor my-camera.toml --out study
+  presight report --stability --out study                  every engine against a hundred digits: stability.csv";
 
-/// Measure error against run time, and say what to take
+/// Measure error against run time, or where errors leave their bounds, and say what to take
 ///
 /// Every engine and every knob that trades the one for the other: resolution, part of the image, ray table, index,
 /// visibility of features, regions of interest. Errors are against the reference engine.
@@ -27,6 +29,10 @@ const EXAMPLES: &str = "Examples:
 pub struct Args {
     /// The models: .glb or .gltf files, .rhai scripts, or stores
     scenes: Vec<PathBuf>,
+
+    /// Instead, how far errors keep to their bounds in stiff and extreme cases of its own; faults end with status 1
+    #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed"])]
+    stability: bool,
 
     /// Write the study into this folder
     #[arg(long, value_name = "DIR")]
@@ -57,7 +63,45 @@ const POSES: usize = 3;
 /// # Errors
 /// Wrong usage, those of scenes and sensors, of predictions, and of writing.
 pub fn run(args: &Args) -> Result<Verdict> {
-    work_precision(args)
+    if args.stability { stability(args) } else { work_precision(args) }
+}
+
+fn stability(args: &Args) -> Result<Verdict> {
+    std::fs::create_dir_all(&args.out).map_err(|e| refused(&args.out, e))?;
+    let study = stability::Study::new(args.quick);
+    let (mut engines, notes) = stability::subjects(0)?;
+    notes.iter().for_each(|note| print::message(note));
+    let progress = bar(study.steps() as u64);
+    let rows = study.run(&mut engines, |what| {
+        progress.set_message(what.to_owned());
+        progress.inc(1);
+    });
+    progress.finish_and_clear();
+    let (rows, machine) = (rows?, Machine::this(std::env::args().collect()));
+    let about = stability::About {
+        command: machine.command.join(" "),
+        machine: vec![
+            ["presight".into(), machine.version.into()],
+            ["built with".into(), machine.features.join(", ")],
+            ["CPU".into(), machine.cpu],
+            ["threads".into(), machine.threads.to_string()],
+            ["system".into(), machine.system],
+        ],
+        notes,
+    };
+    write(
+        &args.out,
+        [
+            ("index.html", stability::to_html(&study, &rows, &about)?),
+            ("stability.csv", stability::to_csv(&rows)),
+            ("report.json", stability::to_json(&study, &rows, &about)?),
+        ],
+    )?;
+    let faults = stability::faults(&rows);
+    let families = study.families.len();
+    let page = args.out.join("index.html");
+    print::data(&format!("{} cases in {families} families: {faults} faults\n{}\n", rows.len(), page.display()))?;
+    Ok(if faults == 0 { Verdict::Done } else { Verdict::Found })
 }
 
 fn work_precision(args: &Args) -> Result<Verdict> {
@@ -72,17 +116,19 @@ fn work_precision(args: &Args) -> Result<Verdict> {
     progress.finish_and_clear();
     let findings = findings?;
     let machine = Machine::this(std::env::args().collect());
-    write(&args.out, &findings, &machine)?;
+    write(
+        &args.out,
+        [
+            ("index.html", work_precision::to_html(&findings, &machine)?),
+            ("work_precision.csv", work_precision::to_csv(&findings)),
+            ("report.json", work_precision::to_json(&findings, &machine)?),
+        ],
+    )?;
     print::data(&summary(&args.out, &findings))?;
     Ok(Verdict::Done)
 }
 
-fn write(folder: &Path, findings: &Findings, machine: &Machine) -> Result<()> {
-    let files = [
-        ("index.html", work_precision::to_html(findings, machine)?),
-        ("work_precision.csv", work_precision::to_csv(findings)),
-        ("report.json", work_precision::to_json(findings, machine)?),
-    ];
+fn write(folder: &Path, files: [(&str, String); 3]) -> Result<()> {
     for (name, text) in files {
         write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
     }

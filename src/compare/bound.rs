@@ -33,6 +33,10 @@
 //! the centre's rounding over h, a recomputation from corners that were rounded on their own (2^-53 only:
 //! (|v_a| + |v_b|) / (|w| h) times |v|), the ray's own rounding, 8 eps, and the span's: a stated part of the
 //! angle between neighbouring rays ([`Precision::pixel_fraction`]).
+//!
+//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](crate::Mesh::new) lets pass. The cone of such a polygon is
+//! the part within all its edges' planes, which cuts off what lies beyond the sides of the dent: no farther from an edge's
+//! plane than the corner that is farthest beyond it.
 
 use crate::reference::{Edge, Face, UNIT_ROUNDOFF};
 use glam::DVec3;
@@ -76,7 +80,7 @@ impl Precision {
     }
 
     /// Ranges may be compared with each other and with the limits when they are rounded already: by this factor.
-    pub(super) fn limit_slack(self) -> f64 {
+    pub(crate) fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }
 }
@@ -120,7 +124,7 @@ impl PlaneBound {
 #[derive(Clone, Debug)]
 pub(crate) struct FaceBound {
     /// Radians by edge, for the ray too but without the span's share; infinite where the edge's line meets the centre.
-    edges: Vec<f64>,
+    pub edges: Vec<f64>,
     /// Error of n . u.
     cosine: f64,
     /// Error of cos_incidence: that, and the plane's tilt.
@@ -138,7 +142,7 @@ impl FaceBound {
         let plane = PlaneBound::new(face, centre_in_mesh, precision);
         let size = face.corners.iter().map(|v| v.distance(face.corners[0])).fold(0.0, f64::max);
         Self {
-            edges: face.edges.iter().map(|e| edge_bound(face, e, plane.centre, eps)).collect(),
+            edges: face.edges.iter().map(|e| edge_bound(face, e, plane.centre, eps) + dent(face, e)).collect(),
             cosine: plane.cosine,
             shown_cosine: plane.cosine + plane.tilt / size,
             distance: plane.distance,
@@ -167,6 +171,12 @@ impl FaceBound {
     pub fn widest(&self) -> f64 {
         self.edges.iter().copied().fold(0.0, f64::max)
     }
+}
+
+/// See "Dent" above; radians, 0 but for rounding where the polygon is convex.
+fn dent(face: &Face, edge: &Edge) -> f64 {
+    let beyond = |v: &DVec3| -edge.plane.dot(*v) / (edge.plane.length() * v.length());
+    if face.corners.len() > 3 { face.corners.iter().map(beyond).fold(0.0, f64::max) } else { 0.0 }
 }
 
 /// See "Edge" above; radians.

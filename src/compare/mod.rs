@@ -16,6 +16,8 @@ pub(crate) use bound::PlaneBound;
 pub use bound::Precision;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{Allowed, Shares, Values};
+#[cfg(feature = "report")]
+pub(crate) use {bound::FaceBound, candidates::span, pixel::ulp};
 
 use crate::error::{Error, Result};
 use crate::plan::{FramePlan, Images, Instance, Output};

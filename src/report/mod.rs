@@ -1,4 +1,4 @@
-//! Studies: what things cost, measured.
+//! Studies: what things cost, measured, and where they stop to hold.
 
 #[cfg(feature = "report")]
 pub mod chart;
@@ -7,5 +7,7 @@ pub mod index_study;
 pub mod page;
 #[cfg(feature = "report")]
 mod plot;
+#[cfg(feature = "report")]
+pub mod stability;
 #[cfg(feature = "report")]
 pub mod work_precision;

@@ -9,6 +9,7 @@ pub(crate) use image::Kind;
 
 use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Roi, Uncertain, Viewpoint, image_covariance};
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
+use crate::environment::check_covariance;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::sensor::Sensor;
@@ -36,7 +37,8 @@ impl Default for BoxOptions {
 /// Gives every feature that is seen its box and the covariance of its defining points in the image.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1; [`crate::ErrorKind::Invalid`] for a covariance that is not
+/// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about.
 pub fn add_boxes(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
@@ -74,13 +76,17 @@ pub(crate) struct BoxFrame<'a> {
 
 impl<'a> BoxFrame<'a> {
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    /// Those of [`add_boxes`].
     pub fn new(world: &'a World, sensor: &'a Sensor, world_from_sensor: &Pose, options: &BoxOptions) -> Result<Self> {
         if !(0.5..1.0).contains(&options.confidence) {
             return Err(Error::usage(
                 format!("confidence {} is not in 0.5..1", options.confidence),
                 "give a probability such as 0.99",
             ));
+        }
+        check_covariance(&options.sensor).map_err(|e| e.at("the sensor's pose"))?;
+        for (object, covariance) in &options.objects {
+            check_covariance(covariance).map_err(|e| e.at(format!("the pose of object {object}")))?;
         }
         let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
         // Of an object named twice the first counts.
