@@ -33,6 +33,18 @@ impl Default for BoxOptions {
     }
 }
 
+impl BoxOptions {
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    pub(crate) fn check(&self) -> Result<()> {
+        if (0.5..1.0).contains(&self.confidence) {
+            return Ok(());
+        }
+        let what = format!("confidence {} is not in 0.5..1", self.confidence);
+        Err(Error::usage(what, "give a probability such as 0.99"))
+    }
+}
+
 /// Gives every feature that is seen its box and the covariance of its defining points in the image.
 ///
 /// # Errors
@@ -76,12 +88,7 @@ impl<'a> BoxFrame<'a> {
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
     pub fn new(world: &'a World, sensor: &'a Sensor, world_from_sensor: &Pose, options: &BoxOptions) -> Result<Self> {
-        if !(0.5..1.0).contains(&options.confidence) {
-            return Err(Error::usage(
-                format!("confidence {} is not in 0.5..1", options.confidence),
-                "give a probability such as 0.99",
-            ));
-        }
+        options.check()?;
         let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
         // Of an object named twice the first counts.
         objects.sort_by_key(|(object, _)| *object);
