@@ -333,8 +333,7 @@ impl Predictor {
                 && std::ptr::eq(plan.sensor.grid(), sensor.grid())
                 && plan.world_from_sensor == *world_from_sensor
         };
-        let there =
-            matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes() && engine.holds_prediction());
+        let there = matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes() && engine.holds_prediction());
         if !there || !self.plan.as_ref().is_some_and(same) {
             return Ok(None);
         }
@@ -385,8 +384,7 @@ impl Predictor {
         let mut again = true;
         while let Engine::Gpu(engine, proven) = &mut self.engine {
             // Where nothing is drawn nothing has to be proven.
-            let drawn =
-                if plan.polygon_count == 0 { Ok(()) } else { prove(engine, proven, plan, self.opening.wrong) };
+            let drawn = if plan.polygon_count == 0 { Ok(()) } else { prove(engine, proven, plan, self.opening.wrong) };
             let Err(fault) = drawn.and_then(|()| engine.render(plan, images, stats)) else { return Ok(()) };
             self.recover(fault, again)?;
             again = false;

@@ -134,7 +134,7 @@ impl Engine {
             images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats);
-            stats.leave_out("everything on the device", NOTHING_IN_VIEW);
+            stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
             return Ok(());
         }
         let before = self.gpu.work();
