@@ -10,12 +10,13 @@ use presight::environment::{Appearance, Existence, Feature, FeatureShape, Proper
 use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
 use presight::index::{Params, Scheme};
 use presight::{
-    Backend, Camera, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Opening, Options,
-    Output, Outputs, Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, Work, World,
+    Backend, Camera, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Options, Output,
+    Outputs, Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, Work, World,
 };
 use std::sync::Arc;
 
 /// Where a prediction is made.
+#[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "there is no device"))]
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum On {
     Cpu,
@@ -417,8 +418,8 @@ fn one_stage_pass_group_byte_or_image_too_many_is_found() {
 #[cfg(feature = "gpu")]
 mod device {
     use super::*;
-    use presight::FramePlan;
     use presight::gpu::{DeviceOptions, Engine};
+    use presight::{FramePlan, Opening};
 
     /// `None`, said loudly, where there is no adapter and the machine may lack one.
     #[expect(clippy::print_stderr, reason = "a skipped test says so")]
