@@ -74,7 +74,8 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
     import_within(path.as_ref(), None, options)
 }
 
-/// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however links lead.
+/// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however
+/// links lead.
 ///
 /// # Errors
 /// As [`import`]; [`ErrorKind::Invalid`] if one is outside.
