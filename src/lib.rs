@@ -68,7 +68,7 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, Stats};
+pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, StageRow, Stats, Work};
 #[doc(hidden)]
 pub use predict::Opening;
 pub use predict::{Backend, Options, Prediction, Predictor};

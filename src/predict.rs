@@ -203,7 +203,9 @@ impl Predictor {
         let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         stats.stage("selection", start);
         let rendered = self.render(&plan, images, &mut stats);
-        stats.left_out = plan.left_out();
+        let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
+        stats.left_out.extend(by_engine);
+        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
         stats.notices.extend(self.notice.clone());
         self.plan = Some(plan);
         rendered.map(|()| stats)
@@ -228,6 +230,9 @@ impl Predictor {
         options: &FeatureOptions,
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
+        if placed.is_empty() {
+            stats.leave_out("features", "there is none for this class");
+        }
         #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "the device's part is told apart"))]
         let mut start = Instant::now();
         let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
@@ -244,6 +249,9 @@ impl Predictor {
         }
         #[cfg(not(feature = "gpu"))]
         let told: Option<Vec<Vec<Option<u32>>>> = None;
+        if placed.is_empty() {
+            return Ok(prepared.finish(None));
+        }
         let prediction = self.on_threads(|| prepared.finish(told.as_deref()))?;
         stats.stage("features", start);
         for (name, n) in prediction.stats.counts() {
@@ -269,14 +277,20 @@ impl Predictor {
         options: &BoxOptions,
         stats: &mut Stats,
     ) -> Result<()> {
+        if prediction.features.is_empty() {
+            stats.leave_out("regions of interest", "there is no feature");
+            return options.check();
+        }
         let start = Instant::now();
         #[cfg(feature = "gpu")]
         if let Engine::Gpu(engine, _) = &mut self.engine
             && engine.proposes()
         {
             let pool = pool_of(&mut self.pool, self.options.threads)?;
+            let before = engine.work();
             match pool.install(|| engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options)) {
                 Ok(made) => {
+                    stats.work.add(engine.work().since(before));
                     stats.count("regions of interest made on the device", made);
                     stats.stage("regions of interest", start);
                     return Ok(());
@@ -319,23 +333,29 @@ impl Predictor {
                 && std::ptr::eq(plan.sensor.grid(), sensor.grid())
                 && plan.world_from_sensor == *world_from_sensor
         };
-        let there = matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes());
+        let there = matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes() && engine.holds_prediction());
         if !there || !self.plan.as_ref().is_some_and(same) {
             return Ok(None);
         }
         let asking = self.on_threads(|| prepared.asking())?;
+        if asking.iter().all(Vec::is_empty) {
+            stats.leave_out("features on the device", "no sample is where only what is in between decides");
+            return Ok(None);
+        }
         let mut asked = gpu::Asked::new(asking.iter().map(Vec::len).sum(), sensor);
         for (samples, placed) in asking.iter().zip(placed) {
             asked.begin(&placed.slots);
             samples.iter().for_each(|(at, pixel)| asked.push(*at, *pixel));
         }
         let Engine::Gpu(engine, _) = &mut self.engine else { return Ok(None) };
+        let before = engine.work();
         let proposals = match engine.propose(&asked) {
             Ok(proposals) => proposals,
             // The images at hand say the same; the next prediction opens the device again.
             Err(_) if self.options.backend == Backend::Auto => return Ok(None),
             Err(e) => return Err(e),
         };
+        stats.work.add(engine.work().since(before));
         let seen = proposals.iter().filter(|p| **p == gpu::Proposal::Seen).count();
         let mut slots = proposals.iter().map(|p| match p {
             gpu::Proposal::Hidden(slot) => Some(*slot),
@@ -363,7 +383,8 @@ impl Predictor {
         let selection = stats.clone();
         let mut again = true;
         while let Engine::Gpu(engine, proven) = &mut self.engine {
-            let drawn = prove(engine, proven, plan, self.opening.wrong);
+            // Where nothing is drawn nothing has to be proven.
+            let drawn = if plan.polygon_count == 0 { Ok(()) } else { prove(engine, proven, plan, self.opening.wrong) };
             let Err(fault) = drawn.and_then(|()| engine.render(plan, images, stats)) else { return Ok(()) };
             self.recover(fault, again)?;
             again = false;

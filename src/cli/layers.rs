@@ -51,6 +51,8 @@ pub struct Asked {
     pub outputs: Outputs,
     /// The virtual sensor.
     pub virtual_sensor: Option<VirtualSensor>,
+    /// A preview is drawn, which shows boxes.
+    pub preview: bool,
 }
 
 impl Asked {
@@ -68,6 +70,8 @@ pub struct Layers {
     placed: Vec<PlacedFeature>,
     options: FeatureOptions,
     boxes: BoxOptions,
+    /// Something shows the boxes, or only they were asked for.
+    boxed: bool,
 }
 
 impl LayerArgs {
@@ -148,7 +152,10 @@ impl LayerArgs {
             objects: loaded.layer.pose_covariances.iter().map(of_object).collect::<Result<_>>()?,
             confidence: self.confidence,
         };
-        Ok(Some(Layers { placed, options, boxes }))
+        // An image of numbers and the answer of a virtual sensor are made without boxes.
+        let only_without = (feature_id || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
+        let boxed = self.features.is_some() || asked.preview || !only_without;
+        Ok(Some(Layers { placed, options, boxes, boxed }))
     }
 
     /// Writes the prediction's file, if one is asked for.
@@ -186,7 +193,11 @@ impl Layers {
         let (world, placed) = (&scene.world, &self.placed);
         let mut features = predictor.predict_features(world, sensor, pose, images, placed, &self.options, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
-        predictor.add_boxes(&mut features, placed, world, sensor, pose, &self.boxes, stats)?;
+        if self.boxed {
+            predictor.add_boxes(&mut features, placed, world, sensor, pose, &self.boxes, stats)?;
+        } else {
+            stats.leave_out("regions of interest", "nothing that is asked for shows them");
+        }
         Ok(features)
     }
 }

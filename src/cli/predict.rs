@@ -203,7 +203,7 @@ impl Args {
     fn asked(&self) -> Asked {
         let of_preview = self.png.as_ref().map(|_| self.png_of);
         let outputs = Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>());
-        Asked { outputs, virtual_sensor: self.virtual_sensor.task }
+        Asked { outputs, virtual_sensor: self.virtual_sensor.task, preview: self.png.is_some() }
     }
 
     /// The images to predict: what was asked for, and what the other files are drawn from.

@@ -1,7 +1,6 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
-use crate::plan::LeftOut;
-use crate::plan::Stats;
+use crate::plan::{LeftOut, StageRow, Stats, Taken, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -51,8 +50,13 @@ pub struct Statistics {
     /// Medians.
     stages_ms: OrderedMap<f64>,
     counts: OrderedMap<u64>,
+    /// Of the last prediction.
+    work: Work,
+    taken: Vec<Taken>,
     left_out: Vec<LeftOut>,
     notices: Vec<String>,
+    #[serde(skip)]
+    rows: Vec<StageRow>,
 }
 
 /// A JSON object in the order of its entries.
@@ -81,13 +85,22 @@ pub struct Subject {
 impl Statistics {
     /// Of measured predictions: the whole time of each in ms, and what each says of itself.
     pub fn of(subject: Subject, times_ms: &[f64], runs: &[Stats]) -> Self {
-        let last = runs.last().cloned().unwrap_or_default();
-        let names: Vec<String> = last.stages_ms.iter().map(|(name, _)| name.clone()).collect();
+        let mut last = runs.last().cloned().unwrap_or_default();
+        let mut names: Vec<String> = Vec::new();
+        for (name, _) in &last.stages_ms {
+            if !names.contains(name) {
+                names.push(name.clone());
+            }
+        }
         let stage = |name: String| {
             let of_run = |s: &Stats| s.stages_ms.iter().filter(|(n, _)| *n == name).map(|(_, ms)| ms).sum::<f64>();
             let times: Vec<f64> = runs.iter().map(of_run).collect();
             (name, Milliseconds::of(&times).median)
         };
+        last.stages_ms = names.into_iter().map(stage).collect();
+        let rows = last.stages();
+        let left_out = rows.iter().filter(|r| !r.ran);
+        let left_out = left_out.map(|r| LeftOut { what: r.name.clone(), why: r.why.clone() }).collect();
         Self {
             format: FORMAT,
             versions: BTreeMap::from([("presight", env!("CARGO_PKG_VERSION"))]),
@@ -102,10 +115,13 @@ impl Statistics {
             index: last.index,
             repeat: times_ms.len(),
             prediction_ms: Milliseconds::of(times_ms),
-            stages_ms: OrderedMap(names.into_iter().map(stage).collect()),
+            stages_ms: OrderedMap(last.stages_ms),
             counts: OrderedMap(last.counts),
-            left_out: last.left_out,
+            work: last.work,
+            taken: last.taken,
+            left_out,
             notices: last.notices,
+            rows,
         }
     }
 
@@ -137,19 +153,21 @@ impl Statistics {
             1 => format!("time      {:.2} ms", ms.median),
             n => format!("time      {:.2} ms median, {:.2} p95, {:.2} min of {n}", ms.median, ms.p95, ms.min),
         });
-        let width = self.stages_ms.0.iter().map(|s| s.0.len()).chain(self.counts.0.iter().map(|c| c.0.len())).max();
-        let width = width.unwrap_or(0);
+        let counts = || {
+            let of_work = self.work.counts().into_iter().filter(|(_, n)| *n > 0);
+            self.counts.0.iter().map(|(name, n)| (name.as_str(), *n)).chain(of_work)
+        };
+        let names = self.rows.iter().filter(|r| r.ran).map(|r| r.name.as_str()).chain(counts().map(|(name, _)| name));
+        let width = names.map(str::len).max().unwrap_or(0);
         lines.push("stages".into());
-        lines.extend(self.stages_ms.0.iter().map(|(name, ms)| format!("  {name:width$}  {ms:>10.3} ms")));
-        if !self.counts.0.is_empty() {
-            lines.push("counts".into());
-            lines.extend(self.counts.0.iter().map(|(name, n)| format!("  {name:width$}  {n:>10}")));
-        }
+        lines.extend(self.rows.iter().filter(|r| r.ran).map(|r| match r.ms {
+            Some(ms) => format!("  {:width$}  {ms:>10.3} ms", r.name),
+            None => format!("  {:width$}  {}", r.name, r.why),
+        }));
+        lines.push("counts".into());
+        lines.extend(counts().map(|(name, n)| format!("  {name:width$}  {n:>10}")));
         lines.push("left out".into());
-        lines.extend(self.left_out.iter().map(|l| format!("  {}: {}", l.what, l.why)));
-        if self.left_out.is_empty() {
-            lines.push("  nothing".into());
-        }
+        lines.extend(self.rows.iter().filter(|r| !r.ran).map(|r| format!("  {}: {}", r.name, r.why)));
         if !self.notices.is_empty() {
             lines.push("notices".into());
             lines.extend(self.notices.iter().map(|n| format!("  {n}")));

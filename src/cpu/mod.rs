@@ -18,7 +18,7 @@ mod setup;
 mod spans;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Images, Run, Stats};
+use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
 use batch::{Batch, Winners};
 use bounds::Bounds;
@@ -74,6 +74,13 @@ impl Engine {
                 "lower range_max or split the environment",
             ));
         }
+        if plan.polygon_count == 0 {
+            images.show_nothing(plan.sensor.grid());
+            plan.finish_noting(images, stats);
+            stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
+            stats.count("polygons_selected", 0);
+            return Ok(());
+        }
         let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
@@ -86,7 +93,7 @@ impl Engine {
             stats.count("polygons_set_up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count("polygons_edge_on", batches[..used].iter().map(|b| b.edge_on).sum());
         });
-        plan.finish(images);
+        plan.finish_noting(images, stats);
         Ok(())
     }
 }
@@ -113,13 +120,14 @@ fn draw_waves(
     winners.clear();
     let mut times = [Duration::ZERO; 3];
     let (mut done, mut used, mut hidden) = (0, 0, 0);
-    let mut clear = true;
+    let (mut clear, mut sifted) = (true, false);
     while clear || done < plan.runs.len() {
         let start = Instant::now();
         let wave = next_wave(&plan.runs, done);
         let runs = if used == 0 || matches!(plan.sensor.grid(), PixelGrid::Rays(_)) {
             plan.runs[wave.clone()].to_vec()
         } else {
+            sifted = true;
             let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
             plan.runs[wave.clone()].par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat()
         };
@@ -150,9 +158,16 @@ fn draw_waves(
         clear = false;
         times[2] += start.elapsed();
     }
-    for (name, time) in ["hidden", "setup", "rasterization"].iter().zip(times) {
-        stats.stages_ms.push(((*name).to_owned(), time.as_secs_f64() * 1e3));
+    let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
+    if sifted {
+        stats.stages_ms.push(("hidden".to_owned(), hiding));
+    } else {
+        let rays = matches!(plan.sensor.grid(), PixelGrid::Rays(_));
+        let few = "the polygons are drawn in one wave";
+        stats.leave_out("hidden", if rays { "ray tables keep no coarse depth" } else { few });
     }
+    stats.stages_ms.push(("setup".to_owned(), if sifted { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push(("rasterization".to_owned(), drawing));
     stats.count("polygons_selected", plan.polygon_count);
     stats.count("runs_selected", plan.runs.len());
     stats.count("runs_hidden", hidden);

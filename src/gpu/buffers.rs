@@ -68,6 +68,7 @@ impl Growable {
 /// What the host writes to is mapped from the start.
 fn create(gpu: &Gpu, label: &str, usage: wgpu::BufferUsages, size: u64) -> wgpu::Buffer {
     gpu.made.buffers.add();
+    gpu.made.bytes.add_many(size);
     let mapped_at_creation = usage.contains(wgpu::BufferUsages::MAP_WRITE);
     gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
 }
@@ -158,6 +159,7 @@ impl Uploads {
         let view = staging.get_mapped_range_mut(0..bytes);
         let mut view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
         view.copy_from_slice(&self.bytes);
+        gpu.done.bytes_written.add_many(bytes);
         drop(view);
         staging.unmap();
         for copy in self.copies.drain(..) {

@@ -1,6 +1,7 @@
 //! The adapter and device, and their faults as typed errors.
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::plan::Work;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -58,6 +59,8 @@ pub struct DeviceOptions {
 pub struct Made {
     /// Buffers, and sets of time stamps.
     pub buffers: u64,
+    /// Bytes of these buffers.
+    pub bytes: u64,
     /// Bind groups.
     pub bind_groups: u64,
     /// Compute pipelines.
@@ -72,7 +75,11 @@ pub(super) struct Count(AtomicU64);
 
 impl Count {
     pub fn add(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
+        self.add_many(1);
+    }
+
+    pub fn add_many(&self, n: u64) {
+        self.0.fetch_add(n, Ordering::Relaxed);
     }
 
     fn get(&self) -> u64 {
@@ -84,6 +91,7 @@ impl Count {
 #[derive(Default)]
 pub(super) struct Making {
     pub buffers: Count,
+    pub bytes: Count,
     pub bind_groups: Count,
     pub pipelines: Count,
     pub staged: Count,
@@ -93,11 +101,21 @@ impl Making {
     pub fn so_far(&self) -> Made {
         Made {
             buffers: self.buffers.get(),
+            bytes: self.bytes.get(),
             bind_groups: self.bind_groups.get(),
             pipelines: self.pipelines.get(),
             staged: self.staged.get(),
         }
     }
+}
+
+/// What the device was given to do, while it is counted.
+#[derive(Default)]
+pub(super) struct Doing {
+    pub passes: Count,
+    pub workgroups: Count,
+    pub bytes_written: Count,
+    pub bytes_read: Count,
 }
 
 /// A device with its queue and what it can do.
@@ -110,6 +128,7 @@ pub(super) struct Gpu {
     /// Times of stages can be asked for.
     pub timestamps: bool,
     pub made: Making,
+    pub done: Doing,
     fault: Arc<Mutex<Option<(ErrorKind, String)>>>,
 }
 
@@ -157,13 +176,43 @@ impl Gpu {
             int64: features.contains(int64),
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
             made: Making::default(),
+            done: Doing::default(),
             fault,
         })
+    }
+
+    /// What was done and made so far.
+    pub fn work(&self) -> Work {
+        Work {
+            gpu_passes: self.done.passes.get(),
+            gpu_workgroups: self.done.workgroups.get(),
+            gpu_bytes_made: self.made.bytes.get(),
+            gpu_bytes_written: self.done.bytes_written.get(),
+            gpu_bytes_read: self.done.bytes_read.get(),
+            image_bytes: 0,
+        }
+    }
+
+    /// Begins a compute pass.
+    pub fn pass<'e>(
+        &self,
+        encoder: &'e mut wgpu::CommandEncoder,
+        descriptor: &wgpu::ComputePassDescriptor<'_>,
+    ) -> wgpu::ComputePass<'e> {
+        self.done.passes.add();
+        encoder.begin_compute_pass(descriptor)
+    }
+
+    /// Dispatches as many workgroups.
+    pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, (x, y): (u32, u32)) {
+        self.done.workgroups.add_many(u64::from(x) * u64::from(y));
+        pass.dispatch_workgroups(x, y, 1);
     }
 
     /// Uploads what does not change from frame to frame.
     pub fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
         self.made.staged.add();
+        self.done.bytes_written.add_many(bytes.len() as u64);
         self.queue.write_buffer(buffer, at, bytes);
     }
 

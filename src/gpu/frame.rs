@@ -4,6 +4,7 @@ use super::geometry::Arena;
 use super::grid::Tables;
 use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS};
 use super::near::{NearList, is_near};
+use super::stages::{NAMES, RESOLVE};
 use crate::plan::{FramePlan, IdScheme, Output, Outputs};
 use glam::{DMat3, DVec3, Vec3};
 
@@ -34,6 +35,11 @@ impl Frame {
     /// True if the instances are read from a uniform buffer.
     pub fn few(&self) -> bool {
         self.instances.len() <= FEW_INSTANCES as usize
+    }
+
+    /// Names of the stages that run on the device.
+    pub fn stages(&self) -> &'static [&'static str] {
+        if self.on_host { &NAMES[..RESOLVE] } else { &NAMES }
     }
 
     /// Size of what is known about slots.

@@ -22,14 +22,14 @@ pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters};
 pub use visible::{Asked, Proposal};
 
 use crate::error::{ErrorKind, Result};
-use crate::plan::{FramePlan, Images, Output, Stats};
+use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
 use crate::sensor::Sensor;
 use device::Gpu;
 use frame::Frame;
 use geometry::Arena;
 use grid::Tables;
 use layout::Counters;
-use stages::Stages;
+use stages::{Stages, Variants};
 use std::time::Instant;
 use store::{Readback, Store};
 use visible::Visible;
@@ -48,7 +48,10 @@ const MOST_SENSORS: usize = 8;
 pub struct Engine {
     gpu: Gpu,
     stages: Stages,
-    visible: Visible,
+    /// Made when samples of features are first asked about.
+    visible: Option<Visible>,
+    /// The buffers hold what the last prediction drew.
+    drawn: bool,
     store: Store,
     arena: Arena,
     frame: Frame,
@@ -72,13 +75,13 @@ impl Engine {
     pub fn new(options: DeviceOptions) -> Result<Self> {
         let gpu = Gpu::open(options)?;
         let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
-        let visible = Visible::new(&gpu);
         gpu.check()?;
         let software = !gpu.adapter.hardware && !options.all_on_device;
         Ok(Self {
             gpu,
             stages,
-            visible,
+            visible: None,
+            drawn: false,
             store,
             arena,
             frame: Frame::default(),
@@ -126,22 +129,45 @@ impl Engine {
         stats.adapter = Some(self.gpu.adapter.to_string());
         let start = Instant::now();
         self.gpu.check()?;
+        self.drawn = false;
+        if plan.polygon_count == 0 {
+            images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());
+            images.show_nothing(plan.sensor.grid());
+            plan.finish_noting(images, stats);
+            stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
+            return Ok(());
+        }
+        let before = self.gpu.work();
         self.upload(plan)?;
         stats.stage("upload", start);
         let mut reruns = 0;
         loop {
             let start = Instant::now();
-            self.submit()?;
+            let variants = self.submit()?;
             let counters = self.read(plan, images, stats, start)?;
+            self.gpu.done.workgroups.add_many(variants.indirect_groups(&counters));
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
-                plan.finish(images);
+                self.drawn = true;
+                plan.finish_noting(images, stats);
                 self.report(&counters, reruns, stats);
+                let image_bytes = stats.work.image_bytes;
+                stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
                 return Ok(());
             }
             self.rebind = true;
             reruns += 1;
         }
+    }
+
+    /// What it has done and made on the device since it was opened.
+    pub(crate) fn work(&self) -> Work {
+        self.gpu.work()
+    }
+
+    /// True if the last prediction was drawn on the device, so that it can be asked there what its pixels say.
+    pub(crate) fn holds_prediction(&self) -> bool {
+        self.drawn
     }
 
     /// True if features are asked for on the device; a software adapter's cores find them sooner without it.
@@ -156,12 +182,13 @@ impl Engine {
     pub fn propose(&mut self, asked: &Asked) -> Result<Vec<Proposal>> {
         let Some((_, tables)) = self.sensors.first().filter(|_| asked.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;
+        let visible = self.visible.get_or_insert_with(|| Visible::new(&self.gpu));
         self.store.uploads.clear();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.visible.encode(&self.gpu, &mut encoder, &mut self.store, tables.kind, asked)?;
+        visible.encode(&self.gpu, &mut encoder, &mut self.store, tables.kind, asked)?;
         self.gpu.queue.submit([encoder.finish()]);
         self.store.uploads.recall();
-        self.visible.read(&self.gpu, asked.count())
+        visible.read(&self.gpu, asked.count())
     }
 
     fn upload(&mut self, plan: &FramePlan) -> Result<()> {
@@ -199,12 +226,12 @@ impl Engine {
         Ok(())
     }
 
-    fn submit(&mut self) -> Result<()> {
-        let Some((_, tables)) = self.sensors.first() else { return Ok(()) };
+    fn submit(&mut self) -> Result<Variants> {
+        let tables = &self.sensors[0].1;
         let variants = self.stages.prepare(&self.gpu, tables, &self.frame)?;
         if self.rebind {
             self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
-            self.visible.rebind();
+            self.visible.iter_mut().for_each(Visible::rebind);
             self.rebind = false;
         }
         if !self.placed {
@@ -213,12 +240,12 @@ impl Engine {
         self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.store.uploads.encode(&self.gpu, &mut encoder)?;
-        self.stages.encode(&mut encoder, &variants, &self.frame, &self.store);
+        self.stages.encode(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
         self.store.encode_readback(&mut encoder, &self.frame);
         self.gpu.queue.submit([encoder.finish()]);
         self.placed = true;
         self.store.uploads.recall();
-        Ok(())
+        Ok(variants)
     }
 
     fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
@@ -234,6 +261,7 @@ impl Engine {
         let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
         let mut counters: Counters =
             bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()]);
+        self.gpu.done.bytes_read.add_many(at.bytes);
         self.stage_times(&view[at.times as usize..], stats);
         let params = &self.frame.params;
         images.prepare(params.width, params.height, self.frame.outputs);
@@ -255,7 +283,7 @@ impl Engine {
             return;
         }
         let period = f64::from(self.gpu.queue.get_timestamp_period());
-        for (name, pair) in stages::NAMES.iter().zip(bytes.chunks_exact(16)) {
+        for (name, pair) in self.frame.stages().iter().zip(bytes.chunks_exact(16)) {
             let [begin, end]: [u64; 2] = bytemuck::pod_read_unaligned(pair);
             let ms = end.saturating_sub(begin) as f64 * period * 1e-6;
             stats.stages_ms.push(((*name).to_owned(), ms));
@@ -280,6 +308,7 @@ impl Engine {
     }
 
     fn report(&self, counters: &Counters, reruns: usize, stats: &mut Stats) {
+        self.report_variants(stats);
         let near = &self.frame.near;
         stats.count("polygons selected", self.frame.params.polygon_count as usize);
         stats.count("polygons in view", counters.survivors as usize);
@@ -291,5 +320,40 @@ impl Engine {
         if counters.lost_ids > 0 {
             stats.notices.push(format!("{} hits without an id: please report this", counters.lost_ids));
         }
+    }
+
+    /// Which variants of stages were taken, and which were not.
+    fn report_variants(&self, stats: &mut Stats) {
+        let frame = &self.frame;
+        if self.store.times.is_none() {
+            frame.stages().iter().for_each(|name| stats.take(*name, "within device, which tells no times of stages"));
+        }
+        if frame.on_host {
+            stats.leave_out("resolve on the device", "the adapter is a program on the CPU's own cores");
+        }
+        let short = self.sensors.first().is_some_and(|(_, tables)| tables.short());
+        let mut choose = |what: &str, needed: bool, why: [&str; 2]| {
+            if needed { stats.take(what, why[1]) } else { stats.leave_out(what, why[0]) }
+        };
+        choose(
+            "second raster pass",
+            !self.gpu.int64,
+            ["the device has 64-bit atomics", "the device has no 64-bit atomics: nearest first, then the lowest id"],
+        );
+        choose(
+            "instances from a storage buffer",
+            !frame.few(),
+            ["a uniform buffer holds them", "a uniform buffer cannot hold as many"],
+        );
+        choose(
+            "rays from a storage buffer",
+            !short,
+            ["a uniform buffer holds them", "a uniform buffer cannot hold as many, or the rays lie on no lines"],
+        );
+        choose(
+            "setup in f64",
+            !frame.near.slots.is_empty(),
+            ["no polygon around the sensor is flat to it", "polygons around the sensor are flat to it"],
+        );
     }
 }

@@ -22,6 +22,8 @@ use std::mem::offset_of;
 
 /// Stages in order, as times are reported.
 pub(super) const NAMES: [&str; 4] = ["cull", "setup", "raster", "resolve"];
+/// The place of `resolve` among them.
+pub(super) const RESOLVE: usize = 3;
 
 /// All stages of the engine.
 pub(super) struct Stages {
@@ -108,7 +110,9 @@ impl Stages {
             ("COSINE", asked(Output::CosIncidence)),
         ];
         let resolve = (kind as u32, bits);
-        self.resolve.prepare(gpu, resolve, shaders::RESOLVE, &constants)?;
+        if !frame.on_host {
+            self.resolve.prepare(gpu, resolve, shaders::RESOLVE, &constants)?;
+        }
         Ok(Variants { cull, setup, raster, second, resolve })
     }
 
@@ -125,38 +129,47 @@ impl Stages {
         self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters]);
     }
 
-    /// Encodes a frame, from cleared keys to outputs.
-    pub fn encode(&self, encoder: &mut wgpu::CommandEncoder, v: &Variants, frame: &Frame, store: &Store) {
+    /// Encodes a frame of at least one polygon, from cleared keys to outputs.
+    pub fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, v: &Variants, frame: &Frame, store: &Store) {
+        debug_assert!(frame.params.polygon_count > 0, "nothing is in view");
         let pixels = frame.params.width * frame.params.height;
         encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));
         let counters = store.counters.buffer();
-        let (x, y) = layout::groups_for(frame.params.polygon_count);
-        // Passes are begun even if nothing is dispatched: their times are read back.
-        let mut pass = encoder.begin_compute_pass(&store.pass(0));
-        if x > 0 && self.cull.set(&mut pass, v.cull) {
-            pass.dispatch_workgroups(x, y, 1);
+        let mut pass = gpu.pass(encoder, &store.pass(0));
+        if self.cull.set(&mut pass, v.cull) {
+            gpu.dispatch(&mut pass, layout::groups_for(frame.params.polygon_count));
         }
         drop(pass);
         let groups = offset_of!(Counters, setup_groups) as u64;
         encoder.copy_buffer_to_buffer(counters, groups, store.dispatch.buffer(), 0, 12);
-        let mut pass = encoder.begin_compute_pass(&store.pass(1));
-        if x > 0 && self.setup.set(&mut pass, v.setup) {
+        let mut pass = gpu.pass(encoder, &store.pass(1));
+        if self.setup.set(&mut pass, v.setup) {
             pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
         }
         drop(pass);
         let groups = offset_of!(Counters, raster_groups) as u64;
         encoder.copy_buffer_to_buffer(counters, groups, store.dispatch.buffer(), 0, 12);
-        let mut pass = encoder.begin_compute_pass(&store.pass(2));
+        let mut pass = gpu.pass(encoder, &store.pass(2));
         for variant in [Some(v.raster), v.second].into_iter().flatten() {
             if self.raster.set(&mut pass, variant) {
                 pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
             }
         }
         drop(pass);
-        let mut pass = encoder.begin_compute_pass(&store.pass(3));
-        if !frame.on_host && self.resolve.set(&mut pass, v.resolve) {
-            let (x, y) = layout::groups_for(pixels);
-            pass.dispatch_workgroups(x, y, 1);
+        if frame.on_host {
+            return;
         }
+        let mut pass = gpu.pass(encoder, &store.pass(RESOLVE as u32));
+        if self.resolve.set(&mut pass, v.resolve) {
+            gpu.dispatch(&mut pass, layout::groups_for(pixels));
+        }
+    }
+}
+
+impl Variants {
+    /// Workgroups that the device dispatched by its own count.
+    pub fn indirect_groups(&self, counters: &Counters) -> u64 {
+        let rasters = 1 + u64::from(self.second.is_some());
+        u64::from(counters.setup_groups) + rasters * u64::from(counters.raster_groups)
     }
 }

@@ -81,7 +81,10 @@ impl Store {
     pub fn reserve(&mut self, gpu: &Gpu, frame: &Frame) -> Result<bool> {
         let words = |n: usize| n as u64 * 4;
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
-        let mut replaced = self.instances.reserve(gpu, (frame.instances.len() * size_of::<Instance>()) as u64)?;
+        // What is not needed stays as small as it was made: it is bound, and neither written nor read.
+        let instances = if frame.few() { 0 } else { frame.instances.len() * size_of::<Instance>() };
+        let outputs = if frame.on_host { 0 } else { frame.output_words * 4 };
+        let mut replaced = self.instances.reserve(gpu, instances as u64)?;
         replaced |= self.work.reserve(gpu, words(frame.work.len()))?;
         let survivors = u64::from(frame.params.polygon_count) * size_of::<Survivor>() as u64;
         replaced |= self.survivors.reserve(gpu, survivors)?;
@@ -89,7 +92,7 @@ impl Store {
         replaced |= self.items.reserve(gpu, words(frame.near.items.len()))?;
         replaced |= self.seen_slots.reserve(gpu, frame.slot_bytes())?;
         replaced |= self.keys.reserve(gpu, pixels * 8)?;
-        replaced |= self.outputs.reserve(gpu, frame.output_words * 4)?;
+        replaced |= self.outputs.reserve(gpu, outputs)?;
         self.readback.reserve(gpu, Readback::of(frame).bytes)?;
         Ok(replaced)
     }
@@ -181,7 +184,7 @@ impl Store {
         }
         encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, to, at.counters, size_of::<Counters>() as u64);
         if let Some((queries, resolved)) = &self.times {
-            encoder.resolve_query_set(queries, 0..2 * NAMES.len() as u32, resolved.buffer(), 0);
+            encoder.resolve_query_set(queries, 0..2 * frame.stages().len() as u32, resolved.buffer(), 0);
             encoder.copy_buffer_to_buffer(resolved.buffer(), 0, to, at.times, at.bytes - at.times);
         }
     }
@@ -202,6 +205,6 @@ impl Readback {
         let counters = if frame.on_host { slots + frame.slot_bytes() } else { frame.output_words * 4 };
         // Query results are 8 bytes and must lie on 8.
         let times = (counters + size_of::<Counters>() as u64).next_multiple_of(8);
-        Self { slots, counters, times, bytes: times + 16 * NAMES.len() as u64 }
+        Self { slots, counters, times, bytes: times + 16 * frame.stages().len() as u64 }
     }
 }

@@ -92,7 +92,7 @@ impl Asked {
     }
 }
 
-/// The stage with its buffers.
+/// The stage with its buffers, made when samples are first asked about.
 pub(super) struct Visible {
     stage: Stage,
     asked: Growable,
@@ -121,7 +121,7 @@ impl Visible {
         self.rebind = true;
     }
 
-    /// Encodes the uploads and the stage, on what the last frame left in its buffers.
+    /// Encodes the uploads and the stage for at least one sample, on what the last frame left in its buffers.
     ///
     /// # Errors
     /// [`ErrorKind::DeviceMemory`], or the device's.
@@ -146,10 +146,9 @@ impl Visible {
         }
         store.uploads.put(&self.asked, 0, bytemuck::cast_slice(&asked.words));
         store.uploads.encode(gpu, encoder)?;
-        let (x, y) = layout::groups_for(asked.count);
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        if x > 0 && self.stage.set(&mut pass, variant) {
-            pass.dispatch_workgroups(x, y, 1);
+        let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor::default());
+        if self.stage.set(&mut pass, variant) {
+            gpu.dispatch(&mut pass, layout::groups_for(asked.count));
         }
         drop(pass);
         encoder.copy_buffer_to_buffer(self.answers.buffer(), 0, self.readback.buffer(), 0, bytes);
@@ -167,6 +166,7 @@ impl Visible {
         self.mapping.check(gpu, "the proposals")?;
         let view = buffer.get_mapped_range(0..bytes);
         let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        gpu.done.bytes_read.add_many(bytes);
         let words: &[u32] = bytemuck::cast_slice(&view);
         let proposals = words.iter().map(|word| Proposal::of_word(*word)).collect();
         drop(view);

@@ -6,7 +6,8 @@
 //!
 //! All engines share this one step behind their own: it needs no geometry, only the images that they make anyway.
 
-use super::{FramePlan, Images, Output, Outputs, PolygonsOfIds};
+use super::{FramePlan, Images, Output, Outputs, PolygonsOfIds, Stats};
+use std::time::Instant;
 
 impl FramePlan {
     /// What engines fill: the images asked for, and those that are only needed to make others.
@@ -49,11 +50,26 @@ impl FramePlan {
         }
     }
 
+    /// [`FramePlan::finish`], with what it cost and how many bytes of images there are.
+    pub(crate) fn finish_noting(&self, images: &mut Images, stats: &mut Stats) {
+        let start = Instant::now();
+        self.finish(images);
+        if self.request.outputs.has(Output::Echo) {
+            stats.stage("echo", start);
+        }
+        stats.work.image_bytes = images.bytes();
+    }
+
     /// Reflection factor of a polygon's material, 0..=1.
     pub fn reflection(&self, object: u32, polygon: u32) -> f64 {
         let environment = self.environment();
         let material = environment.objects()[object as usize].mesh.material(polygon);
         environment.materials()[usize::from(material)].reflection
+    }
+
+    /// True if an echo is asked for that depends on which material is seen.
+    pub(super) fn reflects_by_material(&self) -> bool {
+        self.request.outputs.has(Output::Echo) && self.common_reflection().is_none()
     }
 
     /// The factor that all materials have, if they have one: then nobody needs to know which is seen.

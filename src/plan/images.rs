@@ -1,6 +1,7 @@
 //! The images every engine fills.
 
 use super::request::{Output, Outputs};
+use crate::sensor::PixelGrid;
 
 /// Images of one prediction, row-major, row 0 on top. An image that was not asked for is empty.
 ///
@@ -41,6 +42,29 @@ impl Images {
         self.cos_incidence.resize(len(Output::CosIncidence), 0.0);
         self.echo.resize(len(Output::Echo), 0.0);
         self.feature_id.clear();
+    }
+
+    /// Every image that is there shows that nothing is seen, and no ray where the sensor has none.
+    pub fn show_nothing(&mut self, grid: &PixelGrid) {
+        for image in [&mut self.range, &mut self.depth_z] {
+            image.fill(f32::INFINITY);
+            if let PixelGrid::Rays(rays) = grid {
+                for (pixel, ray) in image.iter_mut().zip(rays.directions()) {
+                    *pixel = if ray.x.is_nan() { f32::NAN } else { *pixel };
+                }
+            }
+        }
+        self.cos_incidence.fill(f32::NAN);
+        self.echo.fill(f32::NAN);
+        self.polygon_id.fill(0);
+        self.object_id.fill(0);
+    }
+
+    /// Bytes of memory held, that of images included that are empty now.
+    pub fn bytes(&self) -> u64 {
+        let floats = [&self.range, &self.depth_z, &self.cos_incidence, &self.echo].map(Vec::capacity);
+        let ids = [&self.polygon_id, &self.object_id, &self.feature_id].map(Vec::capacity);
+        4 * floats.iter().chain(&ids).sum::<usize>() as u64
     }
 
     /// Number of pixels.

@@ -10,7 +10,7 @@ mod view;
 pub use images::Images;
 pub use polygons::PolygonsOfIds;
 pub use request::{IdScheme, Output, Outputs, Request};
-pub use stats::Stats;
+pub use stats::{StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
 use crate::environment::{Appearance, Environment, Material};
@@ -83,6 +83,9 @@ pub struct Run {
     /// Lower bound of the distance from the sensor, metres: the front-to-back key.
     pub nearest: f32,
 }
+
+/// Why engines have nothing to do.
+pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
 /// Something that this prediction does not need, and why.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -242,11 +245,10 @@ impl FramePlan {
             let why = format!("not opaque to class {:?}", self.sensor.spec().class);
             add(format!("{} objects", self.objects_not_opaque), why);
         }
-        if matches!(self.sensor.grid(), PixelGrid::Lines(_)) {
-            add("ray table".into(), "no lens distortion and no listed rays: spans are in closed form".into());
-        }
-        if self.instances.iter().all(|i| i.plain) {
-            add("material test per polygon".into(), "everything selected is opaque to this class and two-sided".into());
+        for (what, taken, why) in self.variants() {
+            if !taken {
+                add(what.into(), why.into());
+            }
         }
         let drawn = self.drawn();
         for output in Output::ALL {
@@ -255,5 +257,36 @@ impl FramePlan {
             }
         }
         all
+    }
+
+    /// Variants of stages that cost something: what, whether this prediction takes it, and why.
+    pub fn variants(&self) -> [(&'static str, bool, &'static str); 3] {
+        let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
+        let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
+        let mixed = !self.instances.iter().all(|i| i.plain);
+        let by_material = self.reflects_by_material();
+        [
+            choose(
+                "ray table",
+                by_rays,
+                [
+                    "no lens distortion and no listed rays: spans are in closed form",
+                    "the rays lie on no lines: polygons are tested ray by ray",
+                ],
+            ),
+            choose(
+                "material test per polygon",
+                mixed,
+                [
+                    "everything selected is opaque to this class and two-sided",
+                    "something selected is one-sided, or not opaque to this class",
+                ],
+            ),
+            choose(
+                "reflection factor per pixel",
+                by_material,
+                ["no echo is asked for, or all materials have one factor", "an echo is asked for, and factors differ"],
+            ),
+        ]
     }
 }

@@ -207,6 +207,43 @@ fn links_that_lead_outside() {
     load(&folder.path().join("scene.rhai")).0.unwrap();
 }
 
+/// The model lies in the folder, and its buffer is a link.
+#[cfg(unix)]
+#[test]
+fn buffers_of_models_that_lead_outside() {
+    let secret = tempfile::tempdir().unwrap();
+    let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let bytes: Vec<u8> = corners.as_flattened().iter().flat_map(|x| x.to_le_bytes()).collect();
+    let json = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"name":"n","mesh":0}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}],
+        "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"uri":"m.bin","byteLength":36}]}"#;
+    fs::write(secret.path().join("m.bin"), &bytes).unwrap();
+    let with_link_to = |target: &dyn Fn(&Path) -> std::path::PathBuf| {
+        let folder = folder(b"place(\"m\", import_gltf(\"m.gltf\"));");
+        fs::write(folder.path().join("m.gltf"), json).unwrap();
+        fs::write(folder.path().join("real.bin"), &bytes).unwrap();
+        std::os::unix::fs::symlink(target(folder.path()), folder.path().join("m.bin")).unwrap();
+        folder
+    };
+    let e = error_in(with_link_to(&|_| secret.path().join("m.bin")).path());
+    assert_eq!(e.kind(), presight::ErrorKind::Invalid);
+    for part in ["scene.rhai", "in the call of import_gltf", "m.gltf", "m.bin leads out of the scene's folder"] {
+        assert!(e.to_string().contains(part), "{part} in {e}");
+    }
+    let folder = with_link_to(&|folder| folder.join("real.bin"));
+    let aside = secret.path().join("m.materials.toml");
+    fs::write(&aside, "format = 1").unwrap();
+    std::os::unix::fs::symlink(&aside, folder.path().join("m.materials.toml")).unwrap();
+    let e = error_in(folder.path());
+    assert!(e.to_string().contains("m.materials.toml leads out of the scene's folder"), "{e}");
+    // A link within the folder is fine, and so is any link where no script asks.
+    let folder = with_link_to(&|folder| folder.join("real.bin"));
+    load(&folder.path().join("scene.rhai")).0.unwrap();
+    let outside = with_link_to(&|_| secret.path().join("m.bin"));
+    presight::io::gltf::import(outside.path().join("m.gltf"), &Default::default()).unwrap();
+}
+
 #[test]
 fn modules_at_fault_are_named() {
     let import = |module: &[u8]| {

@@ -202,3 +202,45 @@ fn log_undo_and_check_speak_of_the_same() {
     let refused = presight().args(["env", "undo", "env.presight", "1"]).current_dir(here).output().unwrap();
     assert_eq!(refused.status.code(), Some(1), "3 moved it again");
 }
+
+/// A model that was exported again: nothing is overwritten unasked, and asked for it is one change that can be undone.
+#[test]
+fn a_scene_imported_again_replaces_what_it_is_allowed_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let (here, glb) = (folder.path(), scene().to_str().unwrap());
+    run(here, &["env", "create", "room.presight", glb]);
+    let path = here.join("room.presight");
+    let fresh = store::read(&path).unwrap();
+    let [moved, reshaped] = [0, 1].map(|i| fresh.objects()[i].name.clone());
+    let lines = [
+        serde_json::json!({"op": "move", "object": moved, "pose": [1, 2, 3, 0, 0, 90]}),
+        serde_json::json!({"op": "delete_object", "object": reshaped}),
+        serde_json::json!({"op": "insert_object", "object": reshaped, "vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+            "polygons": [[0, 1, 2]]}),
+        serde_json::json!({"op": "insert_feature", "class": "laser", "feature":
+            {"id": 7, "kind": "point", "object": reshaped, "points": [[0, 0, 0]], "sigma": 0.1}}),
+    ];
+    std::fs::write(here.join("c.jsonl"), lines.map(|l| l.to_string() + "\n").concat()).unwrap();
+    run(here, &["env", "apply", "room.presight", "c.jsonl"]);
+    let changed = store::read(&path).unwrap();
+    let refused = presight().args(["env", "import", "room.presight", glb]).current_dir(here).output().unwrap();
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(message.contains("--replace") && message.contains(&moved), "{message}");
+    assert_eq!(store::read(&path).unwrap().content_hash(), changed.content_hash());
+    assert_eq!(run(here, &["env", "import", "room.presight", glb, "--replace"]), "change 5\n");
+    let replaced = store::read(&path).unwrap();
+    for name in [&moved, &reshaped] {
+        let [is, was] = [&replaced, &fresh].map(|e| e.object(name).unwrap());
+        assert_eq!(is.world_from_object, was.world_from_object, "{name}");
+        assert_eq!(is.mesh.vertices(), was.mesh.vertices(), "{name}");
+    }
+    assert_eq!(replaced.feature("laser", 7), changed.feature("laser", 7), "what was learned of the object stays");
+    assert_eq!(run(here, &["env", "import", "room.presight", glb, "--replace"]), "nothing to change\n");
+    assert_eq!(run(here, &["env", "undo", "room.presight", "5"]), "change 6\n");
+    assert_eq!(store::read(&path).unwrap().content_hash(), changed.content_hash());
+    run(here, &["env", "check", "room.presight"]);
+    std::fs::write(here.join("l.json"), "{}").unwrap();
+    let layer = presight().args(["env", "import", "room.presight", "l.json", "--replace"]).current_dir(here).output();
+    assert_eq!(layer.unwrap().status.code(), Some(2), "layers have rules of their own");
+}

@@ -58,12 +58,15 @@ enum Command {
     /// Merge a scene or a layer file (.json), as one change
     ///
     /// What is there already, equal in everything, stays as it is; an object of the same path but another content is an
-    /// error. Features of the file win by id, `"remove": true` deletes.
+    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes.
     Import {
         /// The store
         store: PathBuf,
         /// The scene or layer file
         file: PathBuf,
+        /// Put objects of the file in the place of those of the same path; features given in their frame stay
+        #[arg(long)]
+        replace: bool,
         #[command(flatten)]
         note: NoteArgs,
     },
@@ -134,7 +137,7 @@ impl NoteArgs {
 pub fn run(args: &Args) -> Result<Verdict> {
     match &args.command {
         Command::Create { store, scene, note } => create(store, scene, note)?,
-        Command::Import { store, file, note } => import(store, file, note)?,
+        Command::Import { store, file, replace, note } => import(store, file, *replace, note)?,
         Command::Export(args) => export::run(args)?,
         Command::Apply(args) => apply::run(args)?,
         Command::Info { store, json } => show::info(store, *json)?,
@@ -169,9 +172,13 @@ fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
 }
 
-fn import(path: &Path, file: &Path, note: &NoteArgs) -> Result<()> {
+fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()> {
     let note = note.note(|| format!("import of {}", file.display()))?;
     let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    if is_layer && replace {
+        let what = "--replace is of objects, and this is a layer file";
+        return Err(Error::usage(what, "drop --replace: features of a file win by id").in_file(file));
+    }
     // Read before the store is locked: it may be the same file.
     let (layer, scene) = match is_layer {
         true => (Some(layer::read(file)?), None),
@@ -181,7 +188,7 @@ fn import(path: &Path, file: &Path, note: &NoteArgs) -> Result<()> {
     let mut changes = Vec::new();
     changes.extend(layer.map(|layer| Store::merging_layer(&environment, &layer)));
     if let Some(scene) = scene {
-        changes.push(Store::merging_scene(&environment, &scene).map_err(|e| e.in_file(file))?);
+        changes.push(Store::merging_scene(&environment, &scene, replace).map_err(|e| e.in_file(file))?);
     }
     let change = Change::of(changes);
     if matches!(&change, Change::Group(changes) if changes.is_empty()) {

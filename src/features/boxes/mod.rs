@@ -34,6 +34,22 @@ impl Default for BoxOptions {
     }
 }
 
+impl BoxOptions {
+    /// # Errors
+    /// Those of [`add_boxes`].
+    pub(crate) fn check(&self) -> Result<()> {
+        if !(0.5..1.0).contains(&self.confidence) {
+            let what = format!("confidence {} is not in 0.5..1", self.confidence);
+            return Err(Error::usage(what, "give a probability such as 0.99"));
+        }
+        check_covariance(&self.sensor).map_err(|e| e.at("the sensor's pose"))?;
+        for (object, covariance) in &self.objects {
+            check_covariance(covariance).map_err(|e| e.at(format!("the pose of object {object}")))?;
+        }
+        Ok(())
+    }
+}
+
 /// Gives every feature that is seen its box and the covariance of its defining points in the image.
 ///
 /// # Errors
@@ -78,16 +94,7 @@ impl<'a> BoxFrame<'a> {
     /// # Errors
     /// Those of [`add_boxes`].
     pub fn new(world: &'a World, sensor: &'a Sensor, world_from_sensor: &Pose, options: &BoxOptions) -> Result<Self> {
-        if !(0.5..1.0).contains(&options.confidence) {
-            return Err(Error::usage(
-                format!("confidence {} is not in 0.5..1", options.confidence),
-                "give a probability such as 0.99",
-            ));
-        }
-        check_covariance(&options.sensor).map_err(|e| e.at("the sensor's pose"))?;
-        for (object, covariance) in &options.objects {
-            check_covariance(covariance).map_err(|e| e.at(format!("the pose of object {object}")))?;
-        }
+        options.check()?;
         let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
         // Of an object named twice the first counts.
         objects.sort_by_key(|(object, _)| *object);

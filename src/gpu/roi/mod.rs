@@ -97,12 +97,11 @@ impl RoiStage {
     }
 
     /// From uploaded features to boxes.
-    fn encode(&self, encoder: &mut wgpu::CommandEncoder, kind: GridKind) {
-        let (x, y) = groups_for(self.plan.features.len() as u32);
-        let mut pass =
-            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("roi"), timestamp_writes: None });
-        if x > 0 && self.stage.set(&mut pass, (kind as u32, 0)) {
-            pass.dispatch_workgroups(x, y, 1);
+    fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, kind: GridKind) {
+        let label = Some("roi");
+        let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
+        if self.stage.set(&mut pass, (kind as u32, 0)) {
+            gpu.dispatch(&mut pass, groups_for(self.plan.features.len() as u32));
         }
     }
 
@@ -116,7 +115,7 @@ impl RoiStage {
         self.prepare(gpu, kind)?;
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.uploads.encode(gpu, &mut encoder)?;
-        self.encode(&mut encoder, kind);
+        self.encode(gpu, &mut encoder, kind);
         encoder.copy_buffer_to_buffer(self.boxes.buffer(), 0, self.readback.buffer(), 0, bytes);
         gpu.queue.submit([encoder.finish()]);
         self.placed = true;
@@ -127,6 +126,7 @@ impl RoiStage {
         self.mapping.check(gpu, "the answer")?;
         let view = buffer.get_mapped_range(0..bytes);
         let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        gpu.done.bytes_read.add_many(bytes);
         let boxes = bytemuck::pod_collect_to_vec(&view[..]);
         drop(view);
         buffer.unmap();

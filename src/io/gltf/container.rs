@@ -85,8 +85,9 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
 }
 
-/// The bytes of a buffer that has a URI: embedded, or in a file beside the scene or below.
-pub(super) fn buffer_bytes(uri: &str, scene: &Path) -> Result<Vec<u8>> {
+/// The bytes of a buffer that has a URI: embedded, or in a file beside the scene or below. Symbolic links may lead
+/// elsewhere, unless a folder (symbolic links resolved) is given that no file may be outside of.
+pub(super) fn buffer_bytes(uri: &str, scene: &Path, within: Option<&Path>) -> Result<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
         let (head, body) = data
             .split_once(',')
@@ -98,7 +99,21 @@ pub(super) fn buffer_bytes(uri: &str, scene: &Path) -> Result<Vec<u8>> {
     }
     let relative = local_path(uri)?;
     let path = scene.parent().unwrap_or(Path::new("")).join(relative);
+    if let Some(within) = within {
+        check_within(&path, within)?;
+    }
     read(&path)
+}
+
+/// That a file, if it is there, lies in a folder, however symbolic links lead.
+pub(super) fn check_within(path: &Path, folder: &Path) -> Result<()> {
+    match path.canonicalize() {
+        Ok(real) if !real.starts_with(folder) => {
+            let what = format!("{} leads out of the scene's folder", path.display());
+            Err(Error::invalid(what, "put the file itself there, not a link to it"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The relative path a URI names, if it stays inside the scene's folder.

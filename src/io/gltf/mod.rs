@@ -71,24 +71,40 @@ const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compressi
 /// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
 /// impossible options.
 pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
-    let path = path.as_ref();
+    import_within(path.as_ref(), None, options)
+}
+
+/// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however
+/// links lead.
+///
+/// # Errors
+/// As [`import`]; [`ErrorKind::Invalid`] if one is outside.
+pub(in crate::io) fn import_within(path: &Path, within: Option<&Path>, options: &ImportOptions) -> Result<Imported> {
     if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
         return Err(Error::usage(
             format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
             "give a share of the object's size, such as 1e-6",
         ));
     }
+    if let Some(within) = within {
+        container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
+    }
     let bytes = container::read(path)?;
     let sidecar = Sidecar::beside(path)?;
-    import_bytes(&bytes, path, &sidecar, options).map_err(|e| e.in_file(path))
+    import_bytes(&bytes, (path, within), &sidecar, options).map_err(|e| e.in_file(path))
 }
 
-fn import_bytes(bytes: &[u8], path: &Path, sidecar: &Sidecar, options: &ImportOptions) -> Result<Imported> {
+fn import_bytes(
+    bytes: &[u8],
+    (path, within): (&Path, Option<&Path>),
+    sidecar: &Sidecar,
+    options: &ImportOptions,
+) -> Result<Imported> {
     let container = container::open(bytes)?;
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
-    let buffers = load_buffers(&root, container.bin, path)?;
+    let buffers = load_buffers(&root, container.bin, (path, within))?;
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
@@ -170,10 +186,14 @@ fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
     }
 }
 
-fn load_buffers<'a>(root: &json::Root, bin: Option<&'a [u8]>, path: &Path) -> Result<Vec<Cow<'a, [u8]>>> {
+fn load_buffers<'a>(
+    root: &json::Root,
+    bin: Option<&'a [u8]>,
+    (path, within): (&Path, Option<&Path>),
+) -> Result<Vec<Cow<'a, [u8]>>> {
     let one = |(index, buffer): (usize, &json::Buffer)| -> Result<Cow<'a, [u8]>> {
         let whole: Cow<'a, [u8]> = match (&buffer.uri, bin) {
-            (Some(uri), _) => container::buffer_bytes(uri, path)?.into(),
+            (Some(uri), _) => container::buffer_bytes(uri, path, within)?.into(),
             (None, Some(bin)) if index == 0 => bin.into(),
             (None, _) => {
                 return Err(Error::invalid("it has no data", "the file is truncated or broken; export it again"));

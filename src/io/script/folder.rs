@@ -23,6 +23,11 @@ impl Folder {
         Ok(Self { real, shown })
     }
 
+    /// The folder itself, symbolic links resolved.
+    pub fn real(&self) -> &Path {
+        &self.real
+    }
+
     /// A file in it, by a relative path: as shown, and with symbolic links resolved.
     pub fn file(&self, relative: &str) -> Result<(PathBuf, PathBuf)> {
         let outside = |what: &str| {

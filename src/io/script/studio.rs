@@ -86,7 +86,7 @@ impl Studio {
             return Ok(known.clone());
         }
         // By the name the script gives: messages and the sidecar belong to it.
-        let outcome = gltf::import(&shown, &self.options)?;
+        let outcome = gltf::import_within(&shown, Some(self.folder.real()), &self.options)?;
         let assembly = self.built.borrow_mut().take_over(outcome, relative, &self.budget)?;
         self.built.borrow_mut().imports.insert(real, assembly.clone());
         Ok(assembly)

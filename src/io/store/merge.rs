@@ -77,28 +77,39 @@ pub(super) fn mesh_of_file(
 }
 
 /// The changes by which an environment also holds another one: materials, objects, features. What is there already,
-/// equal in everything, stays as it is.
+/// equal in everything, stays as it is. An object of the same path, but another content, gives way if it may be replaced;
+/// features that are given in its frame stay.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if an object of the same path, but another content, is there.
-pub(super) fn merge_scene(environment: &Environment, scene: &Environment) -> Result<Change> {
+/// [`crate::ErrorKind::Invalid`] if such an object is there and may not be replaced.
+pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
     let (mut changes, mut added) = (Vec::new(), Vec::new());
     let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;
     let (ours, theirs) = (hashes(environment.materials()), hashes(scene.materials()));
     let mut meshes: HashMap<*const Mesh, Arc<Mesh>> = HashMap::new();
     for object in scene.objects().iter().filter(|o| !o.is_deleted()) {
+        let mut kept = Vec::new();
         if let Some(present) = environment.object(&object.name) {
-            let same = present.world_from_object == object.world_from_object
-                && present.object_from_mesh == object.object_from_mesh
+            let same_shape = present.object_from_mesh == object.object_from_mesh
                 && present.first_source == object.first_source
                 && present.mesh.content_hash(|m| ours[usize::from(m)])
                     == object.mesh.content_hash(|m| theirs[usize::from(m)]);
-            if same {
+            let same_pose = present.world_from_object == object.world_from_object;
+            if same_shape && same_pose {
                 continue;
             }
-            let what = "it is there already, with another pose or shape";
-            let remedy = "delete it first, or give it another name";
-            return Err(Error::invalid(what, remedy).at(format!("object {:?}", object.name)));
+            if !replace {
+                let what = "it is there already, with another pose or shape";
+                let remedy = "give --replace to put that of the file in its place, or give it another name";
+                return Err(Error::invalid(what, remedy).at(format!("object {:?}", object.name)));
+            }
+            let name = object.name.clone();
+            if same_shape {
+                changes.push(Change::SetPose { name, world_from_object: object.world_from_object });
+                continue;
+            }
+            kept = attached(environment, &name);
+            changes.push(Change::DeleteObject { name });
         }
         let mesh = meshes.entry(Arc::as_ptr(&object.mesh));
         let mesh = mesh.or_insert_with(|| Arc::new(object.mesh.with_materials(|m| map[usize::from(m)]))).clone();
@@ -109,11 +120,28 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment) -> Res
             mesh,
             first_source: object.first_source,
         }));
+        changes.append(&mut kept);
     }
     for layer in scene.layers() {
         merge_features(environment, layer, &[], &mut changes);
     }
     Ok(Change::Group(changes))
+}
+
+/// What brings back the features and covariances that are given in an object's frame, after it was replaced.
+fn attached(environment: &Environment, object: &str) -> Vec<Change> {
+    let mut changes = Vec::new();
+    for (class, covariance, ids) in environment.attached_to(object) {
+        for feature in ids.into_iter().filter_map(|id| environment.feature(&class, id)) {
+            changes.push(Change::RestoreFeature { class: class.clone(), feature: feature.clone() });
+        }
+        let of_layer = environment.layer(&class).map_or(&[][..], |layer| &layer.pose_covariances);
+        let known = of_layer.iter().find(|(path, _)| covariance && path == object).map(|(_, c)| *c);
+        if known.is_some() {
+            changes.push(Change::SetPoseCovariance { class, object: object.to_owned(), covariance: known });
+        }
+    }
+    changes
 }
 
 fn hashes(materials: &[Material]) -> Vec<crate::environment::ContentHash> {

@@ -258,12 +258,13 @@ impl Store {
         Ok(made)
     }
 
-    /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is.
+    /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is. With
+    /// `replace` objects of the scene take the place of those of the same path; features given in their frame stay.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there.
-    pub fn merging_scene(environment: &Environment, scene: &Environment) -> Result<Change> {
-        merge::merge_scene(environment, scene)
+    /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there and may not be replaced.
+    pub fn merging_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
+        merge::merge_scene(environment, scene, replace)
     }
 
     /// The change that a layer file says; later features win by id.

@@ -1,0 +1,256 @@
+//! What each stage and shader variant costs, so that it is known what leaving it out saves:
+//! `cargo bench --bench left_out`, a table in Markdown. Every row is a prediction with something and one without, by
+//! turns in one process; the cost is the median of the differences, pair by pair. Scenes: the factory hall and the
+//! hospital where `PRESIGHT_DATA` (default `../shared/data`) holds them, else `scenes/room.glb`.
+#![expect(clippy::print_stdout, reason = "the table is the result")]
+
+#[cfg(feature = "gpu")]
+use presight::Opening;
+use presight::acquire::features::{GenerateOptions, generate};
+use presight::features::{BoxOptions, FeatureOptions, PlacedFeature, place};
+use presight::free_poses::free_poses;
+use presight::index::{Params, Scheme};
+use presight::io::gltf::{ImportOptions, import};
+use presight::{
+    Backend, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Options, Output, Outputs,
+    Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, World, preset,
+};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Pairs behind every median.
+const PAIRS: usize = 40;
+
+/// One side of a pair.
+struct Side<'a> {
+    predictor: &'a mut Predictor,
+    world: &'a World,
+    sensor: &'a Sensor,
+    outputs: Outputs,
+    after: After<'a>,
+}
+
+/// What follows the images.
+#[derive(Clone, Copy)]
+enum After<'a> {
+    Nothing,
+    Features(&'a [PlacedFeature]),
+    FeatureId(&'a [PlacedFeature]),
+    Boxes(&'a [PlacedFeature]),
+}
+
+impl Side<'_> {
+    fn run(&mut self, pose: &Pose, images: &mut Images) -> (f64, Stats) {
+        let Self { predictor, world, sensor, outputs, after } = self;
+        let request = Request { outputs: *outputs, ids: IdScheme::Model };
+        let start = Instant::now();
+        let mut stats = predictor.predict_into(world, sensor, pose, &request, images).expect("a prediction");
+        let placed = match *after {
+            After::Nothing => &[],
+            After::Features(placed) | After::FeatureId(placed) | After::Boxes(placed) => placed,
+        };
+        if !matches!(after, After::Nothing) {
+            let feature_id = matches!(after, After::FeatureId(_));
+            let options = FeatureOptions { feature_id, ..FeatureOptions::default() };
+            let seen = predictor.predict_features(world, sensor, pose, images, placed, &options, &mut stats);
+            let mut seen = seen.expect("features");
+            if matches!(after, After::Boxes(_)) {
+                let mut options = BoxOptions::default();
+                (0..3).for_each(|i| (options.sensor[i][i], options.sensor[3 + i][3 + i]) = (1e-3, 1e-4));
+                predictor.add_boxes(&mut seen, placed, world, sensor, pose, &options, &mut stats).expect("boxes");
+            }
+        }
+        (start.elapsed().as_secs_f64() * 1e3, stats)
+    }
+}
+
+fn median(mut times: Vec<f64>) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+/// A row: both medians and that of the differences.
+fn row(what: &str, left_out_by: &str, pose: &Pose, with: &mut Side<'_>, without: &mut Side<'_>) {
+    let (mut images, mut others) = (Images::default(), Images::default());
+    let mut all: [Vec<f64>; 3] = Default::default();
+    for i in 0..PAIRS + 2 {
+        let (a, b) = (with.run(pose, &mut images).0, without.run(pose, &mut others).0);
+        // The first ones warm up.
+        if i >= 2 {
+            (0..3).for_each(|k| all[k].push([a, b, a - b][k]));
+        }
+    }
+    let [a, b, cost] = all.map(median);
+    println!("| {what} | {a:.2} | {b:.2} | {cost:+.2} | {left_out_by} |");
+}
+
+struct Scene {
+    name: &'static str,
+    world: World,
+    pose: Pose,
+    placed: Vec<PlacedFeature>,
+}
+
+fn scenes() -> Vec<Scene> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
+    let env = |name: &'static str| (name, data.join("env").join(name).with_extension("glb"));
+    let mut paths: Vec<_> = ["factory_hall", "hospital"].map(env).into_iter().filter(|(_, p)| p.is_file()).collect();
+    if paths.is_empty() {
+        paths.push(("room", root.join("scenes/room.glb")));
+    }
+    let scene = |(name, path): (&'static str, PathBuf)| {
+        let environment = import(&path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}")).environment;
+        let generated = generate(&environment, "video", &GenerateOptions::default()).expect("features");
+        let world = World::new(environment);
+        let placed = place(&world, &generated.layer).expect("features lie on their polygons");
+        let pose = free_poses(&world, 1, 1).expect("a free pose")[0];
+        Scene { name, world, pose, placed: placed.into_iter().take(5000).collect() }
+    };
+    paths.into_iter().map(scene).collect()
+}
+
+/// The same with the last polygon of every mesh of another, one-sided material: each polygon's is looked at.
+fn mixed(world: &World) -> World {
+    let environment = world.environment();
+    let mut other = Environment::new();
+    for material in environment.materials() {
+        other.add_material(material.clone()).expect("a sound material");
+    }
+    let name = "of which one side is seen";
+    let extra = other.add_material(Material { one_sided: true, ..Material::named(name) }).expect("a sound material");
+    for object in environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0) {
+        let mesh = &object.mesh;
+        let last = mesh.polygon_count() as u32 - 1;
+        let material = |i: u32| if i == last { extra } else { mesh.material(i) };
+        let polygons = (0..=last).map(|i| Polygon::new(mesh.corner_indices(i).to_vec(), material(i))).collect();
+        let mesh = Mesh::new(mesh.name(), mesh.vertices().to_vec(), polygons, PolygonOrder::Given).expect("as before");
+        let new = NewObject::from_affine(&object.name, object.world_from_mesh(), Arc::new(mesh)).expect("as before");
+        other.insert(new).expect("as before");
+    }
+    World::new(other)
+}
+
+/// The sensor with a lens that bends by less than a rounding, but is a lens.
+fn bent(sensor: &Sensor) -> Sensor {
+    let mut spec: SensorSpec = sensor.spec().clone();
+    if let Geometry::Camera(camera) = &mut spec.geometry {
+        camera.distortion = Distortion::PlumbBob([1e-12, 0.0, 0.0, 0.0, 0.0]);
+    }
+    Sensor::new(spec).expect("a sound sensor")
+}
+
+fn of(outputs: &[Output]) -> Outputs {
+    Outputs::of(outputs)
+}
+
+fn side<'a>(
+    predictor: &'a mut Predictor,
+    scene: &'a Scene,
+    sensor: &'a Sensor,
+    (outputs, after): (Outputs, After<'a>),
+) -> Side<'a> {
+    Side { predictor, world: &scene.world, sensor, outputs, after }
+}
+
+/// Rows that every engine has.
+fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
+    let sensor = preset("video-camera").expect("a preset");
+    let (mut first, mut second) = (open(), open());
+    let range = of(&[Output::Range]);
+    let (pose, ids) = (&scene.pose, of(&[Output::PolygonId]));
+    println!("\n**{}, {}**, video-camera 512 x 512\n", scene.name, first.engine_name());
+    println!("| stage or variant | with, ms | without, ms | cost, ms | left out by |\n|---|---|---|---|---|");
+    for output in [Output::DepthZ, Output::PolygonId, Output::ObjectId, Output::CosIncidence, Output::Echo] {
+        let with = &mut side(&mut first, scene, &sensor, (range.with(output), After::Nothing));
+        let without = &mut side(&mut second, scene, &sensor, (range, After::Nothing));
+        row(&format!("{} image besides range", output.name()), "requests that do not ask for it", pose, with, without);
+    }
+    let features = format!("features ({})", scene.placed.len());
+    let placed = &scene.placed;
+    let rows = [
+        (features.as_str(), "requests without a layer", After::Features(placed), After::Nothing),
+        ("feature_id image", "requests that do not ask for it", After::FeatureId(placed), After::Features(placed)),
+        ("regions of interest", "requests that show no boxes", After::Boxes(placed), After::Features(placed)),
+    ];
+    for (what, left_out_by, with, without) in rows {
+        let with = &mut side(&mut first, scene, &sensor, (ids, with));
+        row(what, left_out_by, pose, with, &mut side(&mut second, scene, &sensor, (ids, without)));
+    }
+    let every = scene.world.reindexed(Scheme::None, Params::tuned(Scheme::None));
+    let mixed = mixed(&scene.world);
+    let lens = bent(&sensor);
+    let nothing = World::new(Environment::new());
+    let (outputs, after) = (Outputs::default(), After::Nothing);
+    let variants = [
+        ("every polygon's box looked at", "the index", &every, &sensor, &scene.world),
+        ("material test per polygon", "scenes opaque to the class and two-sided", &mixed, &sensor, &scene.world),
+        ("ray table", "pinhole cameras and scanners", &scene.world, &lens, &scene.world),
+        ("everything that is in view", "views of nothing", &scene.world, &sensor, &nothing),
+    ];
+    for (what, left_out_by, world, sensor_with, world_without) in variants {
+        let with = &mut Side { predictor: &mut first, world, sensor: sensor_with, outputs, after };
+        let without = &mut Side { predictor: &mut second, world: world_without, sensor: &sensor, outputs, after };
+        row(what, left_out_by, pose, with, without);
+    }
+    stages(&mut side(&mut first, scene, &sensor, (outputs, after)), pose);
+}
+
+/// Medians of the stages of one request, in one line.
+fn stages(side: &mut Side<'_>, pose: &Pose) {
+    let mut images = Images::default();
+    let runs: Vec<Stats> = (0..PAIRS).map(|_| side.run(pose, &mut images).1).collect();
+    let of_stage = |at: usize, name: &str| {
+        let times = runs.iter().filter_map(|s| s.stages_ms.get(at)).map(|(_, ms)| *ms).collect();
+        format!("{name} {:.2}", median(times))
+    };
+    let names = runs[0].stages_ms.iter().enumerate().map(|(at, (name, _))| of_stage(at, name));
+    println!("\nStages with the four default images, ms: {}.", names.collect::<Vec<_>>().join(", "));
+}
+
+/// What the device could leave to the CPU, and what 64-bit atomics save.
+#[cfg(feature = "gpu")]
+fn device(scene: &Scene) {
+    use presight::FramePlan;
+    use presight::gpu::{DeviceOptions, Engine};
+    let sensor = preset("video-camera").expect("a preset");
+    let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default());
+    let engine = |options| Engine::new(options).unwrap_or_else(|e| panic!("{e}"));
+    let all = DeviceOptions { all_on_device: true, ..DeviceOptions::default() };
+    let pairs = [
+        ("resolve on the device", "software adapters", all, DeviceOptions::default()),
+        ("second raster pass", "64-bit atomics", DeviceOptions { without_int64: true, ..all }, all),
+    ];
+    for (what, left_out_by, with, without) in pairs {
+        let mut engines = [engine(with), engine(without)];
+        let mut times: [Vec<f64>; 3] = Default::default();
+        let mut images = Images::default();
+        for i in 0..PAIRS + 2 {
+            let both = [0, 1].map(|k| {
+                let start = Instant::now();
+                engines[k].render(&plan, &mut images, &mut Stats::default()).expect("a prediction");
+                start.elapsed().as_secs_f64() * 1e3
+            });
+            if i >= 2 {
+                (0..3).for_each(|k| times[k].push([both[0], both[1], both[0] - both[1]][k]));
+            }
+        }
+        let [a, b, cost] = times.map(median);
+        println!("\n{what}, left out by {left_out_by}: {a:.2} ms with, {b:.2} without, {cost:+.2}.");
+    }
+}
+
+fn main() {
+    for scene in scenes() {
+        let cpu = || Predictor::new(Options { backend: Backend::Cpu, threads: 0 }).expect("threads");
+        table(&scene, &cpu);
+        #[cfg(feature = "gpu")]
+        if Predictor::new(Options { backend: Backend::Gpu, threads: 0 }).is_ok() {
+            let opening = Opening { all_on_device: true, ..Opening::default() };
+            let gpu = || Predictor::opened(Options { backend: Backend::Gpu, threads: 0 }, opening).expect("an adapter");
+            table(&scene, &gpu);
+            device(&scene);
+        }
+    }
+}
