@@ -1,0 +1,9 @@
+#![no_main]
+#[path = "../../tests/fuzz/bodies.rs"]
+mod bodies;
+#[path = "../../tests/common/mod.rs"]
+mod common;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    bodies::pose_covariance(bytes);
+});
