@@ -14,7 +14,6 @@ use presight::cli::pose::parse_pose;
 use presight::cli::pose_cov;
 use presight::io::{camera_info, corridor, exr, layer, materials, sensor_toml, tum};
 use std::borrow::Cow;
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// A folder of each thread, in memory where the system has that.
@@ -135,6 +134,7 @@ pub fn store(bytes: &[u8]) -> bool {
 #[cfg(feature = "store")]
 pub fn changes(bytes: &[u8]) -> bool {
     use presight::io::store::{Note, Store, create};
+    use std::cell::RefCell;
     thread_local! {
         static OPEN: RefCell<(Store, presight::World)> = FOLDER.with(|folder| {
             let path = folder.0.path().join("changed.presight");

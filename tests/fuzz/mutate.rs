@@ -92,7 +92,7 @@ impl<'a> Mutator<'a> {
             1 if at < out.len() => out[at] = self.dice.bits() as u8,
             2 if at < out.len() => out[at] = [0, 0xff, 0x7f, 0x80, b'0', b'9', b'-', b'.'][self.dice.below(8)],
             3 => out.truncate(at),
-            4 => drop(out.drain(at..(at + 1 + self.dice.below(16)).min(out.len()).max(at))),
+            4 => drop(out.drain(at..(at + 1 + self.dice.below(16)).min(out.len()))),
             5 => {
                 let end = (at + 1 + self.dice.below(64)).min(out.len());
                 let again = out[at..end].to_vec();
