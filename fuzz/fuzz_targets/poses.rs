@@ -1,4 +1,5 @@
 #![no_main]
+#[allow(dead_code, reason = "each target runs one body")]
 #[path = "../../tests/fuzz/bodies.rs"]
 mod bodies;
 #[path = "../../tests/common/mod.rs"]
