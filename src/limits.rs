@@ -66,5 +66,7 @@ pub const MAX_SCRIPT_WORK: u64 = 1 << 27;
 pub const MAX_SCRIPT_FEATURES: u64 = 1 << 18;
 /// Deepest nesting of assemblies in a script.
 pub const MAX_SCRIPT_ASSEMBLIES: u32 = 64;
+/// Most sensors of a robot: a small file could otherwise name a large ray table any number of times.
+pub const MAX_ROBOT_SENSORS: usize = 256;
 /// Longest line of a file of changes, in bytes.
 pub const MAX_LINE_BYTES: u64 = 64 << 20;

@@ -9,8 +9,8 @@ mod index;
 mod inspect;
 mod layers;
 mod load;
-mod pose;
-mod pose_cov;
+pub mod pose;
+pub mod pose_cov;
 mod predict;
 mod print;
 #[cfg(feature = "report")]

@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use crate::features::roi::PoseCovariance;
 use crate::features::sensor_covariance;
 use crate::geometry::Pose;
+use crate::limits;
 use crate::sensor::{SensorSpec, body_from_optical_rotation};
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
@@ -61,7 +62,7 @@ impl PoseArgs {
     /// Reads the numbers.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] on text, NaN, infinity, a wrong count, or an optical frame of a robot.
+    /// [`crate::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
     pub fn parse(&self) -> Result<GivenPose> {
         if self.pose_of == PoseOf::Robot && self.pose_frame == PoseFrame::Optical {
             let remedy = "drop --pose-frame optical, or give the pose of the sensor";
@@ -125,7 +126,11 @@ impl GivenPose {
 
 const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";
 
-fn parse_pose(text: &str) -> Result<Pose> {
+/// Reads `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] on text, NaN, infinity, a wrong count, or a quaternion without length.
+pub fn parse_pose(text: &str) -> Result<Pose> {
     let mut numbers = Vec::new();
     for word in text.split(',').map(str::trim) {
         let number: f64 = word.parse().map_err(|_| Error::usage(format!("{word:?} is no number"), REMEDY))?;
@@ -133,6 +138,9 @@ fn parse_pose(text: &str) -> Result<Pose> {
             return Err(Error::usage(format!("{word} is not finite"), REMEDY));
         }
         numbers.push(number);
+    }
+    if let Some(far) = numbers.iter().take(3).find(|x| x.abs() > limits::MAX_COORDINATE) {
+        return Err(Error::usage(format!("{far} m is beyond {:e} m", limits::MAX_COORDINATE), REMEDY));
     }
     match numbers[..] {
         [x, y, z, roll, pitch, yaw] => {
@@ -200,7 +208,9 @@ mod tests {
     #[test]
     fn wrong_poses_are_wrong_usage() {
         let wrong = ["", "1,2,3", "0,0,nan,0,0,0", "0,0,0,inf,0,0", "a,0,0,0,0,0", "0,0,0,0,0,0,0", "1,2,3,4,5,6,7,8"];
-        for text in wrong {
+        // Squares that overflow: no rotation is left of such a quaternion, and no range of such a place.
+        let huge = ["0,0,0,1e200,0,0,1", "1e300,0,0,0,0,0", "0,-1e13,0,0,0,0,1"];
+        for text in wrong.into_iter().chain(huge) {
             let e = given(text).parse().unwrap_err();
             assert_eq!(e.kind(), crate::ErrorKind::Usage, "{text}");
             assert!(!e.remedy().is_empty() && e.place().is_some_and(|p| p.contains("--pose")), "{e}");

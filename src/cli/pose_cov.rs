@@ -4,6 +4,7 @@ use crate::environment::check_covariance;
 use crate::error::{Error, Result};
 use crate::features::roi::PoseCovariance;
 use crate::io::text::read_text;
+use crate::limits;
 use std::path::Path;
 
 /// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations), or a JSON file of 36 numbers, row-major, metres
@@ -25,7 +26,7 @@ fn deviations(text: &str) -> Result<PoseCovariance> {
     }
     let mut covariance = [[0.0; 6]; 6];
     for (i, word) in words.into_iter().enumerate() {
-        let value = word.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
+        let value = word.parse::<f64>().ok().filter(|v| (0.0..=limits::MAX_COORDINATE).contains(v));
         let sigma = value.ok_or_else(|| wrong(format!("{word:?} is no standard deviation")))?;
         let sigma = if i < 3 { sigma } else { sigma.to_radians() };
         covariance[i][i] = sigma * sigma;
@@ -34,15 +35,22 @@ fn deviations(text: &str) -> Result<PoseCovariance> {
 }
 
 fn from_file(path: &Path) -> Result<PoseCovariance> {
+    read_text(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
+}
+
+/// Reads the JSON text of 36 numbers.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] for text that is no covariance.
+pub fn from_json(text: &str) -> Result<PoseCovariance> {
     let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
-    let text = read_text(path)?;
-    let numbers: Vec<f64> = serde_json::from_str(&text)
-        .map_err(|e| Error::invalid(format!("no list of numbers: {e}"), remedy).in_file(path).caused_by(e))?;
+    let numbers: Vec<f64> = serde_json::from_str(text)
+        .map_err(|e| Error::invalid(format!("no list of numbers: {e}"), remedy).caused_by(e))?;
     if numbers.len() != 36 {
-        return Err(Error::invalid(format!("{} numbers where 36 are needed", numbers.len()), remedy).in_file(path));
+        return Err(Error::invalid(format!("{} numbers where 36 are needed", numbers.len()), remedy));
     }
     let covariance: PoseCovariance = std::array::from_fn(|i| std::array::from_fn(|j| numbers[6 * i + j]));
-    check_covariance(&covariance).map_err(|e| e.in_file(path))?;
+    check_covariance(&covariance)?;
     Ok(covariance)
 }
 
@@ -64,7 +72,7 @@ mod tests {
         numbers[1] = 1.0;
         write(&numbers);
         assert!(parse(path.to_str().unwrap()).is_err(), "not symmetric");
-        for bad in ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,-6", "nan,0,0,0,0,0"] {
+        for bad in ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,-6", "nan,0,0,0,0,0", "1e200,0,0,0,0,0"] {
             assert!(parse(bad).is_err(), "{bad}");
         }
     }

@@ -236,7 +236,7 @@ impl Painter<'_, '_> {
 #[inline(always)]
 fn metres(value: f64, range: f64, range_min: f64, range_max: f64) -> f32 {
     let shown = if range < range_min { f32::NEG_INFINITY } else { value as f32 };
-    // Behind a fisheye's plane the depth of infinity would be -inf, in it NaN.
+    // A miss too: its value is infinity times the z of the ray, which a lens may have at or behind the image plane.
     let shown = if range > range_max || range == f64::INFINITY { f32::INFINITY } else { shown };
     if range.is_nan() { f32::NAN } else { shown }
 }

@@ -149,6 +149,17 @@ proptest! {
 }
 
 #[test]
+fn a_miss_beside_and_behind_the_image_plane_is_infinitely_deep() {
+    let distortion = crate::sensor::Distortion::Equidistant([0.0; 4]);
+    let camera = Camera { distortion, ..Camera::pinhole(41, 3, 10.0, 10.0, 20.0, 1.0) };
+    let camera = Sensor::new(SensorSpec::new("fisheye", "video", Geometry::Camera(camera))).unwrap();
+    assert!(camera.ray(0, 1).unwrap().z < 0.0, "it sees behind itself");
+    let request = Request { outputs: Outputs::ALL, ..Request::default() };
+    let images = render(&FramePlan::new(&world(&[]), &camera, &Pose::IDENTITY, &request), 1);
+    assert!(images.depth_z.iter().chain(&images.range).all(|x| *x == f32::INFINITY), "{:?}", images.depth_z);
+}
+
+#[test]
 fn ties_go_to_the_lower_slot_and_neighbours_leave_no_crack() {
     // Each quad of a wall twice, the second time wound the other way: 2 coincident triangles everywhere.
     let mut triangles = Vec::new();

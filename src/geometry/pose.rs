@@ -2,6 +2,7 @@
 
 use super::trig;
 use crate::error::{Error, Result};
+use crate::limits;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// A rigid transform `a_from_b`: rotation, then translation in metres.
@@ -34,13 +35,15 @@ impl Pose {
     /// From a translation and a rotation; the quaternion is normalized.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] on NaN, infinity, or a quaternion without length.
+    /// [`crate::ErrorKind::Usage`] on NaN, infinity, a translation beyond [`limits::MAX_COORDINATE`], or a quaternion whose
+    /// length is no number that can be divided by.
     pub fn new(translation: DVec3, rotation: DQuat) -> Result<Self> {
+        // A square that overflows makes the length infinite, and the quaternion divided by it no rotation at all.
         let length = rotation.length();
-        let sound = translation.is_finite() && rotation.is_finite() && length > 1e-6;
-        if !sound {
+        let near = translation.is_finite() && translation.abs().max_element() <= limits::MAX_COORDINATE;
+        if !(near && length > 1e-6 && length.is_finite()) {
             return Err(Error::usage(
-                "a pose must be finite and its quaternion must have a length",
+                format!("a pose must be within {:e} m and its quaternion must have a length", limits::MAX_COORDINATE),
                 "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw",
             ));
         }

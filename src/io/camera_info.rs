@@ -96,12 +96,18 @@ pub fn parse(text: &str, name: &str) -> Result<(SensorSpec, Vec<String>)> {
 
 /// `topic echo` ends every message with `---`.
 fn first_document(text: &str) -> &str {
-    let end = text.match_indices("\n---").find(|(i, _)| text[..*i].contains(':')).map_or(text.len(), |(i, _)| i + 1);
+    let first_key = text.find(':').unwrap_or(text.len());
+    let end = text[first_key..].find("\n---").map_or(text.len(), |i| first_key + i + 1);
     &text[..end]
 }
 
+/// Most nodes of a file, those of its aliases counted each time.
+const MAX_NODES: usize = 10_000;
+
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T> {
-    serde_saphyr::from_str(text).map_err(|e| {
+    // Aliases make many nodes of few: a camera has under a hundred.
+    let options = serde_saphyr::options! { budget: serde_saphyr::budget! { max_nodes: MAX_NODES } };
+    serde_saphyr::from_str_with_options(text, options).map_err(|e| {
         let wrong = Error::invalid(
             e.without_snippet().to_string(),
             "give a ROS camera_info: image_width, image_height, camera_matrix, distortion_coefficients",
@@ -350,6 +356,11 @@ projection_matrix: {rows: 3, cols: 4, data: [1854., 0., 649., 0., 0., 1863., 485
             let e = parse(&text, "c").unwrap_err();
             assert_eq!(e.place(), Some(place), "{e}");
         }
+        // Each line means the one before ten times over.
+        let bomb: String =
+            (0..4).map(|i| format!("k{}: &a{} [{}]\n", i + 1, i + 1, vec![format!("*a{i}"); 10].join(", "))).collect();
+        let e = parse(&format!("k0: &a0 [{}]\n{bomb}", vec!["1"; 10].join(", ")), "c").unwrap_err();
+        assert!(e.to_string().contains("budget"), "{e}");
         assert!(parse("a: [b", "c").is_err());
         assert!(parse("", "c").is_err());
         assert!(parse("image_width: 3", "c").is_err());

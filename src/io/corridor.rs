@@ -30,7 +30,11 @@ pub fn read(path: &Path) -> Result<Corridor> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 
-fn parse(text: &str) -> Result<Corridor> {
+/// Reads the text of a corridor.
+///
+/// # Errors
+/// As [`read`], without the file.
+pub fn parse(text: &str) -> Result<Corridor> {
     #[derive(serde::Deserialize)]
     struct Header {
         format: Option<i64>,

@@ -320,11 +320,10 @@ fn pose_from_text(text: &str) -> Result<Pose> {
         return Err(wrong());
     };
     let (translation, rotation) = (DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
+    let pose = Pose::new(translation, rotation).map_err(|_| wrong())?;
     // A unit quaternion is kept to the bit: normalizing again could change its last digits.
-    if translation.is_finite() && (rotation.length_squared() - 1.0).abs() < 1e-9 {
-        return Ok(Pose { rotation, translation });
-    }
-    Pose::new(translation, rotation).map_err(|_| wrong())
+    let unit = (rotation.length_squared() - 1.0).abs() < 1e-9;
+    Ok(if unit { Pose { rotation, translation } } else { pose })
 }
 
 #[cfg(test)]

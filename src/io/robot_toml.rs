@@ -14,6 +14,7 @@ use super::load::{load_sensor, preset_names};
 use super::sensor_toml::MountTable;
 use super::text::{check_format, read_text, toml_from_str};
 use crate::error::{Error, ErrorKind, Result};
+use crate::limits;
 use crate::sensor::{PRESETS, Sensor};
 use serde::Deserialize;
 use std::path::Path;
@@ -56,6 +57,10 @@ pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
     let load = |text: &str, notices: &mut Vec<String>| -> Result<Robot> {
         check_format(text)?;
         let file: File = toml_from_str(text)?;
+        if file.sensors.len() > limits::MAX_ROBOT_SENSORS {
+            let what = format!("{} sensors", file.sensors.len());
+            return Err(Error::invalid(what, format!("give at most {}", limits::MAX_ROBOT_SENSORS)));
+        }
         let mut sensors: Vec<Sensor> = Vec::new();
         for (i, entry) in file.sensors.into_iter().enumerate() {
             let sensor = entry.load(folder, notices).map_err(|e| e.at(format!("sensor {i}")))?;
@@ -129,6 +134,7 @@ mod tests {
             (text.replace("laser-scanner", "laser-scaner"), "choose one of"),
             (text.replace("\"front\"", "\"video-camera\""), "two sensors"),
             ("format = 1".to_owned(), "no sensors"),
+            (format!("format = 1\n{}", "[[sensors]]\nsensor = \"eye.toml\"\n".repeat(300)), "at most"),
         ] {
             std::fs::write(&path, &bad).unwrap();
             let e = load_robot(&path).unwrap_err();

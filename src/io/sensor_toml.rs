@@ -181,6 +181,7 @@ impl NoiseTable {
 
 impl MountTable {
     pub(super) fn pose(&self) -> Result<Pose> {
+        const UNSOUND: &str = "a number is not finite or too large, or the quaternion has no length";
         let wrong = |what: &str| Error::invalid(what, "give xyz in metres, and rpy_deg or quaternion = [x, y, z, w]");
         let translation = DVec3::from_array(self.xyz);
         let pose = match (self.rpy_deg, self.quaternion) {
@@ -191,14 +192,14 @@ impl MountTable {
             }
             (None, Some(q)) => {
                 let q = DQuat::from_array(q);
+                let near = Pose::new(translation, q).map_err(|_| wrong(UNSOUND))?;
                 // A quaternion that is a unit one already keeps its bits, so that what we wrote reads back equal.
-                let rotation = if (q.length_squared() - 1.0).abs() <= 1e-12 { q } else { q.normalize() };
+                let rotation = if (q.length_squared() - 1.0).abs() <= 1e-12 { q } else { near.rotation };
                 Pose { rotation, translation }
             }
         };
-        if !(pose.translation.is_finite() && pose.rotation.is_finite()) {
-            return Err(wrong("a number is not finite, or the quaternion has no length"));
-        }
+        // Angles that are not finite make a rotation that is not.
+        Pose::new(pose.translation, pose.rotation).map_err(|_| wrong(UNSOUND))?;
         Ok(pose)
     }
 }

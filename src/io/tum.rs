@@ -20,18 +20,25 @@ pub struct Stamped {
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming the line that is not eight finite numbers with a quaternion of some length.
 pub fn read(path: &Path) -> Result<Vec<Stamped>> {
-    let text = read_text(path)?;
+    read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+}
+
+/// Reads the text of a trajectory.
+///
+/// # Errors
+/// As [`read`], without the file.
+pub fn parse(text: &str) -> Result<Vec<Stamped>> {
     let mut poses = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
         let line = line.trim();
         if !line.is_empty() && !line.starts_with('#') {
-            poses.push(parse(line).map_err(|e| e.at(format!("line {number}")).in_file(path))?);
+            poses.push(stamped(line).map_err(|e| e.at(format!("line {number}")))?);
         }
     }
     Ok(poses)
 }
 
-fn parse(line: &str) -> Result<Stamped> {
+fn stamped(line: &str) -> Result<Stamped> {
     let wrong = |what: String| Error::invalid(what, "write timestamp tx ty tz qx qy qz qw, separated by spaces");
     let mut numbers = [0.0; 8];
     let mut words = line.split_whitespace();
@@ -45,7 +52,10 @@ fn parse(line: &str) -> Result<Stamped> {
     }
     let [time, x, y, z, qx, qy, qz, qw] = numbers;
     let pose = Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
-    Ok(Stamped { time, pose: pose.map_err(|_| wrong("the quaternion has no length".into()))? })
+    Ok(Stamped {
+        time,
+        pose: pose.map_err(|_| wrong("the pose is too far away, or its quaternion has no length".into()))?,
+    })
 }
 
 #[cfg(test)]
@@ -61,7 +71,15 @@ mod tests {
         assert_eq!(read_back.len(), 1);
         assert_eq!((read_back[0].time, read_back[0].pose.translation), (1.5, DVec3::new(1.0, 2.0, 3.0)));
         assert_eq!(read_back[0].pose.rotation, DQuat::IDENTITY);
-        for bad in ["1 2 3", "0 0 0 0 0 0 0 0", "0 0 NaN 0 0 0 0 1", "0 0 0 0 0 0 0 1 9", "0 0 0 x 0 0 0 1"] {
+        for bad in [
+            "1 2 3",
+            "0 0 0 0 0 0 0 0",
+            "0 0 NaN 0 0 0 0 1",
+            "0 0 0 0 0 0 0 1 9",
+            "0 0 0 x 0 0 0 1",
+            "0 0 0 0 1e200 0 0 1",
+            "0 1e300 0 0 0 0 0 1",
+        ] {
             std::fs::write(&path, format!("# a\n{bad}\n")).unwrap();
             let e = read(&path).unwrap_err();
             assert!(e.to_string().contains("line 2"), "{e}");

@@ -224,7 +224,8 @@ impl Brown {
         let (a, b) = (self.tangential.dot(towards), self.tangential.perp_dot(towards));
         let mut r = self.safe;
         while r < end {
-            r = (r * 1.002).clamp(1e-6, end);
+            // Not clamp, which panics where the end comes before the first step.
+            r = (r * 1.002).max(1e-6).min(end);
             if !self.definite(r, a, b) {
                 return Some(r);
             }

@@ -100,6 +100,8 @@ fn faults_are_refused_with_place_and_remedy() {
         (SCANNER, "range_max = 10", "beam_height_deg = -1.0", "beam_height"),
         (SCANNER, "[1.0, 2.0, 3.0]", "[1.0, inf, 3.0]", "[mount]"),
         (SCANNER, "rpy_deg = [0.0, 0.0, 90.0]", "quaternion = [0.0, 0.0, 0.0, 0.0]", "[mount]"),
+        (SCANNER, "rpy_deg = [0.0, 0.0, 90.0]", "quaternion = [1e200, 0.0, 0.0, 0.0]", "[mount]"),
+        (SCANNER, "rpy_deg = [0.0, 0.0, 90.0]", "rpy_deg = [0.0, 0.0, inf]", "[mount]"),
         (SCANNER, "rpy_deg", "quaternion = [0.0, 0.0, 0.0, 1.0]\nrpy_deg", "[mount]"),
         (SCANNER, "range_sigma = 0.01", "range_sigma = -1.0", "noise"),
         (CAMERA, "width = 640", "width = 0", "0 x 480"),

@@ -134,6 +134,12 @@ fn the_inverse_is_continuous_and_its_region_has_no_holes() {
 
 /// A polynomial maps far rays back inside the image: they must not be taken for the near ones, nor the near for far.
 #[test]
+fn a_fold_nearer_than_the_first_step_is_found() {
+    let lens = Distortion::PlumbBob([-0.25, 0.07, 1e9, -0.002, 0.0]).lens();
+    assert!([0.0, 1e-9, 0.5].into_iter().all(|x| lens.undistort(x, -x).is_none_or(|ray| ray.is_finite())));
+}
+
+#[test]
 fn fold_over_is_no_ray() {
     // r (1 - 0.3 r^2) rises to 0.70272.. at r = 1.0540925.. and falls to zero at 1.8257..
     let fold = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);

@@ -1,0 +1,10 @@
+#![no_main]
+#[allow(dead_code, reason = "each target runs one body")]
+#[path = "../../tests/fuzz/bodies.rs"]
+mod bodies;
+#[path = "../../tests/common/mod.rs"]
+mod common;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    bodies::exr(bytes);
+});

@@ -1,0 +1,257 @@
+//! Fuzz bodies: one function per kind of input, for `tests/fuzz/main.rs` and for the targets of `fuzz/`.
+//!
+//! A body panics only at a defect: a reader that panics, or accepts what breaks a promise of it. The answer is whether the
+//! input was sound.
+
+#[path = "check.rs"]
+mod check;
+#[path = "generate.rs"]
+mod generate;
+
+use check::{check_world, near_unit, sound_sensor};
+use presight::Pose;
+use presight::cli::pose::parse_pose;
+use presight::cli::pose_cov;
+use presight::io::{camera_info, corridor, exr, layer, materials, sensor_toml, tum};
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
+
+/// A folder of each thread, in memory where the system has that.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let memory = Path::new("/dev/shm");
+        let made = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() };
+        let folder = Self(made.expect("a folder"));
+        folder.put("eye.toml", include_bytes!("corpus/sensor_toml/camera.toml"));
+        folder.put("cam.yaml", include_bytes!("corpus/camera_info/calibration.yaml"));
+        folder.put("part.glb", include_bytes!("corpus/gltf/triangle.glb"));
+        folder.put("parts.rhai", b"fn post(h) { cylinder(0.1, h, 8) }");
+        folder.put("scene.bin", &[0, 0, 128, 63].repeat(64));
+        folder
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = self.0.path().join(name);
+        std::fs::write(&path, bytes).expect("a file");
+        path
+    }
+}
+
+thread_local! {
+    static FOLDER: Folder = Folder::new();
+}
+
+/// Runs `f` on the path of a file that holds the input.
+fn with_file<T>(name: &str, bytes: &[u8], f: impl FnOnce(&Path) -> T) -> T {
+    FOLDER.with(|folder| f(&folder.put(name, bytes)))
+}
+
+fn text(bytes: &[u8]) -> Cow<'_, str> {
+    String::from_utf8_lossy(bytes)
+}
+
+fn check_pose(pose: &Pose) {
+    assert!(pose.translation.is_finite() && near_unit(pose.rotation), "{pose:?}");
+}
+
+/// `.glb` and `.gltf`: what is imported can be seen, and is the same after writing it.
+pub fn gltf(bytes: &[u8]) -> bool {
+    use presight::io::gltf::{import, write_glb};
+    let name = if bytes.starts_with(b"glTF") { "scene.glb" } else { "scene.gltf" };
+    with_file(name, bytes, |path| {
+        let Ok(scene) = import(path, &Default::default()) else { return false };
+        let again = path.with_file_name("again.glb");
+        write_glb(&again, &scene.environment).expect("what was read can be written");
+        let read = import(&again, &Default::default()).expect("what was written can be read").environment;
+        assert_eq!(read.content_hash(), scene.environment.content_hash());
+        check_world(scene.environment);
+        true
+    })
+}
+
+/// `.rhai`, with the limits of production, in a folder with a model and a module.
+#[cfg(feature = "script")]
+pub fn script(bytes: &[u8]) -> bool {
+    with_file("scene.rhai", bytes, |path| {
+        let scene = presight::io::script::load(path, &Default::default(), &mut |_| {});
+        scene.is_ok_and(|scene| {
+            check_world(scene.environment);
+            true
+        })
+    })
+}
+
+/// Sensor TOML; after a NUL, the ray table that it may name, `rays.csv`.
+pub fn sensor_toml(bytes: &[u8]) -> bool {
+    let (toml, csv) =
+        bytes.iter().position(|b| *b == 0).map_or((bytes, None), |i| (&bytes[..i], Some(&bytes[i + 1..])));
+    FOLDER.with(|folder| {
+        if let Some(csv) = csv {
+            folder.put("rays.csv", csv);
+        }
+        let spec = sensor_toml::parse(&text(toml), "fuzz", csv.map(|_| folder.0.path()));
+        spec.is_ok_and(|spec| sound_sensor(&spec))
+    })
+}
+
+/// camera_info YAML.
+pub fn camera_info(bytes: &[u8]) -> bool {
+    camera_info::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_sensor(&spec))
+}
+
+/// Layer files, placed in a scene, predicted with regions of interest, and written again.
+pub fn layer(bytes: &[u8]) -> bool {
+    let Ok(file) = layer::parse(&text(bytes)) else { return false };
+    let written = layer::to_string(&file.layer).expect("what was read can be written");
+    let again = layer::parse(&written).unwrap_or_else(|e| panic!("{e}: {written}"));
+    assert_eq!(again.layer, file.layer);
+    check::check_layer(&file.layer);
+    true
+}
+
+/// A store file: what is found sound can be opened, and is all that was proven.
+#[cfg(feature = "store")]
+pub fn store(bytes: &[u8]) -> bool {
+    use presight::io::store;
+    with_file("fuzz.presight", bytes, |path| {
+        let _ = std::fs::remove_file(path.with_extension("presight-journal"));
+        let Ok(info) = store::check(path) else {
+            // Each of these may stop earlier than the check; none may panic.
+            let _ = (store::read(path), store::log(path, |_| Ok(())), store::Store::open(path).is_ok());
+            return false;
+        };
+        let (store, environment) = store::Store::open(path).expect("a sound store opens");
+        assert_eq!(environment.content_hash(), info.environment.content_hash());
+        assert_eq!(store.changes(), info.changes);
+        check_world(environment);
+        true
+    })
+}
+
+/// Lines of changes to a store, taken back again.
+#[cfg(feature = "store")]
+pub fn changes(bytes: &[u8]) -> bool {
+    use presight::io::store::{Note, Store, create};
+    use std::cell::RefCell;
+    thread_local! {
+        static OPEN: RefCell<(Store, presight::World)> = FOLDER.with(|folder| {
+            let path = folder.0.path().join("changed.presight");
+            create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
+            let (mut store, environment) = Store::open(&path).expect("a sound store opens");
+            store.without_sync().expect("an open store");
+            let none = presight::index::Scheme::None;
+            let params = presight::index::Params::tuned(none);
+            RefCell::new((store, presight::World::with_index(environment, none, params)))
+        });
+    }
+    OPEN.with(|open| {
+        let (store, world) = &mut *open.borrow_mut();
+        let before = world.environment().content_hash();
+        let mut batch = store.batch(world).expect("a batch");
+        let note = Note::new("fuzz", 2.5);
+        let folder = FOLDER.with(|folder| folder.0.path().to_owned());
+        let text = text(bytes);
+        let lines = text.lines().filter(|line| !line.is_empty());
+        let sound = lines.map(|line| batch.apply_line(line, &folder, &note).is_ok()).take_while(|sound| *sound).count();
+        drop(batch);
+        assert_eq!(world.environment().content_hash(), before, "what is not committed is gone");
+        sound > 0
+    })
+}
+
+/// Poses of the command line; what is written of one reads back.
+pub fn poses(bytes: &[u8]) -> bool {
+    let Ok(pose) = parse_pose(&text(bytes)) else { return false };
+    check_pose(&pose);
+    let again = parse_pose(&exr::pose_to_text(&pose)).expect("what was written can be read");
+    assert_eq!(again.translation, pose.translation);
+    assert!((again.rotation - pose.rotation).length() < 1e-12, "{pose:?} is not {again:?}");
+    true
+}
+
+/// Trajectories in TUM's form.
+pub fn trajectory(bytes: &[u8]) -> bool {
+    let Ok(poses) = tum::parse(&text(bytes)) else { return false };
+    poses.iter().for_each(|p| check_pose(&p.pose));
+    assert!(poses.iter().all(|p| p.time.is_finite()));
+    !poses.is_empty()
+}
+
+/// Covariances of poses: six deviations, or JSON.
+pub fn pose_covariance(bytes: &[u8]) -> bool {
+    let text = text(bytes);
+    let json = text.trim_start().starts_with('[');
+    let parsed = match (json, text.contains(',')) {
+        (true, _) => pose_cov::from_json(&text),
+        (false, true) => pose_cov::parse(&text),
+        // The name of a file.
+        (false, false) => return false,
+    };
+    let Ok(covariance) = parsed else { return false };
+    assert!(covariance.as_flattened().iter().all(|x| x.is_finite()), "{covariance:?}");
+    assert!((0..6).all(|i| covariance[i][i] >= 0.0), "{covariance:?}");
+    true
+}
+
+/// Motion corridors.
+pub fn corridor(bytes: &[u8]) -> bool {
+    let Ok(corridor) = corridor::parse(&text(bytes)) else { return false };
+    assert!(corridor.length() > 0.0 && corridor.length().is_finite());
+    for p in [[0.0; 3], [1.0, 0.1, 0.5], [1e12, -1e12, 0.5]] {
+        let along = corridor.arc_length_at(p);
+        assert!(along.is_none_or(|s| (0.0..=corridor.length()).contains(&s)), "{along:?} of {corridor:?}");
+    }
+    true
+}
+
+/// Materials beside a scene.
+pub fn materials(bytes: &[u8]) -> bool {
+    let Ok(sidecar) = materials::Sidecar::parse(&text(bytes)) else { return false };
+    check_pose(&sidecar.world_from_scene);
+    let mut materials = ["paint", "glass"].map(presight::Material::named);
+    if sidecar.apply_to(&mut materials).is_err() {
+        return false;
+    }
+    assert!(materials.iter().all(|m| (0.0..=1.0).contains(&m.reflection)), "{materials:?}");
+    true
+}
+
+/// Robot files, beside sensor files.
+pub fn robot(bytes: &[u8]) -> bool {
+    with_file("robot.toml", bytes, |path| {
+        let Ok((robot, _)) = presight::io::load_robot(path) else { return false };
+        assert!(!robot.sensors.is_empty());
+        robot.sensors.iter().for_each(|s| check_pose(&s.spec().mount));
+        true
+    })
+}
+
+/// Images: what is read is whole, and the same after writing it.
+pub fn exr(bytes: &[u8]) -> bool {
+    with_file("fuzz.exr", bytes, |path| {
+        let Ok(file) = exr::read(path) else { return false };
+        let images = &file.images;
+        let outputs = images.outputs();
+        for output in outputs.iter() {
+            let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len));
+            assert_eq!(len, Some(images.pixels()), "{}", output.name());
+        }
+        file.attributes.world_from_sensor.iter().for_each(check_pose);
+        exr::write(path, images, outputs, &file.attributes).expect("what was read can be written");
+        let again = exr::read(path).expect("what was written can be read");
+        let report = presight::compare::compare_exactly(images, &again.images).expect("images of one shape");
+        assert_eq!(report.fault, 0);
+        assert_eq!(format!("{:?}", again.attributes), format!("{:?}", file.attributes));
+        true
+    })
+}
+
+/// Random polygons before random sensors: the CPU engine against the reference.
+pub fn scenes(bytes: &[u8]) -> bool {
+    let Some(case) = generate::case(bytes) else { return false };
+    let (world, pose, sensors) = case.build();
+    sensors.iter().for_each(|sensor| check::check_view(&world, sensor, &pose));
+    true
+}

@@ -1,0 +1,138 @@
+//! What must hold of everything that a reader accepts.
+
+use crate::common::{plan, reference, scenes};
+use glam::{DQuat, DVec3, Vec3};
+use presight::compare::{Precision, compare};
+use presight::environment::FeatureLayer;
+use presight::features::{BoxOptions, FeatureOptions, add_boxes, place, predict_features};
+use presight::io::{prediction_json, sensor_toml};
+use presight::{Camera, Environment, Geometry, Images, NewObject, Output, Pose, Sensor, SensorSpec, Stats, World, cpu};
+use std::cell::RefCell;
+use std::sync::Arc;
+
+/// Most pixels, and polygons, of what is predicted: the others are too slow to try often.
+const MOST_PIXELS: u64 = 4096;
+const MOST_POLYGONS: u32 = 2000;
+
+thread_local! {
+    static ENGINE: RefCell<cpu::Engine> = RefCell::new(cpu::Engine::new(1).expect("a thread"));
+}
+
+/// Length 1 within rounding.
+pub fn near_unit(q: DQuat) -> bool {
+    (q.length_squared() - 1.0).abs() < 1e-9
+}
+
+/// A box at the origin of an object of its own and a wall, named as the corpora name them.
+pub fn stage() -> Environment {
+    let mut environment = scenes::empty();
+    let boxes = Arc::new(scenes::cuboid(Vec3::new(-0.5, -0.5, 0.0), Vec3::new(0.5, 0.5, 2.0)));
+    let wall = Arc::new(scenes::mesh(&[[[0.0, -5.0, -1.0], [0.0, 5.0, -1.0], [0.0, 5.0, 3.0], [0.0, -5.0, 3.0]]
+        .map(Vec3::from)
+        .to_vec()]));
+    let at = |x: f64| Pose::from_xyz_rpy(DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.1);
+    environment.insert(NewObject::new("box", at(4.0), boxes.clone())).expect("a sound object");
+    environment.insert(NewObject::new("hall/door", at(6.0), boxes)).expect("a sound object");
+    environment.insert(NewObject::new("wall", at(8.0), wall)).expect("a sound object");
+    environment
+}
+
+/// Holds the CPU engine to the reference, and both to what is documented of NaN.
+pub fn check_view(world: &World, sensor: &Sensor, pose: &Pose) {
+    let plan = plan(world, sensor, pose);
+    let shown = reference(&plan);
+    let mut images = Images::default();
+    ENGINE
+        .with(|engine| engine.borrow_mut().render(&plan, &mut images, &mut Stats::default()))
+        .expect("the engine renders");
+    check_numbers(&images, sensor);
+    let report = compare(&shown, &images, &plan, Precision::F64).expect("images of one shape");
+    assert_eq!(report.fault, 0, "{}: first {:#?}", sensor.spec().name, report.faults.first());
+}
+
+/// NaN without a ray, and as the angle of nothing; nowhere else.
+fn check_numbers(images: &Images, sensor: &Sensor) {
+    let width = images.width;
+    for (i, id) in images.polygon_id.iter().enumerate() {
+        let (column, row) = (i as u32 % width, i as u32 / width);
+        let ray = sensor.ray(column, row).is_some();
+        let (range, cos) = (images.range[i], images.cos_incidence[i]);
+        assert_eq!(range.is_nan(), !ray, "range {range} at ({column}, {row})");
+        assert_eq!(cos.is_nan(), *id == 0, "cos_incidence {cos} at ({column}, {row})");
+        assert!(cos.is_nan() || (0.0..=1.0).contains(&cos), "cos_incidence {cos} at ({column}, {row})");
+        assert!(*id == 0 || (range.is_finite() && range >= 0.0) || range == f32::NEG_INFINITY, "range {range}");
+        if sensor.is_camera() {
+            let depth = images.floats(Output::DepthZ).expect("asked for")[i];
+            assert_eq!(depth.is_nan(), !ray, "depth_z {depth} at ({column}, {row})");
+        }
+    }
+}
+
+/// A prediction of a scene that was read.
+pub fn check_world(environment: Environment) {
+    let bounds = environment.bounds();
+    if environment.slot_count() > MOST_POLYGONS || environment.slot_count() == 0 || !bounds.min.is_finite() {
+        return;
+    }
+    let world = World::new(environment);
+    let at = bounds.min.lerp(bounds.max, 0.3);
+    let pose = Pose::from_xyz_rpy(at, 0.1, 0.2, 0.3);
+    for sensor in [scenes::camera(17, 13), scenes::scanner(24, 5)] {
+        check_view(&world, &sensor, &pose);
+    }
+}
+
+/// A sensor that was read: its rays, its text, and a prediction. False if it is refused later.
+pub fn sound_sensor(spec: &SensorSpec) -> bool {
+    assert!(near_unit(spec.mount.rotation) && spec.mount.translation.is_finite(), "{:?}", spec.mount);
+    let (width, height) = spec.geometry.size();
+    let pixels = u64::from(width) * u64::from(height);
+    if (MOST_PIXELS..=presight::limits::MAX_PIXELS).contains(&pixels) {
+        return false;
+    }
+    let Ok(sensor) = Sensor::new(spec.clone()) else { return false };
+    let written = sensor_toml::to_string(spec);
+    let again = sensor_toml::parse(&written, "other", None).unwrap_or_else(|e| panic!("{e}: {written}"));
+    assert_eq!(again, *spec, "{written}");
+    let rays = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
+    for ray in rays.filter_map(|(column, row)| sensor.ray(column, row)) {
+        assert!((ray.length() - 1.0).abs() < 1e-9, "{ray} of {written}");
+    }
+    check_view(&World::new(stage()), &sensor, &Pose::IDENTITY);
+    true
+}
+
+/// A layer that was read: features in a scene, seen and with their boxes. False if the scene refuses it.
+pub fn check_layer(layer: &FeatureLayer) -> bool {
+    let mut environment = stage();
+    let layer = FeatureLayer { class: "video".into(), ..layer.clone() };
+    if layer.features.len() > 50 || environment.add_layer(layer.clone()).is_err() {
+        return false;
+    }
+    let world = World::new(environment);
+    let Ok(placed) = place(&world, &layer) else { return false };
+    let camera = Camera::pinhole(33, 25, 20.0, 20.0, 16.0, 12.0);
+    let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a sound camera");
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.3, 1.0), 0.0, 0.0, 0.0);
+    let images = reference(&plan(&world, &sensor, &pose));
+    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let Ok(mut seen) = predict_features(&world, &sensor, &pose, &images, &placed, &options) else { return false };
+    let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-4 } else { 0.0 }));
+    let boxes = BoxOptions { sensor: covariance, ..BoxOptions::default() };
+    if add_boxes(&mut seen, &placed, &world, &sensor, &pose, &boxes).is_err() {
+        return false;
+    }
+    for f in &seen.features {
+        assert!((0.0..=1.0).contains(&f.visible_fraction), "{f:?}");
+        assert!((0.0..=1.0).contains(&f.existence), "{f:?}");
+        assert!(f.points_world.iter().all(|p| p.is_finite()), "{f:?}");
+        assert!(f.range.is_none_or(|r| r.is_finite() && r >= 0.0), "{f:?}");
+        assert!(f.cos_incidence.is_none_or(|c| (0.0..=1.0).contains(&c)), "{f:?}");
+        let inside =
+            |b: &[f64; 4]| b[0] >= -0.5 && b[1] >= -0.5 && b[2] <= 32.5 && b[3] <= 24.5 && b[0] < b[2] && b[1] < b[3];
+        assert!(f.roi.as_ref().is_none_or(inside), "{f:?}");
+    }
+    let header = prediction_json::Header::default();
+    prediction_json::to_string(&header, &seen, world.environment(), None).expect("a prediction is JSON");
+    true
+}

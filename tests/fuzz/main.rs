@@ -1,0 +1,151 @@
+//! Fuzz bodies over their corpora and over generated inputs.
+//!
+//! `PRESIGHT_FUZZ_SECONDS` says how long each target runs (default 1), `PROPTEST_RNG_SEED` which inputs are made (the same
+//! ones each time without it, as far as the time reaches). An input at fault is written to a file, which the message names.
+//! `PRESIGHT_FUZZ_INPUT=FILE cargo test --test fuzz TARGET` runs that one input again.
+
+#![expect(clippy::print_stderr, reason = "how much was run is said")]
+
+mod bodies;
+#[path = "../common/mod.rs"]
+mod common;
+mod mutate;
+
+use common::env_number;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// Longest one input may take on a busy machine; no reader of the corpora's sizes takes a hundredth of it.
+const SLOW: Duration = Duration::from_secs(20);
+/// Most memory of the process, bytes.
+const MEMORY: u64 = 4 << 30;
+
+/// The input that is being run, for the guard and the message.
+#[derive(Default)]
+struct Running {
+    input: Vec<u8>,
+    since: Option<Instant>,
+}
+
+struct Target {
+    name: &'static str,
+    body: fn(&[u8]) -> bool,
+    words: &'static [&'static str],
+}
+
+/// A failing input goes where a build's own files go.
+fn keep(name: &str, input: &[u8]) -> PathBuf {
+    let hash = input.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3));
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fuzz-{name}-{hash:016x}"));
+    match std::fs::write(&path, input) {
+        Ok(()) => path,
+        Err(e) => panic!("{name}: cannot keep the input: {e}: {input:?}"),
+    }
+}
+
+/// Resident memory of this process, where the system tells.
+fn resident() -> u64 {
+    let pages = || std::fs::read_to_string("/proc/self/statm").ok()?.split(' ').nth(1)?.parse::<u64>().ok();
+    pages().unwrap_or(0) * 4096
+}
+
+/// Ends the process at an input that takes too long or too much memory: nothing else stops it.
+fn guard(name: &'static str, running: Arc<Mutex<Running>>, ended: Arc<AtomicBool>) {
+    while !ended.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(100));
+        let now = running.lock().expect("nothing panics with the lock");
+        let slow = now.since.is_some_and(|since| since.elapsed() > SLOW);
+        if slow || resident() > MEMORY {
+            let what = if slow { "takes too long" } else { "may be what takes too much memory" };
+            eprintln!("{name}: the input {what}: {}", keep(name, &now.input).display());
+            std::process::exit(101);
+        }
+    }
+}
+
+impl Target {
+    fn corpus(&self) -> Vec<Vec<u8>> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus").join(self.name);
+        let mut paths: Vec<PathBuf> = folder.read_dir().expect("a corpus").map(|e| e.expect("a file").path()).collect();
+        paths.sort();
+        paths.iter().map(|path| std::fs::read(path).expect("a readable file")).collect()
+    }
+
+    fn once(&self, input: &[u8], running: &Mutex<Running>) -> bool {
+        {
+            let mut running = running.lock().expect("nothing panics with the lock");
+            running.input.clear();
+            running.input.extend_from_slice(input);
+            running.since = Some(Instant::now());
+        }
+        let sound = catch_unwind(AssertUnwindSafe(|| (self.body)(input))).unwrap_or_else(|panic| {
+            eprintln!("{}: the input at fault: {}", self.name, keep(self.name, input).display());
+            resume_unwind(panic)
+        });
+        running.lock().expect("nothing panics with the lock").since = None;
+        sound
+    }
+
+    fn run(&self) {
+        let running = Arc::new(Mutex::new(Running::default()));
+        let ended = Arc::new(AtomicBool::new(false));
+        if let Some(path) = std::env::var_os("PRESIGHT_FUZZ_INPUT") {
+            self.once(&std::fs::read(path).expect("a readable file"), &running);
+            return;
+        }
+        let (name, shared, end) = (self.name, running.clone(), ended.clone());
+        let guard = std::thread::spawn(move || guard(name, shared, end));
+        let corpus = self.corpus();
+        let sound = corpus.iter().filter(|input| self.once(input, &running)).count();
+        // A corpus of which all is refused, or nothing, tries little.
+        assert!(sound > 0 && sound < corpus.len(), "{name}: {sound} of {} inputs are sound", corpus.len());
+        let seconds = env_number("PRESIGHT_FUZZ_SECONDS", 1);
+        let (start, mut made, mut accepted) = (Instant::now(), 0u64, 0u64);
+        let mut mutator = mutate::Mutator::new(&corpus, self.words, env_number("PROPTEST_RNG_SEED", 1));
+        let mut input = Vec::new();
+        while start.elapsed() < Duration::from_secs(seconds) {
+            mutator.next(&mut input);
+            accepted += u64::from(self.once(&input, &running));
+            made += 1;
+        }
+        eprintln!(
+            "{name}: {} inputs of the corpus and {made} made of them in {seconds} s, {accepted} sound",
+            corpus.len()
+        );
+        ended.store(true, Ordering::Relaxed);
+        guard.join().expect("the guard");
+    }
+}
+
+macro_rules! targets {
+    ($($(#[$attribute:meta])* $name:ident: $words:expr;)*) => {
+        $($(#[$attribute])* #[test]
+        fn $name() {
+            Target { name: stringify!($name), body: bodies::$name, words: $words }.run();
+        })*
+    };
+}
+
+targets! {
+    gltf: &["\"mesh\"", "\"nodes\"", "\"children\"", "\"matrix\"", "\"extras\"", "\"sparse\"", "\"indices\"", "\"mode\"", "5126"];
+    #[cfg(feature = "script")]
+    script: &["for ", "while true {", "box(", "place(", "import(", "loop {", "range(", "fn f(", "turn(", "scale(", "PI()"];
+    sensor_toml: &["format", "kind", "width", "angles_deg", "[noise]", "[mount]", "quaternion", "[distortion]", "file"];
+    camera_info: &["image_width", "K:", "D:", "data", "---", "&a", "*a", "binning_x", "roi", "<<", "!!", "|", ">", "- "];
+    layer: &["features", "\"kind\"", "covariances", "cross_covariance", "\"remove\"", "\"object\"", "\"points\"", "tolerance"];
+    #[cfg(feature = "store")]
+    store: &["CREATE TABLE", "SQLite format 3\0", "objects"];
+    #[cfg(feature = "store")]
+    changes: &["\"op\"", "group", "delete_object", "insert_object", "move", "set_pose", "\"like\"", "covariance", "\"id\""];
+    poses: &["-180", ",", " ", "1e308", "0,0,0,1"];
+    trajectory: &["-180", "\n", " ", "1e308", "0 0 0 1", "#"];
+    pose_covariance: &["0,0,0,0,0,0,", "1e-300"];
+    corridor: &["polyline_in_robot", "half_width", "z_min", "[0,0]"];
+    materials: &["[material.\"a\"]", "reflection", "classes", "world_from_scene", "one_sided", "transparent"];
+    robot: &["[[sensors]]", "sensor", "mount", "eye.toml", "cam.yaml", "laser-scanner", "xyz", "rpy_deg"];
+    exr: &["range\0", "polygon_id\0", "presight:format\0", "string\0", "channels\0", "dataWindow\0", "box2i\0", "tiledesc\0"];
+    scenes: &[];
+}
