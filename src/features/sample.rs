@@ -109,6 +109,11 @@ impl<'a> Sampler<'a> {
         self.turn
     }
 
+    /// About the finest angle between neighbouring rays, radians.
+    pub(super) fn pixel_angle(&self) -> f64 {
+        self.pixel_angle
+    }
+
     /// The sample of a point of the image frame.
     pub fn point(&self, at: DVec3) -> Piece {
         let t = [0.0, 1.0];

@@ -2,6 +2,7 @@
 
 use super::known::{Faces, Nearer};
 use super::tally::{State, Tally, share};
+use super::tiles::Tiles;
 use super::{Frame, Visibility};
 use crate::environment::{Appearance, FeatureShape};
 use crate::features::sample::{Piece, Sample};
@@ -32,6 +33,11 @@ impl Own<'_> {
     /// How far its points may be off by rounding, metres.
     pub fn rounding(&self) -> f64 {
         self.rounding
+    }
+
+    /// True of polygons that it lies on.
+    pub fn holds(&self, slot: u32) -> bool {
+        self.slots.contains(&slot)
     }
 
     /// Of the surfaces it lies on, the one seen most directly.
@@ -80,6 +86,7 @@ struct Line {
 pub(super) struct Judge<'a> {
     pub(super) frame: &'a Frame<'a>,
     pub(super) faces: Faces,
+    pub(super) tiles: Tiles,
     pieces: Vec<Piece>,
     states: Vec<State>,
     open: Vec<Open>,
@@ -99,6 +106,7 @@ impl<'a> Judge<'a> {
         Self {
             frame,
             faces: Faces::new(frame),
+            tiles: Tiles::new(frame.sampler.pixel_angle()),
             pieces: Vec::new(),
             states: Vec::new(),
             open: Vec::new(),
@@ -432,7 +440,7 @@ impl<'a> Judge<'a> {
         let known = &mut self.faces.known[at];
         if known.asked != self.asking {
             known.asked = self.asking;
-            if known.covers && !own.slots.contains(&known.slot) {
+            if known.covers && !own.holds(known.slot) {
                 self.near.push(at as u32);
             }
         }
@@ -504,7 +512,7 @@ impl<'a> Judge<'a> {
 
     /// Fills `near` with all polygons that may have a point in the triangle of the sensor and two places; false if it has no
     /// area.
-    pub(super) fn query_triangle(&mut self, [a, b]: [DVec3; 2], farthest: f64, own: &Own<'_>) -> bool {
+    fn query_triangle(&mut self, [a, b]: [DVec3; 2], farthest: f64, own: &Own<'_>) -> bool {
         /// Below this angle the plane of the sensor and the segment is not known well enough.
         const LEAST_SINE: f64 = 1e-6;
         let normal = a.cross(b);
@@ -561,7 +569,7 @@ impl<'a> Judge<'a> {
         let frame = self.frame;
         self.found.clear();
         frame.world.index().query(frame.environment, region, &mut self.found);
-        for slot in self.found.all().filter(|slot| !own.slots.contains(slot)) {
+        for slot in self.found.all().filter(|slot| !own.holds(*slot)) {
             if let Some(at) = self.faces.of_slot(frame, slot).filter(|at| self.faces.known[*at].covers) {
                 self.near.push(at as u32);
             }

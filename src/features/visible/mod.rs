@@ -9,8 +9,9 @@
 //! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
 //!
 //! **What space confirms.** That a sample is seen no image can prove: nine rays may all miss an occluder under a pixel. So
-//! what is not hidden yet is confirmed by one query of the index: for the triangle between the sensor and that part of a
-//! segment, for the pyramid under a patch, for the ray to a point. Each polygon found is tested like those of the pixels.
+//! what is not hidden yet is confirmed by the index: one query for the triangle between the sensor and that part of a
+//! segment, for the pyramid under a patch, for the ray to a point; straight images of segments share the queries of whole
+//! tiles of the image ([`tiles`]). Each polygon found is tested like those of the pixels.
 //!
 //! So the answer is that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
 //! depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane says nothing about
@@ -21,6 +22,7 @@ mod judge;
 mod known;
 mod straight;
 mod tally;
+mod tiles;
 
 use super::{FeaturePrediction, PlacedFeature};
 use crate::environment::FeatureShape;

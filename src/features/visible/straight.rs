@@ -135,11 +135,7 @@ impl Judge<'_> {
         let open = |by: &[u32]| by.iter().filter(|by| **by == NONE).count();
         let left = open(by);
         if let (Some(first), Some(last)) = (by.iter().position(|b| *b == NONE), by.iter().rposition(|b| *b == NONE)) {
-            // Three samples at least, so that they and the sensor make a triangle.
-            let (first, end) = (first.saturating_sub(1), (last + 2).min(part.count));
-            let stretch = Stretch::new(part, first..end, ranges, own.rounding());
-            let farthest = stretch.ends[0].length().max(stretch.ends[1].length());
-            if !self.query_triangle(stretch.ends, farthest, own) || !self.hide_near(&stretch, by) {
+            if !self.confirm(part, first..last + 1, ranges, own, by) {
                 return false;
             }
         }
@@ -150,12 +146,55 @@ impl Judge<'_> {
         true
     }
 
+    /// Whatever may hide samples, tile by tile.
+    fn confirm(
+        &mut self,
+        part: &Straight,
+        left: Range<usize>,
+        ranges: [f64; 2],
+        own: &Own<'_>,
+        by: &mut [u32],
+    ) -> bool {
+        let mut start = left.start;
+        while start < left.end {
+            let tile = self.tiles.of(part.middle(start).0);
+            let end = end_of_tile(start + 1..left.end, |i| self.tiles.of(part.middle(i).0) == tile);
+            let stretch = Stretch::new(part, start..end, ranges, own.rounding());
+            let [p, q] = stretch.ends;
+            let farthest = p.length().max(q.length());
+            for candidate in self.tiles.candidates(self.frame, &mut self.faces, tile, farthest) {
+                if !(candidate.inverse.dot(p) > 1.0 || candidate.inverse.dot(q) > 1.0) {
+                    continue;
+                }
+                let known = &self.faces.known[candidate.face as usize];
+                if !own.holds(known.slot) && !stretch.hide(known, self.faces.planes_of(known), by) {
+                    return false;
+                }
+            }
+            start = end;
+        }
+        true
+    }
+
     fn hide_near(&self, stretch: &Stretch<'_>, by: &mut [u32]) -> bool {
         self.near.iter().all(|face| {
             let known = &self.faces.known[*face as usize];
             stretch.hide(known, self.faces.planes_of(known), by)
         })
     }
+}
+
+/// The first of some samples that is not in a tile any more: tiles are convex, and samples go straight on.
+fn end_of_tile(some: Range<usize>, within: impl Fn(usize) -> bool) -> usize {
+    let (mut low, mut high) = (some.start, some.end);
+    if low < high && within(high - 1) {
+        return high;
+    }
+    while low < high {
+        let middle = low.midpoint(high);
+        if within(middle) { low = middle + 1 } else { high = middle }
+    }
+    low
 }
 
 /// Least and greatest distance of a part from the sensor.
