@@ -359,7 +359,7 @@ projection_matrix: {rows: 3, cols: 4, data: [1854., 0., 649., 0., 0., 1863., 485
         // Each line means the one before ten times over.
         let bomb: String =
             (0..4).map(|i| format!("k{}: &a{} [{}]\n", i + 1, i + 1, vec![format!("*a{i}"); 10].join(", "))).collect();
-        let e = parse(&format!("k0: &a0 [{}]\n{bomb}", vec!["1"; 10].join(", ")), "c").unwrap_err();
+        let e = parse(&format!("k0: &a0 [{}]\n{bomb}", ["1"; 10].join(", ")), "c").unwrap_err();
         assert!(e.to_string().contains("budget"), "{e}");
         assert!(parse("a: [b", "c").is_err());
         assert!(parse("", "c").is_err());

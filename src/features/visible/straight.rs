@@ -134,10 +134,10 @@ impl Judge<'_> {
         }
         let open = |by: &[u32]| by.iter().filter(|by| **by == NONE).count();
         let left = open(by);
-        if let (Some(first), Some(last)) = (by.iter().position(|b| *b == NONE), by.iter().rposition(|b| *b == NONE)) {
-            if !self.confirm(part, first..last + 1, ranges, own, by) {
-                return false;
-            }
+        let first = by.iter().position(|b| *b == NONE).unwrap_or(part.count);
+        let end = by.iter().rposition(|b| *b == NONE).map_or(first, |last| last + 1);
+        if !self.confirm(part, first..end, ranges, own, by) {
+            return false;
         }
         self.stats.samples = part.count;
         self.stats.hidden_by_neighbours = part.count - left;

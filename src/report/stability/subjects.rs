@@ -149,12 +149,15 @@ impl Subject for Gpu {
     }
 }
 
+/// Engines under study.
+pub type Subjects = Vec<Box<dyn Subject>>;
+
 /// Every engine of this build and machine, and what is to be said of them: which adapter, or that there is none.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if threads cannot be started.
-pub fn subjects(threads: usize) -> Result<(Vec<Box<dyn Subject>>, Vec<String>)> {
-    let (mut all, mut notes): (Vec<Box<dyn Subject>>, _) = (vec![Box::new(Reference)], Vec::new());
+pub fn subjects(threads: usize) -> Result<(Subjects, Vec<String>)> {
+    let (mut all, mut notes): (Subjects, _) = (vec![Box::new(Reference)], Vec::new());
     all.push(Box::new(Cpu::new(threads)?));
     #[cfg(feature = "gpu")]
     match Gpu::both() {

@@ -252,7 +252,7 @@ mod tests {
         let mut random = SplitMix64(3);
         let (w, h) = (23usize, 17usize);
         for rare in [3, 40, 400, 4000] {
-            let set: Vec<bool> = (0..w * h).map(|_| random.bits() % rare == 0).collect();
+            let set: Vec<bool> = (0..w * h).map(|_| random.bits().is_multiple_of(rare)).collect();
             let along = beside(&set, w);
             for at in 0..w * h {
                 let to = |other: usize| {

@@ -269,7 +269,7 @@ fn dented(dent: f64) -> Result<Vec<Case>> {
 fn warped(height: f64) -> Result<Vec<Case>> {
     let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
     let sheet = [[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [height, 1.0, 1.0], [0.0, -1.0, 1.0]].map(point).to_vec();
-    scene.add(&[sheet.clone()], Pose::from_xyz_rpy(DVec3::new(2.0, 0.1, 0.05), 0.2, 0.5, -0.3))?;
+    scene.add(std::slice::from_ref(&sheet), Pose::from_xyz_rpy(DVec3::new(2.0, 0.1, 0.05), 0.2, 0.5, -0.3))?;
     // Seen nearly along its plane, too.
     scene.add(&[sheet], Pose::from_xyz_rpy(DVec3::new(1.5, 0.6, -1.0), 0.1, 1.55, 0.0))?;
     scene.add(&[wall(5.0, [-9.0, 9.0], [-9.0, 9.0])], Pose::IDENTITY)?;
