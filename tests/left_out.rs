@@ -16,7 +16,6 @@ use presight::{
 use std::sync::Arc;
 
 /// Where a prediction is made.
-#[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "there is no device"))]
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum On {
     Cpu,

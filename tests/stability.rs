@@ -1,5 +1,4 @@
 //! A quick stability study of every engine: no fault; and planted faults, each of which it has to find.
-#![expect(clippy::print_stderr, reason = "what was measured is worth reading, and a skipped engine says so")]
 
 use presight::compare::Precision;
 use presight::features::FeaturePrediction;

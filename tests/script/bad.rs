@@ -227,7 +227,7 @@ fn buffers_of_models_that_lead_outside() {
         folder
     };
     let e = error_in(with_link_to(&|_| secret.path().join("m.bin")).path());
-    assert_eq!(e.kind(), presight::ErrorKind::Invalid);
+    assert_eq!(e.kind(), ErrorKind::Invalid);
     for part in ["scene.rhai", "in the call of import_gltf", "m.gltf", "m.bin leads out of the scene's folder"] {
         assert!(e.to_string().contains(part), "{part} in {e}");
     }
