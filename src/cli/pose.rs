@@ -23,7 +23,7 @@ pub enum PoseFrame {
 pub enum PoseOf {
     /// The sensor's
     Sensor,
-    /// The robot's; the sensor sits on it as its [mount] says
+    /// The robot's; the sensor sits on it as its `[mount]` says
     Robot,
 }
 
