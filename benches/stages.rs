@@ -5,9 +5,9 @@
 #![allow(missing_docs, reason = "criterion's macros make items without docs")]
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval, add_boxes};
+use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Backend, FramePlan, Options, Pose, Predictor, Request, World, preset};
 use std::hint::black_box;
@@ -156,20 +156,7 @@ fn segments([near, far]: [f64; 2]) -> Vec<PlacedFeature> {
 }
 
 fn all_seen(placed: &[PlacedFeature]) -> FeaturePrediction {
-    let seen = |placed: &PlacedFeature| SeenFeature {
-        feature: placed.feature.clone(),
-        points_world: placed.feature.shape.points().to_vec(),
-        normal_world: None,
-        visible_fraction: 1.0,
-        visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
-        hidden: Vec::new(),
-        range: None,
-        cos_incidence: None,
-        existence: 1.0,
-        roi: None,
-        roi_flag: None,
-        image_covariance: None,
-    };
+    let seen = |placed: &PlacedFeature| SeenFeature::whole(&placed.feature);
     FeaturePrediction { features: placed.iter().map(seen).collect(), ..FeaturePrediction::default() }
 }
 

@@ -10,7 +10,9 @@ mod common;
 use common::{Random, env_number, scenes};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, add_boxes, predict_features};
+use presight::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes, predict_features,
+};
 use presight::{Angles, Camera, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -134,7 +136,7 @@ impl Case {
             existence: Existence::default(),
             properties: Properties::default(),
         };
-        let seen = common::seen_whole(&feature);
+        let seen = SeenFeature::whole(&feature);
         let placed = PlacedFeature { feature, object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());

@@ -9,7 +9,7 @@ use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, add_boxes, place, predict_features,
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes, place, predict_features,
 };
 use presight::gpu::{DeviceOptions, Engine};
 use presight::io::gltf::{ImportOptions, import};
@@ -138,7 +138,7 @@ fn check(name: &str, engine: &mut Engine, setting: &Setting<'_>) -> usize {
 }
 
 fn all_seen(placed: &[PlacedFeature]) -> FeaturePrediction {
-    let features = placed.iter().map(|p| common::seen_whole(&p.feature)).collect();
+    let features = placed.iter().map(|p| SeenFeature::whole(&p.feature)).collect();
     FeaturePrediction { features, ..FeaturePrediction::default() }
 }
 

@@ -123,6 +123,26 @@ pub struct SeenFeature {
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
 }
 
+impl SeenFeature {
+    /// A feature as if all of it were seen, its frame the world's and nothing else known: for what follows from being seen.
+    pub fn whole(feature: &Feature) -> Self {
+        Self {
+            points_world: feature.shape.points().to_vec(),
+            feature: feature.clone(),
+            normal_world: None,
+            visible_fraction: 1.0,
+            visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
+            hidden: Vec::new(),
+            range: None,
+            cos_incidence: None,
+            existence: 1.0,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+        }
+    }
+}
+
 /// How visibility was decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FeatureStats {

@@ -7,9 +7,6 @@ pub mod hard;
 pub mod oracle;
 pub mod scenes;
 
-use glam::DVec2;
-use presight::environment::Feature;
-use presight::features::{SeenFeature, VisibleInterval};
 use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
 
 /// A plan that asks for everything.
@@ -24,24 +21,6 @@ pub fn reference(plan: &FramePlan) -> Images {
     let mut images = Images::default();
     presight::reference::render(plan, &mut images).expect("the reference renders");
     images
-}
-
-/// A feature as if all of it were seen, for what follows from that.
-pub fn seen_whole(feature: &Feature) -> SeenFeature {
-    SeenFeature {
-        feature: feature.clone(),
-        points_world: feature.shape.points().to_vec(),
-        normal_world: None,
-        visible_fraction: 1.0,
-        visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
-        hidden: Vec::new(),
-        range: None,
-        cos_incidence: None,
-        existence: 1.0,
-        roi: None,
-        roi_flag: None,
-        image_covariance: None,
-    }
 }
 
 /// A small seeded generator (SplitMix64), so that a failing case is named by its seed.
@@ -61,9 +40,9 @@ impl Random {
         low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform below `n`.
+    /// Uniform below `n`; 0 for 0.
     pub fn below(&mut self, n: usize) -> usize {
-        (self.bits() % n as u64) as usize
+        (self.bits() % n.max(1) as u64) as usize
     }
 }
 

@@ -1,23 +1,6 @@
 //! Inputs by mutation: what a fuzzer does, without its feedback, on any toolchain.
 
-/// A small seeded generator (SplitMix64).
-pub struct Dice(pub u64);
-
-impl Dice {
-    /// 64 random bits.
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// Below `n`; 0 for 0.
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.bits() % n.max(1) as u64) as usize
-    }
-}
+use crate::common::Random;
 
 /// What stands where a number stood.
 const NUMBERS: [&str; 29] = [
@@ -60,7 +43,7 @@ const TOKENS: [&str; 20] = [
 
 /// Makes inputs of a corpus and words of the format.
 pub struct Mutator<'a> {
-    dice: Dice,
+    dice: Random,
     corpus: &'a [Vec<u8>],
     words: &'a [&'a str],
     most: usize,
@@ -70,7 +53,7 @@ impl<'a> Mutator<'a> {
     /// Inputs grow to twice the longest of the corpus at most.
     pub fn new(corpus: &'a [Vec<u8>], words: &'a [&'a str], seed: u64) -> Self {
         let most = 2 * corpus.iter().map(Vec::len).max().unwrap_or(0) + 64;
-        Self { dice: Dice(seed), corpus, words, most }
+        Self { dice: Random(seed), corpus, words, most }
     }
 
     /// The next input.

@@ -282,7 +282,6 @@ mod tests {
     use super::*;
     use crate::environment::{Existence, Feature, Properties};
     use crate::preset;
-    use glam::DVec2;
 
     /// A point 3 m before a camera with a region of so many pixels to each side.
     fn point(half: f64) -> (Sensor, SeenFeature) {
@@ -291,20 +290,8 @@ mod tests {
         let shape = FeatureShape::Point { at, covariance };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-        let seen = SeenFeature {
-            feature,
-            points_world: vec![at],
-            normal_world: None,
-            visible_fraction: 1.0,
-            visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
-            hidden: Vec::new(),
-            range: None,
-            cos_incidence: None,
-            existence: 1.0,
-            roi: Some([255.5 - half, -0.5, 255.5 + half, 511.5]),
-            roi_flag: Some("linear"),
-            image_covariance: None,
-        };
+        let roi = Some([255.5 - half, -0.5, 255.5 + half, 511.5]);
+        let seen = SeenFeature { roi, roi_flag: Some("linear"), ..SeenFeature::whole(&feature) };
         (sensor, seen)
     }
 

@@ -4,14 +4,14 @@ use super::{Family, Finding, powers};
 use crate::change::Change;
 use crate::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use crate::error::Result;
-use crate::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval};
+use crate::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature};
 use crate::geometry::Pose;
 use crate::random::SplitMix64;
 use crate::report::stability::big::{Big, Vector};
 use crate::report::stability::subjects::{BoxSetting, Subject};
 use crate::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use crate::world::World;
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 /// Of an entry of an image covariance J S J^T, beside sum |J_ai| sigma_i sum |J_bj| sigma_j: square roots of covariances leave
 /// out what is below 1e-12 of the scaled matrix (`features::normal`), a few roundings of f64 come on top.
@@ -214,7 +214,7 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
         };
         // The layer's tolerance only tells how near to a polygon a feature has to be when it is placed.
         world.apply(Change::InsertFeature { class: "study".into(), feature: feature.clone() })?;
-        features.push(seen(feature.clone()));
+        features.push(SeenFeature::whole(&feature));
         placed.push(PlacedFeature { feature, object: None, slots: Vec::new() });
     }
     let prediction = FeaturePrediction { features, ..FeaturePrediction::default() };
@@ -227,22 +227,6 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
 }
 
 /// A feature as if all of it were seen.
-fn seen(feature: Feature) -> SeenFeature {
-    SeenFeature {
-        points_world: feature.shape.points().to_vec(),
-        feature,
-        normal_world: None,
-        visible_fraction: 1.0,
-        visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
-        hidden: Vec::new(),
-        range: None,
-        cos_incidence: None,
-        existence: 1.0,
-        roi: None,
-        roi_flag: None,
-        image_covariance: None,
-    }
-}
 
 /// The worst entry of all image covariances; infinite if one is missing or not a number.
 fn covariance_error(setting: &BoxSetting, found: &FeaturePrediction) -> f64 {
