@@ -226,8 +226,6 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
     Ok(BoxSetting { world, sensor, world_from_sensor, placed, prediction, options })
 }
 
-/// A feature as if all of it were seen.
-
 /// The worst entry of all image covariances; infinite if one is missing or not a number.
 fn covariance_error(setting: &BoxSetting, found: &FeaturePrediction) -> f64 {
     let mut worst = 0.0f64;
