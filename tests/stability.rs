@@ -39,7 +39,7 @@ fn no_engine_has_a_fault() {
         let of = |r: &Row| r.family == family && r.difficulty == difficulty && r.finding.outcome == Outcome::Rejected;
         assert!(rows.iter().any(of), "{family} at {difficulty:e} is refused");
     }
-    let about = About { command: "presight report --stability".into(), notes, ..About::default() };
+    let about = About { notes, ..About::default() };
     let (csv, html) = (to_csv(&rows), to_html(&study, &rows, &about).unwrap());
     assert_eq!(csv.lines().count(), rows.len() + 1);
     assert!(csv.starts_with("family,difficulty,engine,error,bound,outcome\ngrazing,1e0,reference,"), "{csv}");

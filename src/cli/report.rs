@@ -7,8 +7,8 @@ use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
 use crate::io::{load_sensor, preset, tum};
-use crate::report::stability;
-use crate::report::work_precision::{self, Effort, Findings, Machine, Scene, Study};
+use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
+use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
@@ -78,17 +78,7 @@ fn stability(args: &Args) -> Result<Verdict> {
     });
     progress.finish_and_clear();
     let (rows, machine) = (rows?, Machine::this(std::env::args().collect()));
-    let about = stability::About {
-        command: machine.command.join(" "),
-        machine: vec![
-            ["presight".into(), machine.version.into()],
-            ["built with".into(), machine.features.join(", ")],
-            ["CPU".into(), machine.cpu],
-            ["threads".into(), machine.threads.to_string()],
-            ["system".into(), machine.system],
-        ],
-        notes,
-    };
+    let about = stability::About { machine, notes };
     write(
         &args.out,
         [

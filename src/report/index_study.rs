@@ -1,5 +1,6 @@
 //! What each index costs and how well it selects, over poses (paper section 2.2, Fig. 5).
 
+use super::median;
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::index::{Found, Params, Region, Scheme, SplitAxis, polygon_meets};
@@ -228,13 +229,6 @@ fn fastest(repeats: usize, mut run: impl FnMut() -> Result<()>) -> Result<f64> {
         best = best.min(start.elapsed().as_secs_f64());
     }
     Ok(best)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
-    0.5 * (at(n.saturating_sub(1) / 2) + at(n / 2))
 }
 
 /// Refuses a study of nothing.

@@ -4,6 +4,8 @@
 pub mod chart;
 pub mod index_study;
 #[cfg(feature = "report")]
+mod machine;
+#[cfg(feature = "report")]
 pub mod page;
 #[cfg(feature = "report")]
 mod plot;
@@ -11,3 +13,14 @@ mod plot;
 pub mod stability;
 #[cfg(feature = "report")]
 pub mod work_precision;
+
+#[cfg(feature = "report")]
+pub use machine::Machine;
+
+/// The middle value; the mean of both of an even number, 0 of none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
+    0.5 * (at(n.saturating_sub(1) / 2) + at(n / 2))
+}

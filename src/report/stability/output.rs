@@ -2,6 +2,7 @@
 
 use super::{Outcome, Row, Study};
 use crate::error::{Error, ErrorKind, Result};
+use crate::report::Machine;
 use crate::report::chart::{Chart, Series, Style};
 use crate::report::page::{Part, Section, Table, page};
 use serde_json::{Value, json};
@@ -15,10 +16,8 @@ const THREE_DIGITS: f64 = 1e-3;
 /// What the report says of the run.
 #[derive(Clone, Debug, Default)]
 pub struct About {
-    /// The command line.
-    pub command: String,
-    /// Machine, system and version, by name and value.
-    pub machine: Vec<[String; 2]>,
+    /// What it ran on, and how it was called.
+    pub machine: Machine,
     /// Of the engines: adapters, and which were skipped.
     pub notes: Vec<String>,
 }
@@ -45,8 +44,6 @@ pub fn to_csv(rows: &[Row]) -> String {
 /// # Errors
 /// None that can be met.
 pub fn to_json(study: &Study, rows: &[Row], about: &About) -> Result<String> {
-    let machine: serde_json::Map<String, Value> =
-        about.machine.iter().map(|[name, value]| (name.clone(), json!(value))).collect();
     let families: Vec<Value> = study
         .families
         .iter()
@@ -63,8 +60,7 @@ pub fn to_json(study: &Study, rows: &[Row], about: &About) -> Result<String> {
         "format": FORMAT,
         "study": "stability",
         "quick": study.quick,
-        "command": about.command,
-        "machine": machine,
+        "machine": about.machine,
         "notes": about.notes,
         "faults": faults(rows),
         "families": families,
@@ -151,12 +147,10 @@ fn summary(study: &Study, rows: &[Row], about: &About) -> Section {
         rows: table,
         marked,
     };
-    let mut machine = about.machine.clone();
-    machine.push(["command".into(), about.command.clone()]);
     let machine = Table {
         caption: "The run".into(),
         head: ["what", "value"].map(String::from).to_vec(),
-        rows: machine.into_iter().map(Vec::from).collect(),
+        rows: about.machine.lines(),
         marked: Vec::new(),
     };
     let mut parts = vec![Part::Advice(verdict), Part::Table(table)];

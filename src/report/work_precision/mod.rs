@@ -12,14 +12,12 @@
 mod advice;
 mod errors;
 mod features;
-mod machine;
 mod pareto;
 mod paths;
 mod show;
 mod timing;
 mod views;
 
-pub use machine::Machine;
 pub use show::{to_csv, to_html, to_json};
 
 use crate::compare::Precision;

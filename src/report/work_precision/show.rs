@@ -1,7 +1,8 @@
 //! Findings as CSV, JSON and a page.
 
-use super::{Finding, Findings, Machine, PathNotes, Row};
+use super::{Finding, Findings, PathNotes, Row};
 use crate::error::{Error, Result};
+use crate::report::Machine;
 use crate::report::chart::{Chart, Series, Style};
 use crate::report::page::{Part, Section, Table, page};
 use serde::Serialize;
@@ -106,12 +107,13 @@ fn answer(findings: &Findings) -> Section {
 }
 
 fn about(findings: &Findings, machine: &Machine) -> Section {
-    let rows = machine.lines(&findings.adapter).into_iter().map(Vec::from).collect();
+    let mut rows = machine.lines();
+    rows.push(vec!["adapter and driver".into(), findings.adapter.clone()]);
     let head = vec!["what".into(), String::new()];
     let missing = "Not in the product, and so not here: the GPU's render pipeline for cameras (measured in \
                    benches/render_pipeline), planar images resampled to curved ones (benches/resampling). A request names \
                    no region of the image: a smaller sensor does, as the `roi` of a ROS camera_info file; it is measured \
-                   as \"middle part\". Features are sampled at every pixel; another step is another resolution.";
+                   as \"middle part\". Features are sampled every half pixel; another step is another resolution.";
     let parts = vec![
         Part::Table(Table { caption: "How it was measured".into(), head, rows, marked: Vec::new() }),
         Part::Text(missing.into()),

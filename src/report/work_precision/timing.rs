@@ -3,6 +3,7 @@
 use super::{Effort, PathNotes};
 use crate::error::Result;
 use crate::plan::Stats;
+use crate::report::median;
 use std::time::Instant;
 
 /// All runs of one path.
@@ -34,7 +35,7 @@ impl Timing {
     }
 
     pub fn median(&self) -> f64 {
-        median(&self.times_ms)
+        median(self.times_ms.clone())
     }
 
     /// Nearest rank.
@@ -64,20 +65,12 @@ impl Timing {
             stats.stages_ms.iter().filter(|(name, _)| name == stage).map(|(_, ms)| ms).sum()
         };
         let stage = |name: String| {
-            let times: Vec<f64> = self.stats.iter().map(|s| of_run(s, &name)).collect();
-            let ms = median(&times);
+            let ms = median(self.stats.iter().map(|s| of_run(s, &name)).collect());
             (name, ms)
         };
         let stages_ms = stages.into_iter().map(stage).collect();
         PathNotes { engine, variant, stages_ms, counts: last.counts, left_out: last.left_out }
     }
-}
-
-fn median(times: &[f64]) -> f64 {
-    let mut sorted = times.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let at = |i: usize| sorted.get(i).copied().unwrap_or(0.0);
-    0.5 * (at(sorted.len().saturating_sub(1) / 2) + at(sorted.len() / 2))
 }
 
 #[cfg(test)]

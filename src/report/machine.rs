@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 /// The machine, the program and how it was called.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Machine {
     /// As the system names it; the architecture where it does not.
     pub cpu: String,
@@ -41,18 +41,17 @@ impl Machine {
         }
     }
 
-    /// Names and values, with the adapter.
-    pub(super) fn lines(&self, adapter: &str) -> Vec<[String; 2]> {
+    /// Names and values, as pages show them.
+    pub(super) fn lines(&self) -> Vec<Vec<String>> {
         let build = if self.debug { ", built with assertions: slower than a release" } else { "" };
         let features = self.features.join(", ");
         [
             ("command", self.command.join(" ")),
             ("presight", format!("{}, with {features}{build}", self.version)),
             ("CPU", format!("{}, {} threads", self.cpu, self.threads)),
-            ("adapter and driver", adapter.to_owned()),
             ("system", self.system.clone()),
         ]
-        .map(|(name, value)| [name.to_owned(), value])
+        .map(|(name, value)| vec![name.to_owned(), value])
         .to_vec()
     }
 }
