@@ -1,6 +1,7 @@
-//! What predicting features costs: `cargo bench --bench features [-- SCENE]`, prints a table of benches/RESULTS.md.
+//! What predicting features costs: `cargo bench --bench features [-- SCENE.. SENSOR.. --no-rays]`, prints a table of benches/RESULTS.md.
 //!
-//! Times are of the processor, on one thread: other work on the machine disturbs them less than wall-clock times (Linux).
+//! *CPU engine* and *GPU engine* are features and regions of interest of 99 % together, after the images, on all threads.
+//! Times are those of the fastest of many runs on one thread: other work on the machine disturbs them least.
 //!
 //! Edges generated from the model, cut into pieces of about 60 pixels of `video-camera` (512 x 512, the layer's class is
 //! `video` for all sensors), 2,000 of them (or as many as there are) at the first poses at which the scene is compared with Embree; sampled at half-pixel steps. Scenes:
@@ -11,11 +12,15 @@
 use glam::{DMat3, DVec3};
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::FeatureShape;
-use presight::features::{FeatureOptions, Piece, PlacedFeature, Sampler, Visibility, place, predict_features};
+use presight::features::{BoxOptions, FeatureOptions, Piece, PlacedFeature, Sampler, Visibility, place, predict_features};
 use presight::io::gltf::{ImportOptions, import};
-use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
+use presight::{
+    Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World, preset,
+};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
+const SCENES: [&str; 2] = ["hospital", "factory_hall"];
 const SENSORS: [&str; 2] = ["video-camera", "microwave-radar-image"];
 const POSES: usize = 3;
 const WANTED: usize = 2000;
@@ -28,12 +33,16 @@ fn main() {
     let text = std::fs::read_to_string(root.join("benches/peers/poses.json")).expect("poses.json is in the repository");
     let poses: serde_json::Value = serde_json::from_str(&text).expect("poses.json is JSON");
     println!(
-        "| scene, pose, sensor, which | segments (seen) | samples | image space, ns a sample | rays, ns a sample | times as fast | image, ms |"
+        "| scene, pose, sensor, which | segments (seen) | samples | image space, ns a sample | rays, ns a sample | times as fast | us a region | CPU engine, ms | GPU engine, ms | image, ms |"
     );
-    println!("|---|---|---|---|---|---|---|");
-    for scene in ["hospital", "factory_hall"] {
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    // All where none of a kind is named.
+    let is_asked = |name: &str, all: &[&str]| {
+        asked.iter().any(|a| a == name) || !asked.iter().any(|a| all.contains(&a.as_str()))
+    };
+    for scene in SCENES {
         let path = data.join("env").join(scene).with_extension("glb");
-        if !asked.is_empty() && !asked.iter().any(|a| a == scene) || !path.is_file() {
+        if !is_asked(scene, &SCENES) || !path.is_file() {
             eprintln!("SKIPPED: {scene}");
             continue;
         }
@@ -47,7 +56,7 @@ fn main() {
             let [x, y, z, roll, pitch, yaw] = six;
             let turn = [roll, pitch, yaw].map(f64::to_radians);
             let pose = Pose::from_xyz_rpy(DVec3::new(x, y, z), turn[0], turn[1], turn[2]);
-            for name in SENSORS {
+            for name in SENSORS.into_iter().filter(|name| is_asked(name, &SENSORS)) {
                 measure(&format!("{scene} {index}, {name}"), name, &world, &pose, &placed);
             }
         }
@@ -58,7 +67,7 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
     let sensor = preset(sensor).expect("a preset");
     let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
     let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 }).expect("the CPU engine starts");
-    let image_ms = mean(|| {
+    let image_ms = fastest(|| {
         let seen = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
         assert!(!seen.images.polygon_id.is_empty());
     });
@@ -77,18 +86,59 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
         let told = predict(&list, Visibility::Image);
         let count = told.features.iter().filter(|f| f.visible_fraction > 0.0).count();
         let samples = told.stats.samples;
-        let by_pixels = mean(|| assert_eq!(predict(&list, Visibility::Image).stats.samples, samples));
-        let by_rays = mean(|| assert_eq!(predict(&list, Visibility::Rays).stats.samples, samples));
+        let by_pixels = fastest(|| assert_eq!(predict(&list, Visibility::Image).stats.samples, samples));
+        let no_rays = std::env::args().any(|a| a == "--no-rays");
+        let rays = || fastest(|| assert_eq!(predict(&list, Visibility::Rays).stats.samples, samples));
+        let by_rays = if no_rays { f64::NAN } else { rays() };
         let each = |ms: f64| ms * 1e6 / samples as f64;
+        let region_us = with_regions(Options { backend: Backend::Cpu, threads: 1 }, world, &sensor, pose, &list)
+            .map_or(f64::NAN, |[features, both]| (both - features) * 1e3 / count as f64);
+        let all_threads =
+            [Backend::Cpu, Backend::Gpu].map(|backend| {
+                let both = with_regions(Options { backend, threads: 0 }, world, &sensor, pose, &list);
+                both.map_or(f64::NAN, |[_, both]| both)
+            });
         println!(
-            "| {case}, {name} | {} ({count}) | {samples} | {:.1} | {:.0} | {:.1} | {image_ms:.2} |",
+            "| {case}, {name} | {} ({count}) | {samples} | {:.1} | {:.0} | {:.1} | {region_us:.2} | {:.2} | {:.2} | {image_ms:.2} |",
             list.len(),
             each(by_pixels),
             each(by_rays),
-            by_rays / by_pixels
+            by_rays / by_pixels,
+            all_threads[0],
+            all_threads[1],
         );
         eprintln!("{:?}", told.stats);
     }
+}
+
+/// Milliseconds for features, and for features with regions of interest, after their images; `None` without the engine.
+fn with_regions(
+    options: Options,
+    world: &World,
+    sensor: &Sensor,
+    pose: &Pose,
+    list: &[PlacedFeature],
+) -> Option<[f64; 2]> {
+    let mut predictor = Predictor::new(options).ok()?;
+    let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
+    let mut boxes = BoxOptions::default();
+    // 1 cm and 0.5 degrees.
+    (0..3).for_each(|i| (boxes.sensor[i][i], boxes.sensor[3 + i][3 + i]) = (1e-4, 7.6e-5));
+    let (mut images, mut stats) = (Images::default(), Stats::default());
+    let mut least = [f64::INFINITY; 2];
+    for _ in 0..12 {
+        predictor.predict_into(world, sensor, pose, &request, &mut images).expect("it predicts");
+        let options = FeatureOptions::default();
+        let start = Instant::now();
+        let seen = predictor.predict_features(world, sensor, pose, &images, list, &options, &mut stats);
+        let mut seen = seen.expect("features");
+        let features = start.elapsed().as_secs_f64() * 1e3;
+        predictor.add_boxes(&mut seen, list, world, sensor, pose, &boxes, &mut stats).expect("regions");
+        let both = start.elapsed().as_secs_f64() * 1e3;
+        assert!(seen.features.iter().all(|f| f.visible_fraction == 0.0 || f.roi.is_some() || f.roi_flag.is_some()));
+        least = [least[0].min(features), least[1].min(both)];
+    }
+    Some(least)
 }
 
 /// Evenly chosen ones of too many; too few are repeated.
@@ -135,22 +185,14 @@ fn pieces(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature])
     all
 }
 
-/// Milliseconds of processor time of one run, from at least two and 0.3 s.
-fn mean(mut run: impl FnMut()) -> f64 {
-    run();
-    let (start, mut runs) = (ticks(), 0);
-    while ticks() - start < 30 || runs < 2 {
+/// Milliseconds of the fastest run: of at least three, and of as many as fit in half a second.
+fn fastest(mut run: impl FnMut()) -> f64 {
+    let (start, mut runs, mut least) = (Instant::now(), 0, f64::INFINITY);
+    while start.elapsed().as_secs_f64() < 0.5 || runs < 3 {
+        let begin = Instant::now();
         run();
+        least = least.min(begin.elapsed().as_secs_f64() * 1e3);
         runs += 1;
     }
-    (ticks() - start) as f64 * 10.0 / f64::from(runs)
-}
-
-/// Hundredths of a second that this process has used.
-fn ticks() -> u64 {
-    let text = std::fs::read_to_string("/proc/self/stat").expect("Linux tells the time of a process");
-    // Fields 14 and 15; the name, which may hold anything, ends with the last bracket.
-    let after = text.rsplit(')').next().unwrap_or_default();
-    let used = after.split_whitespace().skip(11).take(2);
-    used.map(|field| field.parse::<u64>().expect("a number")).sum()
+    least
 }

@@ -509,6 +509,32 @@ fn facets_under_a_pixel_hide() {
     assert!((hidden - 20.0).abs() < 1e-9, "{hidden}");
 }
 
+/// Features a little behind the wall that they lie on: facets between the two hide them, though the wall covers all of the
+/// image and hides the facets.
+#[test]
+fn what_is_behind_their_own_wall_hides_features() {
+    let facet = |i: i32, j: i32| {
+        let at = |a: i32, b: i32| glam::Vec3::new(5.002, (i + a) as f32 * 0.05, (j + b) as f32 * 0.05);
+        vec![at(0, 0), at(1, 0), at(1, 1), at(0, 1)]
+    };
+    let facets: Vec<_> = (-10..10).flat_map(|i| (-10..10).map(move |j| facet(i, j))).collect();
+    let (world, mut placed) = behind(&facets);
+    let at = |y: f64, z: f64| DVec3::new(5.005, y, z);
+    let segment =
+        FeatureShape::Segment { ends: [at(1.0, 0.11), at(-1.0, 0.11)], covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+    let corners = vec![at(1.0, 1.0), at(-1.0, 1.0), at(-1.0, -1.0), at(1.0, -1.0)];
+    let patch = FeatureShape::Patch { corners, covariance: DMat3::ZERO };
+    placed = [segment, patch].into_iter().map(|shape| {
+        let mut placed = placed[0].clone();
+        placed.feature.shape = shape;
+        placed
+    }).collect();
+    let [by_tiles, by_rays] = in_both_ways(&world, &scenes::camera(200, 150), &Pose::IDENTITY, &placed);
+    assert_eq!(by_tiles.features, by_rays.features);
+    let seen: Vec<f64> = by_tiles.features.iter().map(|f| f.visible_fraction).collect();
+    assert!((seen[0] - 0.5).abs() < 0.02 && (seen[1] - 0.75).abs() < 0.02, "{seen:?}");
+}
+
 /// Shares of the image length that are seen, against the oracle's, in the five environments: within 0.02 for features longer than 50
 /// pixels, within a pixel of length below that.
 #[test]

@@ -53,6 +53,13 @@ impl Straight {
         part * q.z / (part * q.z + (1.0 - part) * p.z) * self.count as f64 - 0.5
     }
 
+    /// The same of a place on it.
+    #[inline]
+    pub fn number_at(&self, at: DVec3) -> f64 {
+        let [a, b] = self.ends;
+        self.number((at - a).dot(b - a) / (b - a).length_squared())
+    }
+
     /// What of the segment a to b comes before what is seen.
     pub fn before(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
         if self.t[0] > 0.0 {

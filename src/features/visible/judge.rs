@@ -1,6 +1,6 @@
 //! One worker: decides which samples of a feature are seen.
 
-use super::known::{Faces, Nearer};
+use super::known::{Faces, Known, Nearer};
 use super::tally::{State, Tally, share};
 use super::tiles::Tiles;
 use super::{Frame, Visibility};
@@ -10,6 +10,11 @@ use crate::features::{FeatureStats, PlacedFeature, Reason, SeenFeature};
 use crate::geometry::plane_of_polygon;
 use crate::index::{Found, Region};
 use glam::{DMat3, DVec2, DVec3};
+use std::collections::HashMap;
+use std::ops::Range;
+
+/// How many ids are kept in mind while pixels are looked through.
+const LATEST: usize = 4;
 
 /// What is known of a feature beside its geometry.
 pub(super) struct Own<'a> {
@@ -73,6 +78,20 @@ impl Open {
             (self.by, self.share) = (Some(slot), share);
         }
     }
+
+    /// Marks it if a polygon hides it.
+    #[inline]
+    fn hide_by(&mut self, known: &Known, faces: &Faces, rounding: f64) {
+        let share = known.inverse.dot(self.at);
+        if !(share > 1.0) || !faces.holds(known, self.at) {
+            return;
+        }
+        match known.nearer(share, self.range, rounding) {
+            Nearer::Yes => self.hide(known.slot, share),
+            Nearer::Unknown => self.unknown = true,
+            Nearer::No => {}
+        }
+    }
 }
 
 /// A segment's points a + t d, image frame.
@@ -95,6 +114,9 @@ pub(super) struct Judge<'a> {
     /// Slots of what hides the samples of a straight segment.
     pub(super) by: Vec<u32>,
     center: Option<(i64, i64)>,
+    /// Ids that were taken last, in a ring.
+    latest: [u32; LATEST],
+    oldest: usize,
     /// Number of the feature, or of the pixel, that asks.
     asking: u32,
     found: Found,
@@ -113,6 +135,8 @@ impl<'a> Judge<'a> {
             near: Vec::new(),
             by: Vec::new(),
             center: None,
+            latest: [0; LATEST],
+            oldest: 0,
             asking: 0,
             found: Found::default(),
             stats: FeatureStats::default(),
@@ -312,7 +336,7 @@ impl<'a> Judge<'a> {
         let left = first..last + 1;
         match line {
             Some(line) => self.space_along(line, left, own),
-            None => self.space_over(points, left, own),
+            None => self.space_at_samples(left, own),
         }
     }
 
@@ -340,8 +364,9 @@ impl<'a> Judge<'a> {
             Some(told) => self.take_told(told, own),
             None => (0..self.open.len()).for_each(|i| self.gather(self.pixel_of(i), own)),
         }
-        for i in 0..self.near.len() {
-            self.hide_along(self.near[i] as usize, line, 0..self.open.len(), own);
+        for face in &self.near {
+            let known = &self.faces.known[*face as usize];
+            hide_along(known, self.faces.planes_of(known), line, &mut self.open, own.rounding);
         }
     }
 
@@ -380,6 +405,7 @@ impl<'a> Judge<'a> {
         self.asking = self.asking.wrapping_add(1).max(1);
         self.near.clear();
         self.center = None;
+        self.latest = [0; LATEST];
     }
 
     fn pixel_of(&self, open: usize) -> DVec2 {
@@ -419,14 +445,15 @@ impl<'a> Judge<'a> {
             _ => {}
         }
         let wraps = frame.sampler.turn().is_some();
-        let mut last = 0;
         for r in rows[0]..=rows[1] {
             let line = &frame.images.polygon_id[(r * w) as usize..((r + 1) * w) as usize];
             for c in columns[0]..=columns[1] {
                 let c = if wraps { c.rem_euclid(w) } else { c };
                 let Some(id) = line.get(c as usize) else { continue };
-                if *id != last && *id != 0 {
-                    last = *id;
+                // Nothing, or one of the latest: most pixels.
+                if *id != 0 && !self.latest.contains(id) {
+                    self.latest[self.oldest] = *id;
+                    self.oldest = (self.oldest + 1) % LATEST;
                     if let Some(slot) = frame.slot_of_id(*id) {
                         self.take_slot(slot, own);
                     }
@@ -446,67 +473,23 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Marks what a polygon hides of some samples of a segment. All that decides is linear along it: e_k . p(t) >= 0 leaves
-    /// one interval, and n . p(t) / d > 1 is where the polygon is nearer.
-    fn hide_along(&mut self, face: usize, line: Line, some: std::ops::Range<usize>, own: &Own<'_>) {
-        let known = &self.faces.known[face];
-        let open = &mut self.open[some];
-        let (Some(first), Some(last)) = (open.first(), open.last()) else { return };
-        let (mut from, mut to) = (first.t, last.t);
-        let (ends, inverse) = ([first.at, last.at], known.inverse);
-        if !(inverse.dot(ends[0]) > 1.0 || inverse.dot(ends[1]) > 1.0) {
-            return;
-        }
-        for e in self.faces.planes_of(known) {
-            let [p, q] = ends.map(|at| e.dot(at));
-            if p < 0.0 && q < 0.0 {
-                return;
-            }
-            if p < 0.0 || q < 0.0 {
-                let t = -e.dot(line.a) / e.dot(line.d);
-                if p < 0.0 { from = from.max(t) } else { to = to.min(t) }
-            }
-        }
-        if !(from <= to) {
-            return;
-        }
-        let start = if from > first.t { open.partition_point(|o| o.t < from) } else { 0 };
-        for o in open[start..].iter_mut().take_while(|o| o.t <= to) {
-            let share = inverse.dot(o.at);
-            match known.nearer(share, o.range, own.rounding) {
-                Nearer::Yes => o.hide(known.slot, share),
-                Nearer::Unknown => o.unknown = true,
-                Nearer::No => {}
-            }
-        }
-    }
-
     /// Marks one sample if one of the polygons in `near` hides it.
     fn hide_sample(&mut self, index: usize, own: &Own<'_>) {
-        let open = &mut self.open[index];
         for face in &self.near {
-            let known = &self.faces.known[*face as usize];
-            let share = known.inverse.dot(open.at);
-            if !(share > 1.0) || !self.faces.holds(known, open.at) {
-                continue;
-            }
-            match known.nearer(share, open.range, own.rounding) {
-                Nearer::Yes => open.hide(known.slot, share),
-                Nearer::Unknown => open.unknown = true,
-                Nearer::No => {}
-            }
+            self.open[index].hide_by(&self.faces.known[*face as usize], &self.faces, own.rounding);
         }
     }
 
     /// Whatever has a point between the sensor and a part of a segment, by one query of the index for all of it.
-    fn space_along(&mut self, line: Line, left: std::ops::Range<usize>, own: &Own<'_>) {
+    fn space_along(&mut self, line: Line, left: Range<usize>, own: &Own<'_>) {
         let ends = [self.open[left.start].at, self.open[left.end - 1].at];
-        let farthest = self.farthest(left.clone());
+        let farthest = self.open[left.clone()].iter().map(|o| o.range).fold(0.0, f64::max);
         if left.len() < 3 || !self.query_triangle(ends, farthest, own) {
             return self.by_rays(own, left);
         }
-        for i in 0..self.near.len() {
-            self.hide_along(self.near[i] as usize, line, left.clone(), own);
+        for face in &self.near {
+            let known = &self.faces.known[*face as usize];
+            hide_along(known, self.faces.planes_of(known), line, &mut self.open[left.clone()], own.rounding);
         }
     }
 
@@ -521,47 +504,46 @@ impl<'a> Judge<'a> {
         }
         let normal = normal.normalize();
         let planes = [normal, -normal, normal.cross(a).normalize(), b.cross(normal).normalize()];
-        self.query(&planes, farthest, own);
+        let frame = self.frame;
+        let planes = planes.map(|plane| frame.image_from_world.transpose() * plane);
+        self.begin();
+        let region = Region::frustum(frame.world_from_sensor.translation, &planes, farthest * (1.0 + 1e-9));
+        self.gather_from(&region, own);
         true
     }
 
-    fn farthest(&self, left: std::ops::Range<usize>) -> f64 {
-        self.open[left].iter().map(|o| o.range).fold(0.0, f64::max)
-    }
-
-    /// Whatever has a point between the sensor and a convex patch.
-    fn space_over(&mut self, corners: &[DVec3], left: std::ops::Range<usize>, own: &Own<'_>) {
-        let n = corners.len();
-        let turned: DVec3 =
-            (1..n.max(2) - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
-        let side = turned.dot(corners[0]);
-        if left.len() < 9 || side == 0.0 {
+    /// Whatever may hide samples of a point or a patch, one by one: by tiles, unless these would serve very few.
+    fn space_at_samples(&mut self, left: Range<usize>, own: &Own<'_>) {
+        const VERY_FEW: usize = 9;
+        let mut farthest: HashMap<u32, f64> = HashMap::new();
+        for open in self.open[left.clone()].iter().filter(|o| o.by.is_none()) {
+            let at = farthest.entry(self.tiles.of(open.at).0).or_insert(0.0);
+            *at = open.range.max(*at);
+        }
+        if left.len() < VERY_FEW && !farthest.iter().all(|(tile, farthest)| self.tiles.knows(*tile, *farthest)) {
             return self.by_rays(own, left);
         }
-        // More sides than a frustum has planes: leaving some out keeps too much.
-        let plane = |k: usize| side.signum() * corners[k].cross(corners[(k + 1) % n] - corners[k]).normalize_or_zero();
-        let planes: Vec<DVec3> = (0..n.min(Region::MAX_PLANES)).map(plane).collect();
-        self.query(&planes, self.farthest(left.clone()), own);
-        // The polygon's share is linear over the patch: what is nearer nowhere at its corners is so nowhere.
-        let known = &self.faces.known;
-        self.near.retain(|face| corners.iter().any(|c| known[*face as usize].inverse.dot(*c) > 1.0));
+        let mut leaf = None;
         for i in left {
-            self.hide_sample(i, own);
+            let open = &mut self.open[i];
+            if open.by.is_some() {
+                continue;
+            }
+            let known = leaf.filter(|leaf| self.tiles.is_leaf_of(*leaf, open.at));
+            let here = known.unwrap_or_else(|| {
+                let farthest = farthest[&self.tiles.of(open.at).0];
+                self.tiles.leaf(self.frame, &mut self.faces, open.at, farthest)
+            });
+            leaf = Some(here);
+            for candidate in self.tiles.candidates(here, open.at.abs().max_element(), own, &self.faces) {
+                if candidate.inverse.dot(open.at) > 1.0 {
+                    let known = &self.faces.known[candidate.face as usize];
+                    if !own.holds(known.slot) {
+                        open.hide_by(known, &self.faces, own.rounding);
+                    }
+                }
+            }
         }
-    }
-
-    /// Fills `near` with all polygons that may have a point in a pyramid, up to a range.
-    fn query(&mut self, planes_in_image: &[DVec3], farthest: f64, own: &Own<'_>) {
-        let frame = self.frame;
-        self.begin();
-        let world_from_image = frame.image_from_world.transpose();
-        let mut planes = [DVec3::ZERO; Region::MAX_PLANES];
-        for (to, from) in planes.iter_mut().zip(planes_in_image) {
-            *to = world_from_image * *from;
-        }
-        let planes = &planes[..planes_in_image.len()];
-        let region = Region::frustum(frame.world_from_sensor.translation, planes, farthest * (1.0 + 1e-9));
-        self.gather_from(&region, own);
     }
 
     /// Fills `near` with the polygons in a region that may hide what is asked for.
@@ -577,7 +559,7 @@ impl<'a> Judge<'a> {
     }
 
     /// A ray from the sensor to every sample that nothing hides yet, through the index.
-    fn by_rays(&mut self, own: &Own<'_>, some: std::ops::Range<usize>) {
+    fn by_rays(&mut self, own: &Own<'_>, some: Range<usize>) {
         let frame = self.frame;
         for i in some {
             let Open { at, range, by, .. } = self.open[i];
@@ -589,6 +571,39 @@ impl<'a> Judge<'a> {
             let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
             self.gather_from(&region, own);
             self.hide_sample(i, own);
+        }
+    }
+}
+
+/// Marks what a polygon hides of some samples of a segment. All that decides is linear along it: e_k . p(t) >= 0 leaves
+/// one interval, and n . p(t) / d > 1 is where the polygon is nearer.
+fn hide_along(known: &Known, planes: &[DVec3], line: Line, open: &mut [Open], rounding: f64) {
+    let (Some(first), Some(last)) = (open.first(), open.last()) else { return };
+    let (mut from, mut to) = (first.t, last.t);
+    let (ends, inverse) = ([first.at, last.at], known.inverse);
+    if !(inverse.dot(ends[0]) > 1.0 || inverse.dot(ends[1]) > 1.0) {
+        return;
+    }
+    for e in planes {
+        let [p, q] = ends.map(|at| e.dot(at));
+        if p < 0.0 && q < 0.0 {
+            return;
+        }
+        if p < 0.0 || q < 0.0 {
+            let t = -e.dot(line.a) / e.dot(line.d);
+            if p < 0.0 { from = from.max(t) } else { to = to.min(t) }
+        }
+    }
+    if !(from <= to) {
+        return;
+    }
+    let start = if from > first.t { open.partition_point(|o| o.t < from) } else { 0 };
+    for o in open[start..].iter_mut().take_while(|o| o.t <= to) {
+        let share = inverse.dot(o.at);
+        match known.nearer(share, o.range, rounding) {
+            Nearer::Yes => o.hide(known.slot, share),
+            Nearer::Unknown => o.unknown = true,
+            Nearer::No => {}
         }
     }
 }

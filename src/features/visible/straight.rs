@@ -3,6 +3,7 @@
 use super::judge::{Judge, Own};
 use super::known::{Known, Nearer};
 use super::tally::{State, Tally};
+use super::tiles::Square;
 use super::{Frame, Visibility};
 use crate::features::Reason;
 use crate::features::straight::Straight;
@@ -53,11 +54,7 @@ impl<'s> Stretch<'s> {
         if !(from <= to) {
             return true;
         }
-        let number = |share: f64| {
-            let at = p + share * (q - p);
-            let [a, b] = self.part.ends;
-            self.part.number((at - a).dot(b - a) / (b - a).length_squared())
-        };
+        let number = |share: f64| self.part.number_at(p + share * (q - p));
         let first = if from > 0.0 { (number(from).ceil() as usize).max(self.some.start) } else { self.some.start };
         let end = if to < 1.0 { ((number(to) + 1.0) as usize).min(self.some.end) } else { self.some.end };
         let Some(by) = by.get_mut(first..end) else { return true };
@@ -155,23 +152,32 @@ impl Judge<'_> {
         own: &Own<'_>,
         by: &mut [u32],
     ) -> bool {
+        let open_from = |start: usize, by: &[u32]| {
+            let open = by[start..left.end].iter().position(|by| *by == NONE);
+            open.map_or(left.end, |more| start + more)
+        };
         let mut start = left.start;
         while start < left.end {
-            let tile = self.tiles.of(part.middle(start).0);
-            let end = end_of_tile(start + 1..left.end, |i| self.tiles.of(part.middle(i).0) == tile);
-            let stretch = Stretch::new(part, start..end, ranges, own.rounding());
-            let [p, q] = stretch.ends;
-            let farthest = p.length().max(q.length());
-            for candidate in self.tiles.candidates(self.frame, &mut self.faces, tile, farthest) {
-                if !(candidate.inverse.dot(p) > 1.0 || candidate.inverse.dot(q) > 1.0) {
-                    continue;
+            let first = part.middle(start).0;
+            let whole_end = end_in(part, &self.tiles.of(first).1, start..left.end);
+            let farthest = first.length().max(part.middle(whole_end - 1).0.length());
+            while start < whole_end {
+                let leaf = self.tiles.leaf(self.frame, &mut self.faces, part.middle(start).0, farthest);
+                let end = end_in(part, self.tiles.square(leaf), start..whole_end);
+                let stretch = Stretch::new(part, start..end, ranges, own.rounding());
+                let [p, q] = stretch.ends;
+                let reach = p.abs().max_element().max(q.abs().max_element());
+                for candidate in self.tiles.candidates(leaf, reach, own, &self.faces) {
+                    if !(candidate.inverse.dot(p) > 1.0 || candidate.inverse.dot(q) > 1.0) {
+                        continue;
+                    }
+                    let known = &self.faces.known[candidate.face as usize];
+                    if !own.holds(known.slot) && !stretch.hide(known, self.faces.planes_of(known), by) {
+                        return false;
+                    }
                 }
-                let known = &self.faces.known[candidate.face as usize];
-                if !own.holds(known.slot) && !stretch.hide(known, self.faces.planes_of(known), by) {
-                    return false;
-                }
+                start = open_from(end, by);
             }
-            start = end;
         }
         true
     }
@@ -184,17 +190,13 @@ impl Judge<'_> {
     }
 }
 
-/// The first of some samples that is not in a tile any more: tiles are convex, and samples go straight on.
-fn end_of_tile(some: Range<usize>, within: impl Fn(usize) -> bool) -> usize {
-    let (mut low, mut high) = (some.start, some.end);
-    if low < high && within(high - 1) {
-        return high;
+/// The first of some samples that is not in a tile any more, of which the first is.
+fn end_in(part: &Straight, square: &Square, some: Range<usize>) -> usize {
+    let [p, q] = [some.start, some.end - 1].map(|i| part.middle(i).0);
+    match square.left_at(p, q) {
+        share if share < 1.0 => (part.number_at(p.lerp(q, share)) as usize + 1).clamp(some.start + 1, some.end),
+        _ => some.end,
     }
-    while low < high {
-        let middle = low.midpoint(high);
-        if within(middle) { low = middle + 1 } else { high = middle }
-    }
-    low
 }
 
 /// Least and greatest distance of a part from the sensor.

@@ -1,22 +1,39 @@
 //! What may hide something in a direction: polygons by tiles of a cube around the sensor, found once for all features.
+//!
+//! Tiles are pyramids with their apex at the sensor. The index is asked for what is in a large one; where that holds more
+//! than a few polygons and is asked for often it is quartered, each part taking over those that cover one of its rays. Where a polygon
+//! covers all of a tile, what is behind it there hides nothing that it does not hide itself: only features that lie on it
+//! look at what is behind.
 
 use super::Frame;
-use super::known::Faces;
+use super::judge::Own;
+use super::known::{Faces, Known};
 use crate::index::{Found, Region};
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// About how wide a tile is, pixels: smaller ones ask the index more often, larger ones hold more polygons.
+/// About how wide the tiles are for which the index is asked, pixels.
 const PIXELS: f64 = 64.0;
-/// Most tiles along a side of the cube: their numbers fit in 32 bits.
+/// Most of them along a side of the cube: their numbers fit in 32 bits.
 const MAX_ACROSS: f64 = 16_384.0;
 /// How far a tile reaches over its sides, in coordinates on the cube: places between two in a tile may be out of it by
 /// rounding.
 const SLACK: f64 = 1e-9;
 /// How much farther than needed polygons are asked for, so that the next feature need not ask again.
 const FARTHER: f64 = 1.25;
+/// A tile of more polygons may be quartered ..
+const FEW: usize = 6;
+/// .. this often at most ..
+const MOST_LEVELS: u32 = 4;
+/// .. when it was asked for so often: about as much work as quartering it.
+const OFTEN: u32 = 64;
+/// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
+const BEHIND: f64 = 1e-6;
+/// No tile.
+const NONE: u32 = u32::MAX;
 
 /// A polygon that covers a ray of the tile.
+#[derive(Clone, Copy)]
 pub(super) struct Candidate {
     /// n / d, beside its number: most are passed over by it alone.
     pub inverse: DVec3,
@@ -24,70 +41,252 @@ pub(super) struct Candidate {
     pub face: u32,
 }
 
-/// Tiles of the cube [-1, 1]^3 around the sensor, image axes: pyramids with their apex at the sensor, so that what lies
-/// between two places in a tile lies in it.
+/// Tiles of the cube [-1, 1]^3 around the sensor, image axes: what lies between two places in a tile lies in it.
 pub(super) struct Tiles {
-    /// Tiles along a side.
+    /// Large tiles along a side.
     across: f64,
-    known: HashMap<u32, Tile>,
+    roots: HashMap<u32, u32>,
+    tiles: Vec<Tile>,
     found: Found,
+}
+
+/// A part of a side of the cube.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Square {
+    axis: usize,
+    sign: f64,
+    /// Bounds of the next coordinate and the one after it, over that of the axis.
+    bounds: [[f64; 2]; 2],
+}
+
+impl Square {
+    fn coordinates(&self, at: DVec3) -> [f64; 3] {
+        [at[(self.axis + 1) % 3], at[(self.axis + 2) % 3], self.sign * at[self.axis]]
+    }
+
+    /// Positive inside of the four sides, linear.
+    fn sides(&self, at: DVec3) -> [f64; 4] {
+        let [x, y, z] = self.coordinates(at);
+        let [u, v] = self.bounds;
+        [x - u[0] * z, u[1] * z - x, y - v[0] * z, v[1] * z - y]
+    }
+
+    /// True of places in its pyramid.
+    pub fn holds(&self, at: DVec3) -> bool {
+        self.sides(at).iter().all(|s| *s >= 0.0)
+    }
+
+    /// The share of the way from `p`, which is in the pyramid but for rounding, to `q` at which it is left; 1 if it is not.
+    pub fn left_at(&self, p: DVec3, q: DVec3) -> f64 {
+        let ways = self.sides(p).into_iter().zip(self.sides(q)).filter(|(_, g)| *g < 0.0);
+        ways.map(|(f, g)| f.max(0.0) / (f.max(0.0) - g)).fold(1.0, f64::min)
+    }
+
+    /// Rays along its edges, in turn.
+    fn corners(&self) -> [DVec3; 4] {
+        let [u, v] = self.bounds.map(|[low, high]| [low - SLACK, high + SLACK]);
+        [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| {
+            let mut ray = DVec3::ZERO;
+            ray[self.axis] = self.sign;
+            ray[(self.axis + 1) % 3] = u[i];
+            ray[(self.axis + 2) % 3] = v[j];
+            ray
+        })
+    }
+
+    /// The part of it that a place is in, by number.
+    fn quarter_of(&self, at: DVec3) -> u32 {
+        let [x, y, z] = self.coordinates(at);
+        let beyond = |bounds: [f64; 2], x: f64| u32::from(x >= 0.5 * (bounds[0] + bounds[1]) * z);
+        beyond(self.bounds[0], x) + 2 * beyond(self.bounds[1], y)
+    }
+
+    fn quarter(&self, number: u32) -> Self {
+        let half = |[low, high]: [f64; 2], upper: bool| {
+            let middle = 0.5 * (low + high);
+            if upper { [middle, high] } else { [low, middle] }
+        };
+        let bounds = [half(self.bounds[0], number % 2 == 1), half(self.bounds[1], number / 2 == 1)];
+        Self { bounds, ..*self }
+    }
 }
 
 /// Polygons in a tile, up to a range in metres.
 struct Tile {
+    square: Square,
+    level: u32,
+    parent: u32,
+    /// The first of four.
+    parts: u32,
     radius: f64,
+    /// How often it was asked for.
+    asked: u32,
     candidates: Vec<Candidate>,
+    /// The polygon that covers all of it, and what was a candidate of the tile around but is behind that one.
+    cover: u32,
+    behind: Vec<Candidate>,
+    /// Greatest product of those behind with a corner.
+    most_behind: f64,
+}
+
+impl Tile {
+    fn is_worth_quartering(&self) -> bool {
+        self.candidates.len() > FEW && self.level < MOST_LEVELS && self.asked >= OFTEN
+    }
+
+    /// A tile of some polygons, of which it takes those that cover a ray of it.
+    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = u32>) -> Self {
+        let corners = square.corners();
+        let mut tile = Self {
+            square,
+            level: 0,
+            parent: NONE,
+            parts: NONE,
+            radius,
+            asked: 0,
+            candidates: Vec::new(),
+            cover: NONE,
+            behind: Vec::new(),
+            most_behind: 0.0,
+        };
+        let mut nearest: Option<(f64, [f64; 4], u32)> = None;
+        for face in some {
+            let known = &faces.known[face as usize];
+            let (mut beside, mut covers) = (false, true);
+            for e in faces.planes_of(known) {
+                let inside = corners.map(|c| e.dot(c) >= 0.0);
+                beside |= inside == [false; 4];
+                covers &= inside == [true; 4];
+            }
+            if beside {
+                continue;
+            }
+            let at = corners.map(|c| known.inverse.dot(c));
+            if covers && is_sharp(known, radius) {
+                let least = at.into_iter().fold(f64::INFINITY, f64::min);
+                if nearest.is_none_or(|n| least > n.0) {
+                    nearest = Some((least, at, face));
+                }
+            }
+            tile.candidates.push(Candidate { inverse: known.inverse, face });
+        }
+        let Some((_, cover_at, cover)) = nearest else { return tile };
+        tile.cover = cover;
+        let Self { candidates, behind, most_behind, .. } = &mut tile;
+        candidates.retain(|candidate| {
+            let at = corners.map(|c| candidate.inverse.dot(c));
+            let hidden = at.iter().zip(cover_at).all(|(at, cover)| *at < cover * (1.0 - BEHIND));
+            if hidden {
+                behind.push(*candidate);
+                *most_behind = at.into_iter().fold(*most_behind, f64::max);
+            }
+            !hidden
+        });
+        tile
+    }
+}
+
+/// True if rounding of its distance is far below [`BEHIND`].
+fn is_sharp(known: &Known, radius: f64) -> bool {
+    known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
 }
 
 impl Tiles {
     /// For a sensor whose neighbouring rays are about that far apart, radians.
     pub fn new(pixel_angle: f64) -> Self {
         let across = (2.0 / (PIXELS * pixel_angle)).ceil().clamp(1.0, MAX_ACROSS);
-        Self { across, known: HashMap::new(), found: Found::default() }
+        Self { across, roots: HashMap::new(), tiles: Vec::new(), found: Found::default() }
     }
 
-    /// The tile of a place that is not the sensor's.
+    /// The large tile of a place that is not the sensor's: its number, and where it is.
     #[inline]
-    pub fn of(&self, at: DVec3) -> u32 {
+    pub fn of(&self, at: DVec3) -> (u32, Square) {
         let size = at.abs();
         let axis = if size.x >= size.y && size.x >= size.z { 0 } else { 1 + usize::from(size.z > size.y) };
         let half = 0.5 * self.across / size[axis];
         let number = |other: usize| (at[other] * half + 0.5 * self.across).clamp(0.0, self.across - 1.0) as u32;
         let side = 2 * axis as u32 + u32::from(at[axis] < 0.0);
         let across = self.across as u32;
-        (side * across + number((axis + 1) % 3)) * across + number((axis + 2) % 3)
+        let numbers = [number((axis + 1) % 3), number((axis + 2) % 3)];
+        let bounds = numbers.map(|n| [n, n + 1].map(|n| 2.0 * f64::from(n) / self.across - 1.0));
+        let square = Square { axis, sign: 1f64.copysign(at[axis]), bounds };
+        ((side * across + numbers[0]) * across + numbers[1], square)
     }
 
-    /// Rays along the edges of a tile, in turn.
-    fn corners(&self, tile: u32) -> [DVec3; 4] {
-        let across = self.across as u32;
-        let (side, first, second) = (tile / across / across, tile / across % across, tile % across);
-        let axis = (side / 2) as usize;
-        let bounds = |number: u32| {
-            let at = |n: u32| 2.0 * f64::from(n) / self.across - 1.0;
-            [at(number) - SLACK, at(number + 1) + SLACK]
-        };
-        let (u, v) = (bounds(first), bounds(second));
-        [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| {
-            let mut ray = DVec3::ZERO;
-            ray[axis] = if side % 2 == 0 { 1.0 } else { -1.0 };
-            ray[(axis + 1) % 3] = u[i];
-            ray[(axis + 2) % 3] = v[j];
-            ray
-        })
+    /// True if the index need not be asked for what is in a large tile.
+    pub fn knows(&self, number: u32, farthest: f64) -> bool {
+        self.roots.get(&number).is_some_and(|root| self.tiles[*root as usize].radius >= farthest)
     }
 
-    /// Polygons that may hide something in a tile, up to a range in metres at least.
-    pub fn candidates(&mut self, frame: &Frame<'_>, faces: &mut Faces, tile: u32, farthest: f64) -> &[Candidate] {
-        if self.known.get(&tile).is_none_or(|known| known.radius < farthest) {
-            let candidates = self.find(frame, faces, tile, FARTHER * farthest);
-            self.known.insert(tile, Tile { radius: FARTHER * farthest, candidates });
+    /// The smallest tile of a place, with what may hide something in its large tile up to a range in metres at least.
+    pub fn leaf(&mut self, frame: &Frame<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
+        let (number, square) = self.of(at);
+        if !self.knows(number, farthest) {
+            let tile = self.find(frame, faces, square, FARTHER * farthest);
+            self.roots.insert(number, self.tiles.len() as u32);
+            self.tiles.push(tile);
         }
-        &self.known[&tile].candidates
+        let mut leaf = self.roots[&number];
+        loop {
+            let tile = &mut self.tiles[leaf as usize];
+            if tile.parts == NONE {
+                tile.asked += 1;
+                if !tile.is_worth_quartering() {
+                    return leaf;
+                }
+                self.quarter(faces, leaf);
+            }
+            let tile = &self.tiles[leaf as usize];
+            leaf = tile.parts + tile.square.quarter_of(at);
+        }
     }
 
-    fn find(&mut self, frame: &Frame<'_>, faces: &mut Faces, tile: u32, radius: f64) -> Vec<Candidate> {
-        let corners = self.corners(tile);
+    /// True if a smallest tile is also that of another place.
+    pub fn is_leaf_of(&mut self, leaf: u32, at: DVec3) -> bool {
+        let tile = &mut self.tiles[leaf as usize];
+        let holds = tile.square.holds(at) && !tile.is_worth_quartering();
+        tile.asked += u32::from(holds);
+        holds
+    }
+
+    /// Where a tile is.
+    pub fn square(&self, tile: u32) -> &Square {
+        &self.tiles[tile as usize].square
+    }
+
+    /// Polygons that may hide something of a feature in a smallest tile, no farther than `reach`, the greatest coordinate of
+    /// it there.
+    pub fn candidates<'s>(
+        &'s self,
+        leaf: u32,
+        reach: f64,
+        own: &'s Own<'_>,
+        faces: &'s Faces,
+    ) -> impl Iterator<Item = &'s Candidate> + use<'s> {
+        let around = std::iter::successors(Some(leaf), |tile| {
+            let parent = self.tiles[*tile as usize].parent;
+            (parent != NONE).then_some(parent)
+        });
+        let behind = around.map(|tile| &self.tiles[tile as usize]).filter(move |tile| {
+            reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot)
+        });
+        self.tiles[leaf as usize].candidates.iter().chain(behind.flat_map(|tile| &tile.behind))
+    }
+
+    fn quarter(&mut self, faces: &Faces, whole: u32) {
+        let first = self.tiles.len() as u32;
+        for number in 0..4 {
+            let tile = &self.tiles[whole as usize];
+            let some = tile.candidates.iter().map(|c| c.face);
+            let part = Tile::new(tile.square.quarter(number), tile.radius, faces, some);
+            let part = Tile { level: tile.level + 1, parent: whole, ..part };
+            self.tiles.push(part);
+        }
+        self.tiles[whole as usize].parts = first;
+    }
+
+    fn find(&mut self, frame: &Frame<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
+        let corners = square.corners();
         let middle: DVec3 = corners.iter().sum();
         let world_from_image = frame.image_from_world.transpose();
         let planes = [0, 1, 2, 3].map(|k| {
@@ -97,16 +296,10 @@ impl Tiles {
         let region = Region::frustum(frame.world_from_sensor.translation, &planes, radius);
         self.found.clear();
         frame.world.index().query(frame.environment, &region, &mut self.found);
-        let mut candidates = Vec::new();
-        for slot in self.found.all() {
-            let Some(face) = faces.of_slot(frame, slot) else { continue };
-            let known = &faces.known[face];
-            let beside = |e: &DVec3| corners.iter().all(|c| e.dot(*c) < 0.0);
-            if known.covers && !faces.planes_of(known).iter().any(beside) {
-                candidates.push(Candidate { inverse: known.inverse, face: face as u32 });
-            }
-        }
-        candidates
+        let some: Vec<u32> =
+            self.found.all().filter_map(|slot| faces.of_slot(frame, slot)).map(|face| face as u32).collect();
+        let some = some.into_iter().filter(|face| faces.known[*face as usize].covers);
+        Tile::new(square, radius, faces, some)
     }
 }
 
@@ -116,7 +309,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// What is between two places in a tile is in the tile's pyramid, and so are both.
+        /// What is between two places in a tile is in the tile's pyramid, and so are both; so it is with its quarters.
         #[test]
         fn tiles_are_convex(
             a in proptest::array::uniform3(-1.0..1.0f64),
@@ -126,27 +319,61 @@ mod tests {
         ) {
             let tiles = Tiles::new(angle);
             let (a, b) = (DVec3::from(a), 3.0 * (DVec3::from(a) + angle * DVec3::from(near)));
-            prop_assume!(a.length() > 0.1 && tiles.of(a) == tiles.of(b));
-            let corners = tiles.corners(tiles.of(a));
-            let middle: DVec3 = corners.iter().sum();
-            for k in 0..4 {
-                let normal = corners[k].cross(corners[(k + 1) % 4]);
-                let inward = normal.dot(middle).signum() * normal.normalize();
-                for p in [a, b, a.lerp(b, share)] {
-                    prop_assert!(inward.dot(p) >= 0.0, "{inward} {p}");
+            prop_assume!(a.length() > 0.1 && tiles.of(a).0 == tiles.of(b).0);
+            let mut square = tiles.of(a).1;
+            for _ in 0..=MOST_LEVELS {
+                let corners = square.corners();
+                let middle: DVec3 = corners.iter().sum();
+                for k in 0..4 {
+                    let normal = corners[k].cross(corners[(k + 1) % 4]);
+                    let inward = normal.dot(middle).signum() * normal.normalize();
+                    for p in [a, b, a.lerp(b, share)] {
+                        prop_assert!(inward.dot(p) >= 0.0, "{inward} {p}");
+                    }
                 }
+                if square.quarter_of(a) != square.quarter_of(b) {
+                    break;
+                }
+                square = square.quarter(square.quarter_of(a));
             }
+        }
+
+        /// A tile is left where a place on the way is on one of its sides.
+        #[test]
+        fn tiles_are_left_at_their_sides(
+            a in proptest::array::uniform3(-1.0..1.0f64),
+            b in proptest::array::uniform3(-1.0..1.0f64),
+            angle in 1e-3..0.5f64,
+        ) {
+            let (a, b) = (DVec3::from(a), DVec3::from(b));
+            prop_assume!(a.length() > 0.1 && b.length() > 0.1);
+            let tiles = Tiles::new(angle);
+            let square = tiles.of(a).1;
+            let share = square.left_at(a, b);
+            prop_assert!((share == 1.0) == square.holds(b));
+            let most = square.sides(a.lerp(b, share)).into_iter().fold(f64::INFINITY, f64::min);
+            prop_assert!(most >= -1e-12 && (share == 1.0 || most <= 1e-12), "{share} {most}");
         }
     }
 
     #[test]
     fn all_tiles_are_different() {
         let tiles = Tiles::new(0.01);
+        let across = tiles.across as u32;
         let mut seen = std::collections::HashSet::new();
-        for tile in 0..6 * (tiles.across * tiles.across) as u32 {
-            let middle: DVec3 = tiles.corners(tile).iter().sum();
-            assert_eq!(tiles.of(middle), tile);
-            assert!(seen.insert(middle.to_array().map(f64::to_bits)));
+        for axis in 0..3 {
+            for sign in [-1.0, 1.0] {
+                for number in 0..across * across {
+                    let at = |n: u32| (2.0 * f64::from(n) + 1.0) / tiles.across - 1.0;
+                    let mut middle = DVec3::ZERO;
+                    middle[axis] = sign;
+                    middle[(axis + 1) % 3] = at(number / across);
+                    middle[(axis + 2) % 3] = at(number % across);
+                    let (number, square) = tiles.of(middle);
+                    assert!(square.holds(middle));
+                    assert!(seen.insert(number));
+                }
+            }
         }
     }
 }
