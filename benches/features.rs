@@ -12,11 +12,11 @@
 use glam::{DMat3, DVec3};
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::FeatureShape;
-use presight::features::{BoxOptions, FeatureOptions, Piece, PlacedFeature, Sampler, Visibility, place, predict_features};
-use presight::io::gltf::{ImportOptions, import};
-use presight::{
-    Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World, preset,
+use presight::features::{
+    BoxOptions, FeatureOptions, Piece, PlacedFeature, Sampler, Visibility, place, predict_features,
 };
+use presight::io::gltf::{ImportOptions, import};
+use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World, preset};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -37,9 +37,8 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     // All where none of a kind is named.
-    let is_asked = |name: &str, all: &[&str]| {
-        asked.iter().any(|a| a == name) || !asked.iter().any(|a| all.contains(&a.as_str()))
-    };
+    let is_asked =
+        |name: &str, all: &[&str]| asked.iter().any(|a| a == name) || !asked.iter().any(|a| all.contains(&a.as_str()));
     for scene in SCENES {
         let path = data.join("env").join(scene).with_extension("glb");
         if !is_asked(scene, &SCENES) || !path.is_file() {
@@ -93,11 +92,10 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
         let each = |ms: f64| ms * 1e6 / samples as f64;
         let region_us = with_regions(Options { backend: Backend::Cpu, threads: 1 }, world, &sensor, pose, &list)
             .map_or(f64::NAN, |[features, both]| (both - features) * 1e3 / count as f64);
-        let all_threads =
-            [Backend::Cpu, Backend::Gpu].map(|backend| {
-                let both = with_regions(Options { backend, threads: 0 }, world, &sensor, pose, &list);
-                both.map_or(f64::NAN, |[_, both]| both)
-            });
+        let all_threads = [Backend::Cpu, Backend::Gpu].map(|backend| {
+            let both = with_regions(Options { backend, threads: 0 }, world, &sensor, pose, &list);
+            both.map_or(f64::NAN, |[_, both]| both)
+        });
         println!(
             "| {case}, {name} | {} ({count}) | {samples} | {:.1} | {:.0} | {:.1} | {region_us:.2} | {:.2} | {:.2} | {image_ms:.2} |",
             list.len(),

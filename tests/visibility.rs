@@ -520,15 +520,21 @@ fn what_is_behind_their_own_wall_hides_features() {
     let facets: Vec<_> = (-10..10).flat_map(|i| (-10..10).map(move |j| facet(i, j))).collect();
     let (world, mut placed) = behind(&facets);
     let at = |y: f64, z: f64| DVec3::new(5.005, y, z);
-    let segment =
-        FeatureShape::Segment { ends: [at(1.0, 0.11), at(-1.0, 0.11)], covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+    let segment = FeatureShape::Segment {
+        ends: [at(1.0, 0.11), at(-1.0, 0.11)],
+        covariances: [DMat3::ZERO; 2],
+        cross: DMat3::ZERO,
+    };
     let corners = vec![at(1.0, 1.0), at(-1.0, 1.0), at(-1.0, -1.0), at(1.0, -1.0)];
     let patch = FeatureShape::Patch { corners, covariance: DMat3::ZERO };
-    placed = [segment, patch].into_iter().map(|shape| {
-        let mut placed = placed[0].clone();
-        placed.feature.shape = shape;
-        placed
-    }).collect();
+    placed = [segment, patch]
+        .into_iter()
+        .map(|shape| {
+            let mut placed = placed[0].clone();
+            placed.feature.shape = shape;
+            placed
+        })
+        .collect();
     let [by_tiles, by_rays] = in_both_ways(&world, &scenes::camera(200, 150), &Pose::IDENTITY, &placed);
     assert_eq!(by_tiles.features, by_rays.features);
     let seen: Vec<f64> = by_tiles.features.iter().map(|f| f.visible_fraction).collect();

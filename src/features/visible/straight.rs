@@ -120,10 +120,10 @@ impl Judge<'_> {
         match told {
             Some(told) => self.take_told(told, own),
             None => {
-                let by_sample = (part.pixels[1] - part.pixels[0]) * part.step;
-                for i in 0..part.count {
-                    self.gather(part.pixels[0] + (i as f64 + 0.5) * by_sample, own);
-                }
+                // Blocks of three by three pixels, side by side, hold what is around all samples.
+                let [from, to] = part.pixels;
+                let blocks = ((to - from).abs().max_element() / 3.0).ceil().max(1.0);
+                (0..=blocks as u32).for_each(|i| self.gather(from.lerp(to, f64::from(i) / blocks), own));
             }
         }
         if !self.hide_near(&Stretch::new(part, 0..part.count, ranges, own.rounding()), by) {

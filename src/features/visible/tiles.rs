@@ -267,9 +267,9 @@ impl Tiles {
             let parent = self.tiles[*tile as usize].parent;
             (parent != NONE).then_some(parent)
         });
-        let behind = around.map(|tile| &self.tiles[tile as usize]).filter(move |tile| {
-            reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot)
-        });
+        let behind = around
+            .map(|tile| &self.tiles[tile as usize])
+            .filter(move |tile| reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot));
         self.tiles[leaf as usize].candidates.iter().chain(behind.flat_map(|tile| &tile.behind))
     }
 
