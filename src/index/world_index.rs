@@ -8,6 +8,7 @@ use super::{Found, Params, Region, Scheme, Skd, SpatialIndex, build};
 use crate::environment::{Environment, Mesh, Object};
 use crate::geometry::Aabb;
 use glam::DVec3;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -234,12 +235,17 @@ fn first_of(sorted: &mut Vec<*const MeshTree>, pointer: *const MeshTree) -> bool
 }
 
 fn two_level(environment: &Environment, params: Params) -> Kind {
-    let mut by_mesh: HashMap<*const Mesh, Arc<MeshTree>> = HashMap::new();
-    let trees = environment
-        .objects()
-        .iter()
-        .map(|o| by_mesh.entry(Arc::as_ptr(&o.mesh)).or_insert_with(|| Arc::new(MeshTree::new(&o.mesh))).clone())
-        .collect();
+    let mut numbers: HashMap<*const Mesh, usize> = HashMap::new();
+    let mut meshes = Vec::new();
+    for o in environment.objects() {
+        numbers.entry(Arc::as_ptr(&o.mesh)).or_insert_with(|| {
+            meshes.push(&o.mesh);
+            meshes.len() - 1
+        });
+    }
+    let each: Vec<Arc<MeshTree>> =
+        meshes.par_iter().with_max_len(1).map(|mesh| Arc::new(MeshTree::new(mesh))).collect();
+    let trees = environment.objects().iter().map(|o| each[numbers[&Arc::as_ptr(&o.mesh)]].clone()).collect();
     let boxes: Vec<(u32, Aabb)> = (0..)
         .zip(environment.objects())
         .filter(|(_, o)| o.mesh.polygon_count() > 0)

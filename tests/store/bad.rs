@@ -28,7 +28,7 @@ fn folder_with_store() -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn a_newer_version_is_refused() {
     let (_folder, path) = folder_with_store();
-    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 2").unwrap();
+    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 3").unwrap();
     for args in [&["env", "info"][..], &["env", "check"], &["inspect"]] {
         let (status, message) = refused(args, &path);
         assert!(status == Some(1) && message.contains("format 2") && message.contains("update presight"), "{message}");
@@ -182,19 +182,33 @@ fn a_store_is_not_written_over() {
     assert_eq!(e.kind(), ErrorKind::Invalid);
 }
 
-/// The first version, made when it was the newest: later ones must read it.
+/// Each version, made when it was the newest: later ones must read it, and write on.
 #[test]
-fn an_old_store_is_read() {
-    let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store/version-1.presight");
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("old.presight");
-    std::fs::copy(&old, &path).unwrap();
-    let info = store::check(&path).unwrap();
-    assert_eq!((info.changes, info.created, info.cause.as_str()), (5, 1.5, "test"));
-    let told = std::fs::read_to_string(old.with_extension("txt")).unwrap();
-    assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
-    let (store, environment) = Store::open(&path).unwrap();
-    assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
+fn old_stores_are_read() {
+    for version in 1..=2 {
+        let old = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/store/version-{version}.presight"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("old.presight");
+        std::fs::copy(&old, &path).unwrap();
+        let info = store::check(&path).unwrap();
+        assert_eq!((info.changes, info.created, info.cause.as_str()), (5, 1.5, "test"));
+        assert_eq!(version_of(&path), version, "reading changes nothing");
+        let told = std::fs::read_to_string(old.with_extension("txt")).unwrap();
+        assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
+        let (mut store, environment) = Store::open(&path).unwrap();
+        assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
+        assert_eq!(version_of(&path), 2);
+        let mut world = presight::World::new(environment);
+        store.apply(&mut world, super::numbered(6).0, &super::note(6.0)).unwrap();
+        drop(store);
+        let after = store::check(&path).unwrap();
+        assert_eq!((after.changes, after.environment.content_hash()), (6, world.environment().content_hash()));
+    }
+}
+
+fn version_of(path: &Path) -> i32 {
+    let connection = rusqlite::Connection::open(path).unwrap();
+    connection.query_row("PRAGMA user_version", [], |row| row.get(0)).unwrap()
 }
 
 /// Makes the files of the test above, once for each version: `PRESIGHT_BLESS_STORE=1`.
@@ -212,7 +226,7 @@ fn bless_a_version() {
     drop(store);
     let info = store::check(&path).unwrap();
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store");
-    std::fs::copy(&path, to.join("version-1.presight")).unwrap();
-    std::fs::write(to.join("version-1.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
+    std::fs::copy(&path, to.join("version-2.presight")).unwrap();
+    std::fs::write(to.join("version-2.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
     panic!("made; run again without PRESIGHT_BLESS_STORE");
 }

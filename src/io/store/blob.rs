@@ -39,7 +39,7 @@ pub(super) fn encode(mesh: &Mesh) -> Vec<u8> {
     bytes
 }
 
-/// The mesh of a blob whose hash was proven; `materials` is how many there are.
+/// The mesh of a blob, whose hash need not be proven yet; `materials` is how many there are.
 pub(super) fn decode(name: &str, bytes: &[u8], materials: usize) -> Result<Mesh> {
     let wrong = || damaged(format!("the blob of mesh {name:?} does not hold what it claims"));
     let (words, _) = bytes.as_chunks::<4>();

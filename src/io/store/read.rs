@@ -6,9 +6,8 @@ use super::op::{MaterialFields, affine_of, pose_of};
 use super::rows::{Meta, feature_hash, from_json, layer_hash, material_hash, mesh_hash, object_hash};
 use super::schema::{damaged, refusal};
 use crate::environment::{Environment, FeatureLayer, Mesh, NewObject};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::io::layer::{FeatureFields, from_fields};
-use rayon::prelude::*;
 use rusqlite::{Connection, Row};
 use std::collections::HashMap;
 use std::path::Path;
@@ -27,6 +26,28 @@ pub(super) struct LoadedMesh {
     pub content: Hash,
     /// None where no object has it.
     pub mesh: Option<Arc<Mesh>>,
+}
+
+/// A mesh's row but for its content.
+struct MeshRow {
+    number: i64,
+    name: String,
+    /// Vertices and polygons.
+    counts: (i64, i64),
+    /// Bytes of the content.
+    size: usize,
+    hash: Hash,
+}
+
+impl MeshRow {
+    /// The hash of its content, if that is what was written.
+    fn prove(&self, content: &[u8]) -> Result<Hash> {
+        let content = *blake3::hash(content).as_bytes();
+        if mesh_hash(self.number, &self.name, self.counts.0, self.counts.1, &content) != self.hash {
+            return Err(damaged("it is not what was written").at(format!("mesh {} {:?}", self.number, self.name)));
+        }
+        Ok(content)
+    }
 }
 
 /// Reads within the caller's transaction.
@@ -98,34 +119,60 @@ impl Reader<'_> {
             used.insert(get::<i64>(row, 0)?);
             Ok(())
         })?;
-        let mut raw = Vec::new();
-        let columns = "number, name, vertices, polygons, content, hash";
-        self.each("meshes", columns, |row| {
-            let number: i64 = get(row, 0)?;
-            let (name, vertices, polygons): (String, i64, i64) = (get(row, 1)?, get(row, 2)?, get(row, 3)?);
-            let (content, hash): (Vec<u8>, Hash) = (get(row, 4)?, get(row, 5)?);
-            raw.push((number, name, vertices, polygons, content, hash));
+        let mut rows = Vec::new();
+        self.each("meshes", "number, name, vertices, polygons, length(content), hash", |row| {
+            let counts = (get(row, 2)?, get(row, 3)?);
+            let size = usize::try_from(get::<i64>(row, 4)?).map_err(|_| damaged("a number is out of range"))?;
+            rows.push(MeshRow { number: get(row, 0)?, name: get(row, 1)?, counts, size, hash: get(row, 5)? });
             Ok(())
         })?;
-        let decode = |(number, name, vertices, polygons, bytes, hash): (i64, String, i64, i64, Vec<u8>, Hash)| {
-            let content = *blake3::hash(&bytes).as_bytes();
-            if mesh_hash(number, &name, vertices, polygons, &content) != hash {
-                return Err(damaged("it is not what was written").at(format!("mesh {number} {name:?}")));
+        // The largest first: others are decoded beside it.
+        rows.sort_by_key(|row| std::cmp::Reverse(row.size));
+        let mut bytes = self.room_for(&rows)?;
+        let mut rest = bytes.as_mut_slice();
+        let mut done: Vec<_> = rows.iter().map(|_| (None, None)).collect();
+        // Each is proven and decoded while the next is read.
+        rayon::in_place_scope(|scope| -> Result<()> {
+            for (row, (content, mesh)) in rows.iter().zip(&mut done) {
+                let bytes;
+                (bytes, rest) = std::mem::take(&mut rest).split_at_mut(row.size);
+                self.read_content(row.number, bytes)?;
+                let bytes = &*bytes;
+                scope.spawn(move |_| *content = Some(row.prove(bytes)));
+                if used.contains(&row.number) {
+                    scope.spawn(move |_| *mesh = Some(blob::decode(&row.name, bytes, materials)));
+                }
             }
-            let mesh = match used.contains(&number) {
-                true => Some(Arc::new(blob::decode(&name, &bytes, materials)?)),
-                false => None,
-            };
-            Ok((number, LoadedMesh { name, content, mesh }, hash))
-        };
-        let decoded: Vec<Result<_>> = raw.into_par_iter().map(decode).collect();
-        let mut meshes = HashMap::with_capacity(decoded.len());
-        for one in decoded {
-            let (number, mesh, hash) = one?;
-            self.prove(hash, hash)?;
-            meshes.insert(number, mesh);
+            Ok(())
+        })?;
+        let mut meshes = HashMap::with_capacity(rows.len());
+        for (row, (content, mesh)) in rows.into_iter().zip(done) {
+            let content = content.ok_or_else(|| damaged("a mesh was not proven"))??;
+            let mesh = mesh.transpose()?.map(Arc::new);
+            self.prove(row.hash, row.hash)?;
+            meshes.insert(row.number, LoadedMesh { name: row.name, content, mesh });
         }
         Ok(meshes)
+    }
+
+    /// One piece of memory for all contents: the system hands out a large one faster than many.
+    fn room_for(&self, rows: &[MeshRow]) -> Result<Vec<u8>> {
+        let file = std::fs::metadata(self.path).map_err(|e| Error::io(self.path, "read the store", e))?.len();
+        let total = rows.iter().try_fold(0usize, |sum, row| sum.checked_add(row.size));
+        match total.filter(|total| *total as u64 <= file) {
+            Some(total) => Ok(vec![0; total]),
+            None => Err(damaged("its meshes are longer than the file")),
+        }
+    }
+
+    /// The blob of a mesh, without the copies that SQLite makes of a column.
+    fn read_content(&self, mesh: i64, to: &mut [u8]) -> Result<()> {
+        let wrap = |e| refusal(self.path, "read the store", e);
+        let blob = self.connection.blob_open("main", "meshes", "content", mesh, true).map_err(wrap)?;
+        if blob.len() != to.len() {
+            return Err(damaged(format!("mesh {mesh} is not as long as it claims")));
+        }
+        blob.read_at_exact(to, 0).map_err(wrap)
     }
 
     fn objects(&self, environment: &mut Environment, meshes: &HashMap<i64, LoadedMesh>) -> Result<()> {
@@ -187,12 +234,11 @@ pub(super) fn get<T: rusqlite::types::FromSql>(row: &Row<'_>, column: usize) -> 
 /// A mesh's row alone, proven.
 pub(super) fn mesh(connection: &Connection, path: &Path, number: i64, materials: usize) -> Result<Arc<Mesh>> {
     let sql = "SELECT name, vertices, polygons, content, hash FROM meshes WHERE number = ?1";
-    let columns = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?));
-    let (name, vertices, polygons, bytes, hash): (String, i64, i64, Vec<u8>, Hash) =
-        connection.query_row(sql, [number], columns).map_err(|e| refusal(path, "read the store", e))?;
-    let content = *blake3::hash(&bytes).as_bytes();
-    if mesh_hash(number, &name, vertices, polygons, &content) != hash {
-        return Err(damaged(format!("mesh {number} is not what was written")).in_file(path));
-    }
-    blob::decode(&name, &bytes, materials).map(Arc::new)
+    let columns = |row: &Row<'_>| {
+        let (counts, content): (_, Vec<u8>) = ((row.get(1)?, row.get(2)?), row.get(3)?);
+        Ok((MeshRow { number, name: row.get(0)?, counts, size: 0, hash: row.get(4)? }, content))
+    };
+    let (row, bytes) = connection.query_row(sql, [number], columns).map_err(|e| refusal(path, "read the store", e))?;
+    row.prove(&bytes).map_err(|e| e.in_file(path))?;
+    blob::decode(&row.name, &bytes, materials).map(Arc::new)
 }

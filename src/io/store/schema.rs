@@ -7,9 +7,9 @@ use std::time::Duration;
 
 /// "prsg": tells a store from SQLite files of other programs.
 pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
-/// The version that this build writes, and the newest that it reads. There is no older one yet: a next version adds a
-/// step that makes it of this one, in the transaction in which a writer opens it.
-pub(super) const FORMAT: i32 = 1;
+/// The version that this build writes, and the newest that it reads. Readers take older ones as they are; a writer makes
+/// this one of them first.
+pub(super) const FORMAT: i32 = 2;
 /// How long another program's commit is waited for.
 const PATIENCE: Duration = Duration::from_secs(3);
 
@@ -38,7 +38,7 @@ pub(super) const TABLES: [(&str, &str); 7] = [
     (
         "meshes",
         "CREATE TABLE meshes(number INTEGER PRIMARY KEY, name TEXT NOT NULL, vertices INTEGER NOT NULL, \
-         polygons INTEGER NOT NULL, content BLOB NOT NULL, hash BLOB NOT NULL)",
+         polygons INTEGER NOT NULL, hash BLOB NOT NULL, content BLOB NOT NULL)",
     ),
     (
         "meta",
@@ -53,6 +53,15 @@ pub(super) const TABLES: [(&str, &str); 7] = [
          hash BLOB NOT NULL)",
     ),
 ];
+
+/// Format 1 had the hash of a mesh behind its content: whoever wanted the hash went through all of that.
+const MESHES_1: &str = "CREATE TABLE meshes(number INTEGER PRIMARY KEY, name TEXT NOT NULL, vertices INTEGER NOT NULL, \
+     polygons INTEGER NOT NULL, content BLOB NOT NULL, hash BLOB NOT NULL)";
+
+/// Text of a table in a version.
+fn text_of(table: &'static str, text: &'static str, version: i32) -> &'static str {
+    if version == 1 && table == "meshes" { MESHES_1 } else { text }
+}
 
 /// What a connection is for.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -76,10 +85,15 @@ pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     connection.set_prepared_statement_cache_capacity(64);
     // Nothing in the file is run as a program.
     connection.execute_batch("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON;").map_err(wrap)?;
-    check_identity(&connection, path)?;
+    let version = check_identity(&connection, path)?;
     match access {
         Access::Read => connection.execute_batch("PRAGMA query_only = ON").map_err(wrap)?,
-        Access::Write => make_durable(&connection, path)?,
+        Access::Write => {
+            make_durable(&connection, path)?;
+            if version != FORMAT {
+                migrate(&connection, path)?;
+            }
+        }
     }
     Ok(connection)
 }
@@ -88,7 +102,8 @@ fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name: &str) -> r
     connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
 }
 
-fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
+/// Its version.
+fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
     let wrap = |e| refusal(path, "open the store", e);
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
     if application != APPLICATION_ID {
@@ -100,7 +115,7 @@ fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
         let what = format!("format {version} is newer than this presight, which reads format {FORMAT}");
         return Err(Error::new(ErrorKind::Unsupported, what, "update presight").in_file(path));
     }
-    if version != FORMAT {
+    if version < 1 {
         return Err(damaged(format!("format {version} never existed")).in_file(path));
     }
     let mut statement = connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
@@ -108,11 +123,27 @@ fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
     let found: Vec<(String, String, Option<String>)> =
         statement.query_map([], columns).and_then(Iterator::collect).map_err(wrap)?;
     let same = found.len() == TABLES.len()
-        && found
-            .iter()
-            .zip(TABLES)
-            .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
-    if same { Ok(()) } else { Err(damaged(format!("its tables are not those of format {FORMAT}")).in_file(path)) }
+        && found.iter().zip(TABLES).all(|((kind, name, sql), (table, text))| {
+            kind == "table" && name == table && sql.as_deref() == Some(text_of(table, text, version))
+        });
+    if same { Ok(version) } else { Err(damaged(format!("its tables are not those of format {version}")).in_file(path)) }
+}
+
+/// Makes [`FORMAT`] of format 1, in one transaction: all of it or nothing.
+fn migrate(connection: &Connection, path: &Path) -> Result<()> {
+    let wrap = |e| refusal(path, "bring the store to this version", e);
+    let new = TABLES.into_iter().find(|(table, _)| *table == "meshes").map_or("", |(_, text)| text);
+    connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
+    // Another writer may have been here before.
+    if check_identity(connection, path)? == 1 {
+        let sql = format!(
+            "ALTER TABLE meshes RENAME TO old; {new}; \
+             INSERT INTO meshes SELECT number, name, vertices, polygons, hash, content FROM old; DROP TABLE old; \
+             PRAGMA user_version = {FORMAT};"
+        );
+        connection.execute_batch(&sql).map_err(wrap)?;
+    }
+    connection.execute_batch("COMMIT").map_err(wrap)
 }
 
 /// A commit is on the disk when it returns, the deletion of the journal included.

@@ -264,7 +264,7 @@ impl Store {
                 let (vertices, polygons) = (mesh.vertices().len() as i64, mesh.polygon_count() as i64);
                 let hash = mesh_hash(number, mesh.name(), vertices, polygons, &content);
                 let sql = "INSERT INTO meshes VALUES(?1, ?2, ?3, ?4, ?5, ?6)";
-                self.run(sql, params![number, mesh.name(), vertices, polygons, bytes, hash])?;
+                self.run(sql, params![number, mesh.name(), vertices, polygons, hash, bytes])?;
                 self.meta.digest.add(&hash);
                 self.meshes.next += 1;
                 self.meshes.by_content.insert(key, number);
