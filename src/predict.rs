@@ -98,9 +98,13 @@ enum Engine {
     Gpu(Box<gpu::Engine>, Proven),
 }
 
-/// Kinds of sensors for which a device has shown that it draws what it should.
+/// Kinds of sensors for which a device has shown that it does what it should.
 #[cfg(feature = "gpu")]
-type Proven = Vec<Task>;
+#[derive(Default)]
+struct Proven {
+    images: Vec<Task>,
+    regions: Vec<Task>,
+}
 
 impl Predictor {
     /// Makes the engine ready.
@@ -283,12 +287,14 @@ impl Predictor {
         }
         let start = Instant::now();
         #[cfg(feature = "gpu")]
-        if let Engine::Gpu(engine, _) = &mut self.engine
+        if let Engine::Gpu(engine, proven) = &mut self.engine
             && engine.proposes()
         {
             let pool = pool_of(&mut self.pool, self.options.threads)?;
+            let sound = prove_regions(engine, proven, sensor);
             let before = engine.work();
-            match pool.install(|| engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options)) {
+            let mut make = || engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
+            match sound.and_then(|()| pool.install(&mut make)) {
                 Ok(made) => {
                     stats.work.add(engine.work().since(before));
                     stats.count("regions of interest made on the device", made);
@@ -474,7 +480,25 @@ fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
         all_on_device: opening.all_on_device,
         ..Default::default()
     })?;
-    Ok(Engine::Gpu(Box::new(engine), Proven::new()))
+    Ok(Engine::Gpu(Box::new(engine), Proven::default()))
+}
+
+/// Holds a device to the CPU before it makes regions of interest for a kind of sensor for the first time. What it says of
+/// visibility needs no such proof: each answer is tested on the CPU.
+#[cfg(feature = "gpu")]
+fn prove_regions(engine: &mut gpu::Engine, proven: &mut Proven, sensor: &Sensor) -> Result<()> {
+    let task = Task::of(sensor);
+    if proven.regions.contains(&task) {
+        return Ok(());
+    }
+    let told = Probe::new()?.regions(task, engine)?;
+    if told.wrong > 0 {
+        let what = format!("{} makes {} of {} regions of a probe wrong", engine.adapter(), told.wrong, told.all);
+        let remedy = "update its driver, or use --backend cpu; see presight doctor";
+        return Err(Error::new(ErrorKind::NoDevice, what, remedy));
+    }
+    proven.regions.push(task);
+    Ok(())
 }
 
 /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
@@ -482,7 +506,7 @@ fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
 #[cfg(feature = "gpu")]
 fn prove(engine: &mut gpu::Engine, proven: &mut Proven, plan: &FramePlan, wrong: bool) -> Result<()> {
     let task = Task::of(&plan.sensor);
-    if proven.contains(&task) {
+    if proven.images.contains(&task) {
         return Ok(());
     }
     let report = Probe::new()?.run(task, plan.drawn(), |plan, images| {
@@ -501,6 +525,6 @@ fn prove(engine: &mut gpu::Engine, proven: &mut Proven, plan: &FramePlan, wrong:
             "update its driver, or use --backend cpu; see presight doctor",
         ));
     }
-    proven.push(task);
+    proven.images.push(task);
     Ok(())
 }

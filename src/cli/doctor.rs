@@ -120,9 +120,45 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine
         let passes = if can.int64_atomics { "by 64-bit atomics" } else { "in two passes of 32 bits" };
         let _ = writeln!(text, "  nearest surface {passes}:");
         sound &= check(probe, text, |plan, images| engine.render(plan, images, &mut Stats::default()));
+        if !without_int64 {
+            let _ = writeln!(text, "  features:");
+            sound &= features_of(probe, text, &mut engine);
+        }
         if !can.int64_atomics {
             break;
         }
+    }
+    sound
+}
+
+/// One line a task: what the device says of features, which no image shows.
+#[cfg(feature = "gpu")]
+fn features_of(probe: &Probe, text: &mut String, engine: &mut Engine) -> bool {
+    let mut sound = true;
+    for task in Task::ALL {
+        let told = probe.proposals(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
+        let verdict = match told {
+            Ok((seen, regions)) => {
+                // Regions beyond what the device can do are the CPU's; without any of its own there is nothing to judge.
+                let right = seen.is_sound() && (regions.answered == 0 && regions.wrong == 0 || regions.is_sound());
+                sound &= right;
+                format!(
+                    "{}: {} of {} points decided, {} wrong; {} of {} regions of interest made, {} wrong",
+                    if right { "right" } else { "WRONG" },
+                    seen.answered,
+                    seen.all,
+                    seen.wrong,
+                    regions.answered,
+                    regions.all,
+                    regions.wrong
+                )
+            }
+            Err(e) => {
+                sound = false;
+                format!("FAILED: {e}")
+            }
+        };
+        let _ = writeln!(text, "  {:16}{verdict}", task.name());
     }
     sound
 }

@@ -4,6 +4,12 @@
 //! A tiny scene, seen by a tiny sensor of each kind for which engines have a path of their own, is held to the reference
 //! by the same comparison that judges engines in every test ([`crate::compare`]).
 
+#[cfg(feature = "gpu")]
+mod features;
+
+#[cfg(feature = "gpu")]
+pub use features::Told;
+
 use crate::compare::{Precision, Report, compare};
 use crate::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use crate::error::Result;
@@ -135,13 +141,17 @@ impl Probe {
         let all = outputs.without(Output::FeatureId);
         let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
         let request = Request { outputs, ..Request::default() };
-        let pose = Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.15), 0.03, -0.05, 0.2);
-        let plan = FramePlan::new(&self.world, &sensor, &pose, &request);
+        let plan = FramePlan::new(&self.world, &sensor, &pose(), &request);
         let (mut expected, mut drawn) = (Images::default(), Images::default());
         reference::render(&plan, &mut expected)?;
         draw(&plan, &mut drawn)?;
         compare(&expected, &drawn, &plan, Precision::F32)
     }
+}
+
+/// Where the sensor is.
+fn pose() -> Pose {
+    Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.15), 0.03, -0.05, 0.2)
 }
 
 fn cuboid(name: &str, least: Vec3, most: Vec3, material: u16) -> Result<Mesh> {

@@ -1,0 +1,160 @@
+//! What a device says of features: which samples other polygons hide, and boxes around regions of interest.
+
+use super::{Probe, Task};
+use crate::environment::{Existence, Feature, FeatureShape, Properties};
+use crate::error::Result;
+use crate::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, Prepared, Visibility, add_boxes, predict_features,
+};
+use crate::geometry::Pose;
+use crate::gpu::{Asked, Engine, Proposal};
+use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
+use crate::sensor::Sensor;
+use glam::{DMat3, DVec3};
+
+/// How far a side of a box may be from the CPU's, pixels.
+pub const OFF: f64 = 1.0 / 16.0;
+
+/// What a device said of points on the scene's outlines.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Told {
+    /// How many were asked for.
+    pub all: usize,
+    /// How many it knew, or made itself.
+    pub answered: usize,
+    /// How many of those answers are wrong.
+    pub wrong: usize,
+}
+
+impl Told {
+    /// True if it is of use: answers are in f32, so that one in a hundred may be wrong at an outline, where the CPU sets it
+    /// right.
+    pub fn is_sound(&self) -> bool {
+        100 * self.wrong <= self.answered && 4 * self.answered >= self.all
+    }
+}
+
+impl Probe {
+    /// Lets a device say which points of the scene's outlines are hidden; a ray to each tells what is right.
+    ///
+    /// # Errors
+    /// Those of the engine.
+    pub fn proposals(&self, task: Task, engine: &mut Engine) -> Result<Told> {
+        let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
+        let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
+        let plan = FramePlan::new(&self.world, &sensor, &pose, &request);
+        let mut images = Images::default();
+        engine.render(&plan, &mut images, &mut Stats::default())?;
+        let right = self.seen(&sensor, &pose, &placed)?;
+        let options = FeatureOptions::default();
+        let asking = Prepared::new(&self.world, &sensor, &pose, &images, &placed, &options)?.asking();
+        let mut asked = Asked::new(asking.iter().map(Vec::len).sum(), &sensor);
+        let mut of = Vec::new();
+        for ((samples, placed), seen) in asking.iter().zip(&placed).zip(&right.features) {
+            asked.begin(&placed.slots);
+            for (at, pixel) in samples {
+                asked.push(*at, *pixel);
+                of.push(seen.visible_fraction > 0.0);
+            }
+        }
+        let mut told = Told { all: of.len(), ..Told::default() };
+        for (proposal, visible) in engine.propose(&asked)?.into_iter().zip(of) {
+            told.answered += usize::from(proposal != Proposal::Doubt);
+            told.wrong += match proposal {
+                Proposal::Hidden(_) => usize::from(visible),
+                Proposal::Seen => usize::from(!visible),
+                Proposal::Doubt => 0,
+            };
+        }
+        Ok(told)
+    }
+
+    /// Lets a device make boxes of 99 % around points of the scene's outlines; those of the CPU are right.
+    ///
+    /// # Errors
+    /// Those of the engine.
+    pub fn regions(&self, task: Task, engine: &mut Engine) -> Result<Told> {
+        let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
+        let mut options = BoxOptions::default();
+        // 1 cm and half a degree.
+        (0..3).for_each(|i| (options.sensor[i][i], options.sensor[3 + i][3 + i]) = (1e-4, 7.6e-5));
+        let mut right = self.seen(&sensor, &pose, &placed)?;
+        let mut made = right.clone();
+        add_boxes(&mut right, &placed, &self.world, &sensor, &pose, &options)?;
+        let answered = engine.add_boxes(&mut made, &placed, &self.world, &sensor, &pose, &options)?;
+        let differs = |i: &usize| {
+            let (a, b) = (&right.features[*i], &made.features[*i]);
+            let near = |a: [f64; 4], b: [f64; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= OFF);
+            a.roi_flag != b.roi_flag
+                || a.roi.zip(b.roi).is_some_and(|(a, b)| !near(a, b))
+                || a.roi.is_some() != b.roi.is_some()
+        };
+        let all = right.features.iter().filter(|f| f.roi.is_some()).count();
+        Ok(Told { all, answered, wrong: (0..placed.len()).filter(differs).count() })
+    }
+
+    /// What a ray to each point says.
+    fn seen(&self, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> Result<FeaturePrediction> {
+        let (width, height) = (sensor.width(), sensor.height());
+        let polygon_id = vec![0; width as usize * height as usize];
+        let images = Images { width, height, polygon_id, ..Images::default() };
+        let options = FeatureOptions { visibility: Visibility::Rays, ..FeatureOptions::default() };
+        predict_features(&self.world, sensor, pose, &images, placed, &options)
+    }
+
+    /// Three points on every side of every polygon, lying on that polygon.
+    fn points(&self) -> Vec<PlacedFeature> {
+        let mut placed = Vec::new();
+        for o in self.world.environment().objects() {
+            for polygon in 0..o.mesh.polygon_count() as u32 {
+                let corners: Vec<DVec3> =
+                    o.mesh.corners_of(polygon).map(|c| o.world_from_mesh().transform_point3(c)).collect();
+                for (k, a) in corners.iter().enumerate() {
+                    for share in [0.25, 0.5, 0.75] {
+                        let at = a.lerp(corners[(k + 1) % corners.len()], share);
+                        let shape = FeatureShape::Point { at, covariance: DMat3::from_diagonal(DVec3::splat(1e-6)) };
+                        let (existence, properties) = (Existence::default(), Properties::default());
+                        let id = placed.len() as u32 + 1;
+                        let feature = Feature { id, name: None, object: None, shape, existence, properties };
+                        placed.push(PlacedFeature { feature, object: None, slots: vec![o.first_slot + polygon] });
+                    }
+                }
+            }
+        }
+        placed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::DeviceOptions;
+
+    #[test]
+    fn a_device_that_is_right_is_found_sound() {
+        let probe = Probe::new().unwrap();
+        let mut engine = match Engine::new(DeviceOptions { all_on_device: true, ..Default::default() }) {
+            Ok(engine) => engine,
+            Err(e) => {
+                assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
+                eprintln!("SKIPPED: no adapter: {e}");
+                return;
+            }
+        };
+        for task in Task::ALL {
+            let seen = probe.proposals(task, &mut engine).unwrap();
+            assert!(seen.is_sound() && seen.answered > 20, "{}: {seen:?}", task.name());
+            let regions = probe.regions(task, &mut engine).unwrap();
+            assert!(regions.wrong == 0 && regions.all > 5, "{}: {regions:?}", task.name());
+            // A lens or table is the CPU's.
+            assert!(regions.answered > 0 || task == Task::Rays, "{}: {regions:?}", task.name());
+        }
+    }
+
+    #[test]
+    fn wrong_answers_and_none_are_not_sound() {
+        assert!(Told { all: 100, answered: 100, wrong: 1 }.is_sound());
+        assert!(!Told { all: 100, answered: 100, wrong: 2 }.is_sound());
+        assert!(!Told { all: 100, answered: 24, wrong: 0 }.is_sound());
+    }
+}
