@@ -9,8 +9,9 @@
 //! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
 //!
 //! **What space confirms.** That a sample is seen no image can prove: nine rays may all miss an occluder under a pixel. So
-//! what is not hidden yet is confirmed by the index, for all features together by tiles of the directions around the sensor
-//! ([`tiles`]), or for a single point by a ray. Each polygon found is tested like those of the pixels.
+//! what is not hidden yet is confirmed by the index: straight images of segments and patches share its queries by tiles of the
+//! directions around the sensor ([`tiles`]); other segments have one each, for the triangle between the sensor and that part of
+//! them, and single points a ray. Each polygon found is tested like those of the pixels.
 //!
 //! So the answer is that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
 //! depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane says nothing about
@@ -40,7 +41,7 @@ use std::sync::{Mutex, PoisonError};
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
-    /// By the polygons of neighbouring pixels, and where these hide nothing by the index, tile by tile.
+    /// By the polygons of neighbouring pixels, and where these hide nothing by the index, for many samples at once.
     #[default]
     Image,
     /// By a ray through the index for every sample: slow, and what the other is measured against.
