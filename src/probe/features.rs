@@ -13,9 +13,12 @@ use crate::sensor::Sensor;
 use glam::{DMat3, DVec3};
 
 /// How far a side of a box may be from the CPU's, pixels.
-pub const OFF: f64 = 1.0 / 16.0;
+const OFF: f64 = 1.0 / 16.0;
 
-/// What a device said of points on the scene's outlines.
+/// Where points are between two places.
+const SHARES: [f64; 3] = [0.25, 0.5, 0.75];
+
+/// What a device said of points on the scene's polygons.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Told {
     /// How many were asked for.
@@ -35,7 +38,7 @@ impl Told {
 }
 
 impl Probe {
-    /// Lets a device say which points of the scene's outlines are hidden; a ray to each tells what is right.
+    /// Lets a device say which points of the scene's polygons are hidden; a ray to each tells what is right.
     ///
     /// # Errors
     /// Those of the engine.
@@ -69,7 +72,7 @@ impl Probe {
         Ok(told)
     }
 
-    /// Lets a device make boxes of 99 % around points of the scene's outlines; those of the CPU are right.
+    /// Lets a device make boxes of 99 % around points of the scene's polygons; those of the CPU are right.
     ///
     /// # Errors
     /// Those of the engine.
@@ -102,22 +105,38 @@ impl Probe {
         predict_features(&self.world, sensor, pose, &images, placed, &options)
     }
 
-    /// Three points on every side of every polygon, lying on that polygon.
+    /// Points on every polygon: three beside each of its sides, not on them, where neighbours touch them, and three in the
+    /// sensor's horizontal plane, for scanners of one row.
     fn points(&self) -> Vec<PlacedFeature> {
-        let mut placed = Vec::new();
+        let (sensor, mut placed) = (super::pose(), Vec::new());
+        let mut add = |at: DVec3, slot: u32| {
+            let shape = FeatureShape::Point { at, covariance: DMat3::from_diagonal(DVec3::splat(1e-6)) };
+            let (existence, properties) = (Existence::default(), Properties::default());
+            let feature =
+                Feature { id: placed.len() as u32 + 1, name: None, object: None, shape, existence, properties };
+            placed.push(PlacedFeature { feature, object: None, slots: vec![slot] });
+        };
+        let up = sensor.rotation * DVec3::Z;
+        let height = |p: DVec3| up.dot(p - sensor.translation);
         for o in self.world.environment().objects() {
+            let world_from_mesh = o.world_from_mesh();
             for polygon in 0..o.mesh.polygon_count() as u32 {
                 let corners: Vec<DVec3> =
-                    o.mesh.corners_of(polygon).map(|c| o.world_from_mesh().transform_point3(c)).collect();
-                for (k, a) in corners.iter().enumerate() {
-                    for share in [0.25, 0.5, 0.75] {
-                        let at = a.lerp(corners[(k + 1) % corners.len()], share);
-                        let shape = FeatureShape::Point { at, covariance: DMat3::from_diagonal(DVec3::splat(1e-6)) };
-                        let (existence, properties) = (Existence::default(), Properties::default());
-                        let id = placed.len() as u32 + 1;
-                        let feature = Feature { id, name: None, object: None, shape, existence, properties };
-                        placed.push(PlacedFeature { feature, object: None, slots: vec![o.first_slot + polygon] });
+                    o.mesh.corners_of(polygon).map(|c| world_from_mesh.transform_point3(c)).collect();
+                let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
+                let sides = corners.iter().zip(corners.iter().cycle().skip(1));
+                let mut crossings = Vec::new();
+                for (a, b) in sides {
+                    for share in SHARES {
+                        add(a.lerp(*b, share).lerp(middle, 0.3), o.first_slot + polygon);
                     }
+                    let (from, to) = (height(*a), height(*b));
+                    if (from < 0.0) != (to < 0.0) {
+                        crossings.push(a.lerp(*b, from / (from - to)));
+                    }
+                }
+                if let [a, b] = crossings[..] {
+                    SHARES.into_iter().for_each(|share| add(a.lerp(b, share), o.first_slot + polygon));
                 }
             }
         }
