@@ -1,6 +1,7 @@
 //! One worker: decides which samples of a feature are seen.
 
-use super::known::{Faces, Known, Nearer};
+use super::known::Faces;
+use super::open::{Line, Open, hide_along};
 use super::tally::{State, Tally, share};
 use super::tiles::Tiles;
 use super::{Frame, Visibility};
@@ -55,50 +56,6 @@ pub(super) struct Judged {
     pub seen: SeenFeature,
     pub stats: FeatureStats,
     pub pixels: Vec<u32>,
-}
-
-/// A sample that only what is between it and the sensor decides.
-struct Open {
-    piece: u32,
-    at: DVec3,
-    range: f64,
-    /// Where on the segment it is: samples rise with it.
-    t: f64,
-    /// The nearest polygon that hides it so far, and its share of the range.
-    by: Option<u32>,
-    share: f64,
-    /// A polygon of unknown range covers it.
-    unknown: bool,
-}
-
-impl Open {
-    #[inline]
-    fn hide(&mut self, slot: u32, share: f64) {
-        if share > self.share {
-            (self.by, self.share) = (Some(slot), share);
-        }
-    }
-
-    /// Marks it if a polygon hides it.
-    #[inline]
-    fn hide_by(&mut self, known: &Known, faces: &Faces, rounding: f64) {
-        let share = known.inverse.dot(self.at);
-        if !(share > 1.0) || !faces.holds(known, self.at) {
-            return;
-        }
-        match known.nearer(share, self.range, rounding) {
-            Nearer::Yes => self.hide(known.slot, share),
-            Nearer::Unknown => self.unknown = true,
-            Nearer::No => {}
-        }
-    }
-}
-
-/// A segment's points a + t d, image frame.
-#[derive(Clone, Copy)]
-struct Line {
-    a: DVec3,
-    d: DVec3,
 }
 
 /// One worker with its memory.
@@ -529,7 +486,7 @@ impl<'a> Judge<'a> {
             if open.by.is_some() {
                 continue;
             }
-            let known = leaf.filter(|leaf| self.tiles.is_leaf_of(*leaf, open.at));
+            let known = leaf.filter(|leaf| self.tiles.is_leaf_of(*leaf, open.at, open.range));
             let here = known.unwrap_or_else(|| {
                 let farthest = farthest[&self.tiles.of(open.at).0];
                 self.tiles.leaf(self.frame, &mut self.faces, open.at, farthest)
@@ -571,39 +528,6 @@ impl<'a> Judge<'a> {
             let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
             self.gather_from(&region, own);
             self.hide_sample(i, own);
-        }
-    }
-}
-
-/// Marks what a polygon hides of some samples of a segment. All that decides is linear along it: e_k . p(t) >= 0 leaves
-/// one interval, and n . p(t) / d > 1 is where the polygon is nearer.
-fn hide_along(known: &Known, planes: &[DVec3], line: Line, open: &mut [Open], rounding: f64) {
-    let (Some(first), Some(last)) = (open.first(), open.last()) else { return };
-    let (mut from, mut to) = (first.t, last.t);
-    let (ends, inverse) = ([first.at, last.at], known.inverse);
-    if !(inverse.dot(ends[0]) > 1.0 || inverse.dot(ends[1]) > 1.0) {
-        return;
-    }
-    for e in planes {
-        let [p, q] = ends.map(|at| e.dot(at));
-        if p < 0.0 && q < 0.0 {
-            return;
-        }
-        if p < 0.0 || q < 0.0 {
-            let t = -e.dot(line.a) / e.dot(line.d);
-            if p < 0.0 { from = from.max(t) } else { to = to.min(t) }
-        }
-    }
-    if !(from <= to) {
-        return;
-    }
-    let start = if from > first.t { open.partition_point(|o| o.t < from) } else { 0 };
-    for o in open[start..].iter_mut().take_while(|o| o.t <= to) {
-        let share = inverse.dot(o.at);
-        match known.nearer(share, o.range, rounding) {
-            Nearer::Yes => o.hide(known.slot, share),
-            Nearer::Unknown => o.unknown = true,
-            Nearer::No => {}
         }
     }
 }

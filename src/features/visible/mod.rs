@@ -20,6 +20,7 @@
 mod frame;
 mod judge;
 mod known;
+mod open;
 mod straight;
 mod tally;
 mod tiles;

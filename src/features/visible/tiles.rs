@@ -241,10 +241,10 @@ impl Tiles {
         }
     }
 
-    /// True if a smallest tile is also that of another place.
-    pub fn is_leaf_of(&mut self, leaf: u32, at: DVec3) -> bool {
+    /// True if a smallest tile is also that of another place, and known as far as that.
+    pub fn is_leaf_of(&mut self, leaf: u32, at: DVec3, range: f64) -> bool {
         let tile = &mut self.tiles[leaf as usize];
-        let holds = tile.square.holds(at) && !tile.is_worth_quartering();
+        let holds = tile.square.holds(at) && tile.radius >= range && !tile.is_worth_quartering();
         tile.asked += u32::from(holds);
         holds
     }
