@@ -139,8 +139,8 @@ fn features_of(probe: &Probe, text: &mut String, engine: &mut Engine) -> bool {
         let told = probe.proposals(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
         let verdict = match told {
             Ok((seen, regions)) => {
-                // Regions beyond what the device can do are the CPU's; without any of its own there is nothing to judge.
-                let right = seen.is_sound() && (regions.answered == 0 && regions.wrong == 0 || regions.is_sound());
+                // No region may be wrong: the first that a device makes are held to the same.
+                let right = seen.is_sound() && regions.wrong == 0;
                 sound &= right;
                 format!(
                     "{}: {} of {} points decided, {} wrong; {} of {} regions of interest made, {} wrong",
