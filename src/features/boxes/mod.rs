@@ -7,7 +7,7 @@ use image::Image;
 #[cfg(feature = "gpu")]
 pub(crate) use image::Kind;
 
-use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Roi, Uncertain, Viewpoint, image_covariance};
+use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Roi, Uncertain, Viewpoint};
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
 use crate::environment::check_covariance;
 use crate::error::{Error, Result};
@@ -67,7 +67,7 @@ pub fn add_boxes(
     let features = prediction.features.par_iter_mut().zip(placed).with_min_len(64);
     features.for_each_init(Room::default, |room, (seen, placed)| {
         let uncertain = frame.uncertain(placed);
-        if frame.prepare(seen, &uncertain, &mut room.points) {
+        if frame.prepare(seen, &uncertain, room) {
             set(seen, room.finder.find(&frame.image, &uncertain, &room.points, &frame.level));
         }
     });
@@ -76,8 +76,9 @@ pub fn add_boxes(
 
 /// What one worker keeps.
 #[derive(Default)]
-struct Room {
-    points: Vec<Material>,
+pub(crate) struct Room {
+    /// Those that a box is to hold.
+    pub points: Vec<Material>,
     finder: Finder,
 }
 
@@ -134,9 +135,10 @@ impl<'a> BoxFrame<'a> {
     }
 
     /// Gives a feature its covariances, and lists the points that its box is to hold; false if none is seen.
-    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &Uncertain, points: &mut Vec<Material>) -> bool {
+    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &Uncertain, room: &mut Room) -> bool {
+        let Room { points, finder } = room;
         points::defining(&seen.feature.shape, points);
-        seen.image_covariance = points.iter().map(|p| image_covariance(&self.image, uncertain, p)).collect();
+        seen.image_covariance = finder.covariances(&self.image, uncertain, points);
         if seen.visible.is_empty() {
             return false;
         }

@@ -11,13 +11,19 @@ use crate::geometry::Pose;
 use glam::{DMat3, DQuat, DVec3};
 
 /// Most errors: six of each pose, three of each end.
-pub(crate) const ERRORS: usize = 18;
+pub(crate) const ERRORS: usize = 3 * KIND;
 
 /// Errors of one kind.
 pub(crate) const KIND: usize = 6;
 
-/// One number for each error: first the sensor's, then the object's, then those of the ends.
-pub(super) type Each = [f64; ERRORS];
+/// One number for each error: the sensor's, the object's, those of the ends.
+pub(super) type Each = [[f64; KIND]; 3];
+
+/// Something of every number.
+#[inline]
+pub(super) fn each(xi: &Each, f: impl Fn(f64) -> f64) -> Each {
+    xi.map(|kind| kind.map(&f))
+}
 
 /// Square root of a pose's covariance: what one unit of each of six standard normals does, (translation, rotation).
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,7 +45,7 @@ impl PoseErrors {
 pub struct Viewpoint {
     world_from_body: Pose,
     body_from_world: DMat3,
-    /// The sensor's part of every feature's errors.
+    /// What the sensor's errors do to every feature.
     columns: Columns,
     /// Roots of the summed squares of translations and rotations.
     size: [f64; 2],
@@ -50,8 +56,7 @@ impl Viewpoint {
     pub fn new(world_from_body: &Pose, covariance: &PoseCovariance) -> Self {
         let body_from_world = world_from_body.rotation_matrix().transpose();
         let errors = PoseErrors::new(covariance).turned(&body_from_world);
-        let mut columns = Columns::default();
-        columns.put(0, &errors.map(|pair| pair.map(|v| -v)));
+        let columns = Columns::new(&errors.map(|pair| pair.map(|v| -v)));
         Self { world_from_body: *world_from_body, body_from_world, columns, size: sizes(&errors) }
     }
 }
@@ -64,21 +69,23 @@ impl Viewpoint {
     }
 }
 
-/// What errors do, body axes: two vectors an error, by coordinate.
+/// What the errors of a kind do, body axes: two vectors an error, by coordinate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Columns {
-    pub first: [Each; 3],
-    pub second: [Each; 3],
+    first: [[f64; KIND]; 3],
+    second: [[f64; KIND]; 3],
 }
 
 impl Columns {
-    fn put(&mut self, at: usize, pairs: &[[DVec3; 2]; KIND]) {
+    fn new(pairs: &[[DVec3; 2]; KIND]) -> Self {
+        let mut columns = Self::default();
         for (i, [first, second]) in pairs.iter().enumerate() {
             for k in 0..3 {
-                self.first[k][at + i] = first[k];
-                self.second[k][at + i] = second[k];
+                columns.first[k][i] = first[k];
+                columns.second[k][i] = second[k];
             }
         }
+        columns
     }
 
     /// Both vectors of an error.
@@ -86,10 +93,17 @@ impl Columns {
         [&self.first, &self.second].map(|of| DVec3::new(of[0][i], of[1][i], of[2][i]))
     }
 
-    /// The errors of a kind, by their coefficients.
-    fn sum(&self, at: usize, xi: &Each) -> [DVec3; 2] {
-        let part = |of: &Each| (0..KIND).map(|i| of[at + i] * xi[at + i]).sum::<f64>();
+    /// All errors together, by their coefficients.
+    fn sum(&self, xi: &[f64; KIND]) -> [DVec3; 2] {
+        let part = |of: &[f64; KIND]| (0..KIND).map(|i| of[i] * xi[i]).sum::<f64>();
         [&self.first, &self.second].map(|of| DVec3::new(part(&of[0]), part(&of[1]), part(&of[2])))
+    }
+
+    /// Derivatives by each error, of which the two vectors meet two others.
+    #[inline]
+    fn slopes(&self, [g, w]: [DVec3; 2]) -> [f64; KIND] {
+        let ([a, b, c], [d, e, f]) = (&self.first, &self.second);
+        std::array::from_fn(|i| a[i] * g.x + b[i] * g.y + c[i] * g.z + d[i] * w.x + e[i] * w.y + f[i] * w.z)
     }
 }
 
@@ -99,7 +113,8 @@ pub struct Uncertain {
     body_from_frame: DMat3,
     /// The frame's origin in the body frame, composed in f64 with world positions subtracted first.
     origin: DVec3,
-    columns: Columns,
+    /// Of sensor, object, ends.
+    columns: [Columns; 3],
     /// As [`Viewpoint`]'s: of sensor, object, ends.
     sizes: [[f64; 2]; 3],
 }
@@ -159,16 +174,16 @@ impl Uncertain {
     ) -> Self {
         let body_from_frame = viewpoint.body_from_world * world_from_frame.rotation_matrix();
         let apart = world_from_frame.translation - viewpoint.world_from_body.translation;
-        let mut columns = viewpoint.columns;
+        let mut columns = [viewpoint.columns, Columns::default(), Columns::default()];
         let mut sizes = [viewpoint.size, [0.0; 2], [0.0; 2]];
         if let Some(object) = object {
             let turned = object.turned(&body_from_frame);
-            columns.put(KIND, &turned);
-            sizes[1] = self::sizes(&turned);
+            (columns[1], sizes[1]) = (Columns::new(&turned), self::sizes(&turned));
         }
-        let ends = ends_errors(shape).map(|pair| pair.map(|v| body_from_frame * v));
-        columns.put(2 * KIND, &ends);
-        sizes[2] = self::sizes(&ends);
+        if let Some(ends) = ends_errors(shape) {
+            let ends = ends.map(|pair| pair.map(|v| body_from_frame * v));
+            (columns[2], sizes[2]) = (Columns::new(&ends), self::sizes(&ends));
+        }
         Self { body_from_frame, origin: viewpoint.body_from_world * apart, columns, sizes }
     }
 
@@ -179,27 +194,31 @@ impl Uncertain {
 
     /// Where a point comes to be, body frame, under errors `xi` (standard normal, one for each dimension); exact.
     pub fn place(&self, point: &Material, xi: &[f64]) -> DVec3 {
-        let mut all = [0.0; ERRORS];
+        let mut all = Each::default();
         for (i, x) in self.used().zip(xi) {
-            all[i] = *x;
+            all.as_flattened_mut()[i] = *x;
         }
         self.moved(&self.nominal(point), &all)
     }
 
     /// Numbers of the errors that are not nothing.
     pub(super) fn used(&self) -> impl Iterator<Item = usize> {
-        (0..ERRORS).filter(|i| self.columns.pair(*i) != [DVec3::ZERO; 2])
+        (0..ERRORS).filter(|i| self.pair(*i) != [DVec3::ZERO; 2])
     }
 
-    /// What errors do.
-    #[cfg(feature = "gpu")]
-    pub(crate) fn columns(&self) -> &Columns {
-        &self.columns
+    /// Both vectors of an error, body axes.
+    pub(crate) fn pair(&self, i: usize) -> [DVec3; 2] {
+        self.columns[i / KIND].pair(i % KIND)
     }
 
     /// True if an object's pose is among the errors.
     pub(crate) fn has_object(&self) -> bool {
         self.sizes[1] != [0.0; 2]
+    }
+
+    /// True if the feature's own position is among them.
+    fn has_ends(&self) -> bool {
+        self.sizes[2] != [0.0; 2]
     }
 
     /// A point with nothing wrong.
@@ -215,52 +234,50 @@ impl Uncertain {
 
     /// Where errors bring a point, body frame. Object and sensor may turn by large angles: exact, not linear.
     pub(super) fn moved(&self, point: &Placed, xi: &Each) -> DVec3 {
-        let [first, second] = self.columns.sum(2 * KIND, xi);
-        let mut v = point.q + first * point.shares[0] + second * point.shares[1];
+        let [sensor, object, ends] = &self.columns;
+        let mut v = point.q;
+        if self.has_ends() {
+            let [first, second] = ends.sum(&xi[2]);
+            v += first * point.shares[0] + second * point.shares[1];
+        }
         if self.has_object() {
-            let [shift, turn] = self.columns.sum(KIND, xi);
+            let [shift, turn] = object.sum(&xi[1]);
             v = turned(turn, v) + shift;
         }
         // The sensor's columns are negated.
-        let [shift, turn] = self.columns.sum(0, xi);
+        let [shift, turn] = sensor.sum(&xi[0]);
         turned(turn, self.origin + v + shift)
     }
 
     /// Derivatives, by each error at none, of what has the gradient `g` at a point.
+    #[inline]
     pub(super) fn slopes(&self, point: &Placed, g: DVec3) -> Each {
-        let mut slopes = [0.0; ERRORS];
-        self.put_slopes(&mut slopes, 0, [g, point.p.cross(g)]);
-        if self.has_object() {
-            self.put_slopes(&mut slopes, KIND, [g, point.q.cross(g)]);
-        }
-        self.put_slopes(&mut slopes, 2 * KIND, point.shares.map(|share| share * g));
-        slopes
+        let [sensor, object, ends] = &self.columns;
+        let none = [0.0; KIND];
+        [
+            sensor.slopes([g, point.p.cross(g)]),
+            if self.has_object() { object.slopes([g, point.q.cross(g)]) } else { none },
+            if self.has_ends() { ends.slopes([point.shares[0] * g, point.shares[1] * g]) } else { none },
+        ]
     }
 
     /// Derivatives by each error at errors `xi`, which brought a point to `there`, of what has the gradient `g` there.
     /// An angle changed by d turns what Exp(angle) has turned by J d, with J the left Jacobian of the rotations.
     pub(super) fn slopes_at(&self, point: &Placed, xi: &Each, there: DVec3, g: DVec3) -> Each {
-        let mut slopes = [0.0; ERRORS];
-        let [_, turn] = self.columns.sum(0, xi);
-        self.put_slopes(&mut slopes, 0, [turned(-turn, g), left_jacobian(-turn, there.cross(g))]);
+        let [sensor, object, ends] = &self.columns;
+        let mut slopes = Each::default();
+        let [_, turn] = sensor.sum(&xi[0]);
+        slopes[0] = sensor.slopes([turned(-turn, g), left_jacobian(-turn, there.cross(g))]);
         let mut g = turned(-turn, g);
         if self.has_object() {
-            let [_, turn] = self.columns.sum(KIND, xi);
-            let [first, second] = self.columns.sum(2 * KIND, xi);
+            let [_, turn] = object.sum(&xi[1]);
+            let [first, second] = ends.sum(&xi[2]);
             let v = turned(turn, point.q + first * point.shares[0] + second * point.shares[1]);
-            self.put_slopes(&mut slopes, KIND, [g, left_jacobian(-turn, v.cross(g))]);
+            slopes[1] = object.slopes([g, left_jacobian(-turn, v.cross(g))]);
             g = turned(-turn, g);
         }
-        self.put_slopes(&mut slopes, 2 * KIND, point.shares.map(|share| share * g));
+        slopes[2] = ends.slopes(point.shares.map(|share| share * g));
         slopes
-    }
-
-    /// Derivatives by the errors of a kind, of which the two vectors meet two others.
-    fn put_slopes(&self, slopes: &mut Each, at: usize, [g, w]: [DVec3; 2]) {
-        let (a, b) = (&self.columns.first, &self.columns.second);
-        for i in at..at + KIND {
-            slopes[i] = a[0][i] * g.x + a[1][i] * g.y + a[2][i] * g.z + b[0][i] * w.x + b[1][i] * w.y + b[2][i] * w.z;
-        }
     }
 
     /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
@@ -312,12 +329,15 @@ fn pairs(f: &[[f64; 6]; 6]) -> [[DVec3; 2]; KIND] {
     std::array::from_fn(|c| [DVec3::new(f[0][c], f[1][c], f[2][c]), DVec3::new(f[3][c], f[4][c], f[5][c])])
 }
 
-/// What unit errors do to both ends, in the feature's frame; features that move as a whole have one end.
-fn ends_errors(shape: &FeatureShape) -> [[DVec3; 2]; KIND] {
+/// What unit errors do to both ends, in the feature's frame; features that move as a whole have one end. `None` of what is
+/// known exactly.
+fn ends_errors(shape: &FeatureShape) -> Option<[[DVec3; 2]; KIND]> {
+    let exact = |m: &DMat3| *m == DMat3::ZERO;
     let rows = |m: &DMat3| m.transpose().to_cols_array_2d();
     let column = |f: &[[f64; 3]; 3], c: usize| DVec3::new(f[0][c], f[1][c], f[2][c]);
-    match shape {
-        FeatureShape::Segment { covariances: [a, b], cross, .. } if *cross == DMat3::ZERO => {
+    Some(match shape {
+        FeatureShape::Segment { covariances: [a, b], .. } if exact(a) && exact(b) => return None,
+        FeatureShape::Segment { covariances: [a, b], cross, .. } if exact(cross) => {
             let (f, g) = (square_root(&rows(a)), square_root(&rows(b)));
             std::array::from_fn(|c| match c {
                 0..3 => [column(&f, c), DVec3::ZERO],
@@ -339,8 +359,11 @@ fn ends_errors(shape: &FeatureShape) -> [[DVec3; 2]; KIND] {
         | FeatureShape::Patch { covariance, .. }
         | FeatureShape::Reflector { covariance, .. }
         | FeatureShape::Fiducial { covariance, .. } => {
+            if exact(covariance) {
+                return None;
+            }
             let f = square_root(&rows(covariance));
             std::array::from_fn(|c| if c < 3 { [column(&f, c), DVec3::ZERO] } else { [DVec3::ZERO; 2] })
         }
-    }
+    })
 }

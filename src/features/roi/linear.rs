@@ -1,6 +1,6 @@
 //! Bounds by the projection's derivative, and how far the projection itself is from them.
 
-use super::errors::Uncertain;
+use super::errors::{Uncertain, each};
 use super::seen::{Seen, dot, unwrapped};
 use super::{Projection, SIDES};
 
@@ -42,7 +42,7 @@ pub(super) fn bent_bounds(
             continue;
         }
         let scale = sign * k / s.sigma[c];
-        let xi = s.slopes[c].map(|x| scale * x);
+        let xi = each(&s.slopes[c], |x| scale * x);
         let mut at = projection.project(uncertain.moved(&s.rough.point, &xi))?;
         at[0] = unwrapped(projection, at[0], s.rough.at[0]);
         let off = [0, 1].map(|c| at[c] - s.rough.at[c] - dot(&s.slopes[c], &xi));

@@ -168,14 +168,35 @@ pub(crate) const GRAZING: f64 = 0.05;
 /// Errors that move a point by no more than this share of its lever do not bend its projection.
 pub(crate) const BENT: f64 = 0.02;
 
-/// Finds boxes, one after the other, in room that is kept.
+/// Finds boxes of one feature after the other, in room that is kept.
 #[derive(Default)]
 pub(crate) struct Finder {
     rough: Vec<Rough>,
     seen: Vec<Seen>,
+    /// The points that `seen` is of, while it is of all of them.
+    whole: Vec<Material>,
 }
 
 impl Finder {
+    /// Covariances in the image, pixels squared, of the points that define a feature; `None` if one has no image. What is
+    /// asked next must be of the same feature.
+    pub fn covariances(
+        &mut self,
+        projection: &impl Projection,
+        uncertain: &Uncertain,
+        points: &[Material],
+    ) -> Option<Vec<[[f64; 2]; 2]>> {
+        self.whole.clear();
+        rough(projection, uncertain, points, &mut self.rough);
+        if self.rough.len() < points.len() || self.rough.iter().any(|r| r.lever == 0.0) {
+            return None;
+        }
+        self.seen.clear();
+        self.seen.extend(self.rough.iter().map(|rough| Seen::new(uncertain, rough)));
+        self.whole.extend_from_slice(points);
+        Some(self.seen.iter().map(Seen::covariance).collect())
+    }
+
     /// See [`roi`].
     pub fn find(
         &mut self,
@@ -184,11 +205,15 @@ impl Finder {
         points: &[Material],
         level: &Level,
     ) -> Option<Roi> {
-        rough(projection, uncertain, points, &mut self.rough);
+        // Most are seen from end to end.
+        if self.whole.is_empty() || self.whole != points {
+            rough(projection, uncertain, points, &mut self.rough);
+            see(uncertain, &self.rough, level.first, &mut self.seen);
+        }
+        self.whole.clear();
         if self.rough.is_empty() {
             return None;
         }
-        see(uncertain, &self.rough, level.first, &mut self.seen);
         let k = common_deviation(&self.seen, level);
         // Where the set reaches behind the sensor, or round its axis, no box holds it.
         if self.rough.iter().any(|r| is_lost(projection, uncertain, r, k)) {
@@ -222,18 +247,6 @@ fn is_lost(projection: &impl Projection, uncertain: &Uncertain, rough: &Rough, k
     }
     let slopes = uncertain.slopes(&rough.point, projection.lever_gradient(rough.point.p));
     k * dot(&slopes, &slopes).sqrt() >= left
-}
-
-/// Covariance of a point's image, pixels squared, by the projection's derivative.
-pub fn image_covariance(
-    projection: &impl Projection,
-    uncertain: &Uncertain,
-    point: &Material,
-) -> Option<[[f64; 2]; 2]> {
-    let point = uncertain.nominal(point);
-    let gradient = projection.gradient(point.p, projection.project(point.p)?)?;
-    let [a, b] = gradient.map(|g| uncertain.slopes(&point, g));
-    Some([[dot(&a, &a), dot(&a, &b)], [dot(&a, &b), dot(&b, &b)]])
 }
 
 /// The whole image.

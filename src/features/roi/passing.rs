@@ -6,6 +6,7 @@
 //! farther event hardly counts.
 
 use super::SIDES;
+use super::errors::KIND;
 use super::seen::{MARGIN, Seen, dot};
 use crate::features::normal::{Tails, apart, tail_quantile};
 
@@ -125,21 +126,18 @@ impl Events {
 
     /// The spanning tree of greatest joint tails (Prim).
     fn join(&mut self, seen: &[Seen], tails: &Tails) {
+        let events = &self.events[..self.count];
+        let directions = Directions::new(events, seen);
         let mut best = [-1.0f64; EVENTS];
         let mut out = [true; EVENTS];
         let mut last = 0;
-        let mut products = Products::new(seen);
         for _ in 1..self.count {
             out[last] = false;
             let mut next = usize::MAX;
-            for i in (0..self.count).filter(|i| out[*i]) {
-                let (a, b) = (&self.events[i], &self.events[last]);
-                let (x, y) = (&seen[a.seen], &seen[b.seen]);
-                let ((c, s), (d, t)) = (a.side, b.side);
-                let rho = s * t * products.of((a.seen, c), (b.seen, d)) / (x.sigma[c] * y.sigma[d]);
+            let b = &events[last];
+            for (i, a) in events.iter().enumerate().filter(|(i, _)| out[*i]) {
                 // What goes opposite ways hardly ever happens together.
-                if rho > 0.0 {
-                    let apart = apart(rho);
+                if let Some(apart) = directions.apart((i, a), (last, b)) {
                     let (far, less) =
                         if a.deviations > b.deviations { (a.deviations, a.tail) } else { (b.deviations, b.tail) };
                     let joint = less * tails.shared(far, apart);
@@ -182,31 +180,42 @@ impl Events {
     }
 }
 
-/// Columns and rows of four points.
-const DIRECTIONS: usize = 8;
-
-/// Scalar products of slopes, each made once: both ways through a side are one direction.
-struct Products<'a> {
-    seen: &'a [Seen],
-    known: [[f64; DIRECTIONS]; DIRECTIONS],
+/// How far apart the errors are that make events: both ways through a side are one direction.
+struct Directions {
+    /// By event.
+    number: [usize; EVENTS],
+    /// Correlations, and what is apart of their amounts, by pairs of directions, the greater number first.
+    pairs: [[(f64, f64); EVENTS]; EVENTS],
 }
 
-impl<'a> Products<'a> {
-    fn new(seen: &'a [Seen]) -> Self {
-        Self { seen, known: [[f64::NAN; DIRECTIONS]; DIRECTIONS] }
+impl Directions {
+    fn new(events: &[Event], seen: &[Seen]) -> Self {
+        let mut all = Self { number: [0; EVENTS], pairs: [[(0.0, 0.0); EVENTS]; EVENTS] };
+        let mut known = [(&[[0.0; KIND]; 3], 0.0, (0, 0)); EVENTS];
+        let mut count = 0;
+        for (e, number) in events.iter().zip(&mut all.number) {
+            let (of, c) = (e.seen, e.side.0);
+            *number = (0..count).find(|n| known[*n].2 == (of, c)).unwrap_or_else(|| {
+                let (slopes, sigma) = (&seen[of].slopes[c], seen[of].sigma[c]);
+                for (before, pair) in known[..count].iter().zip(&mut all.pairs[count]) {
+                    let rho = dot(slopes, before.0) / (sigma * before.1);
+                    *pair = (rho, apart(rho.abs()));
+                }
+                all.pairs[count][count] = (1.0, 0.0);
+                known[count] = (slopes, sigma, (of, c));
+                count += 1;
+                count - 1
+            });
+        }
+        all
     }
 
-    fn of(&mut self, (a, c): (usize, usize), (b, d): (usize, usize)) -> f64 {
-        let made = || dot(&self.seen[a].slopes[c], &self.seen[b].slopes[d]);
-        let (i, j) = (2 * a + c, 2 * b + d);
-        if i.max(j) >= DIRECTIONS {
-            return made();
-        }
-        if self.known[i][j].is_nan() {
-            let product = made();
-            (self.known[i][j], self.known[j][i]) = (product, product);
-        }
-        self.known[i][j]
+    /// Of two events; `None` if they go opposite ways, or are independent.
+    #[inline]
+    fn apart(&self, (i, a): (usize, &Event), (j, b): (usize, &Event)) -> Option<f64> {
+        let (m, n) = (self.number[i], self.number[j]);
+        let (rho, apart) = self.pairs[m.max(n)][m.min(n)];
+        (a.side.1 * b.side.1 * rho > 0.0).then_some(apart)
     }
 }
 

@@ -28,9 +28,17 @@ pub(super) struct Seen {
 
 impl Seen {
     pub fn new(uncertain: &Uncertain, rough: &Rough) -> Self {
-        let slopes = rough.gradient.map(|g| uncertain.slopes(&rough.point, g));
-        let sigma = [0, 1].map(|k| dot(&slopes[k], &slopes[k]).sqrt());
+        let [g, h] = rough.gradient;
+        let slopes = [uncertain.slopes(&rough.point, g), uncertain.slopes(&rough.point, h)];
+        let sigma = [dot(&slopes[0], &slopes[0]).sqrt(), dot(&slopes[1], &slopes[1]).sqrt()];
         Self { rough: *rough, slopes, sigma }
+    }
+
+    /// Covariance of column and row, pixels squared.
+    pub fn covariance(&self) -> [[f64; 2]; 2] {
+        let [a, b] = &self.slopes;
+        let (uu, uv, vv) = (dot(a, a), dot(a, b), dot(b, b));
+        [[uu, uv], [uv, vv]]
     }
 
     /// How far towards a side it is at so many standard deviations.
@@ -40,11 +48,9 @@ impl Seen {
 }
 
 /// Side by side for each kind: the compiler adds in lanes only what it is told to.
-pub(super) fn dot(a: &Each, b: &Each) -> f64 {
-    let mut sums = [0.0; KIND];
-    for k in 0..KIND {
-        sums[k] = a[k] * b[k] + a[KIND + k] * b[KIND + k] + a[2 * KIND + k] * b[2 * KIND + k];
-    }
+#[inline]
+pub(super) fn dot([a, b, c]: &Each, [d, e, f]: &Each) -> f64 {
+    let sums: [f64; KIND] = std::array::from_fn(|k| a[k] * d[k] + b[k] * e[k] + c[k] * f[k]);
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + (sums[4] + sums[5])
 }
 

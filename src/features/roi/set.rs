@@ -4,7 +4,7 @@
 //! Lind 1974); where the limit bends there the tail beyond it is larger by the curvature (Breitung 1984), and k rises until
 //! the tails fit, at most to the ball that holds all errors with the confidence.
 
-use super::errors::{ERRORS, Each, Uncertain};
+use super::errors::{Each, Uncertain, each};
 use super::passing::Level;
 use super::seen::{Rough, Seen, dot, unwrapped};
 use super::{GRAZING, Projection, SIDES};
@@ -82,26 +82,26 @@ fn farthest_value(
         return Some((sign * seen.rough.at[c], 1.0));
     }
     let start = match known {
-        Some(known) => known.map(|x| sign * x),
+        Some(known) => each(known, |x| sign * x),
         None if seen.sigma[c] > 0.0 => seen.slopes[c],
         None => seen.slopes[1 - c],
     };
     let length = dot(&start, &start).sqrt().max(f64::MIN_POSITIVE);
-    let mut xi = start.map(|x| sign * x / length * reach);
+    let mut xi = each(&start, |x| sign * x / length * reach);
     let mut best = value(&xi)?;
     // The derivative at no error may miss the way that matters: a turn moves what is straight ahead up or down by the
     // second order only. So each axis is tried as well.
     for i in uncertain.used().filter(|_| known.is_none()) {
         for reach in [reach, -reach] {
-            let mut axis = [0.0; ERRORS];
-            axis[i] = reach;
+            let mut axis = Each::default();
+            axis.as_flattened_mut()[i] = reach;
             let there = value(&axis)?;
             if there > best {
                 (xi, best) = (axis, there);
             }
         }
     }
-    let mut slope = [0.0; ERRORS];
+    let mut slope = Each::default();
     for _ in 0..6 {
         let there = uncertain.moved(point, &xi);
         let gradient = projection.gradient(there, projection.project(there)?)?[c];
@@ -110,7 +110,7 @@ fn farthest_value(
         if length == 0.0 {
             break;
         }
-        let next = slope.map(|s| s / length * reach);
+        let next = each(&slope, |s| s / length * reach);
         let there = value(&next)?;
         if there <= best + 1e-9 * best.abs().max(1.0) {
             break;
@@ -124,7 +124,7 @@ fn farthest_value(
     }
     let growth = growth(uncertain, &value, &xi, best, gradient, reach)?;
     // Passed on both sides of no error alike: twice as often.
-    let opposite = value(&xi.map(|x| -x))?;
+    let opposite = value(&each(&xi, |x| -x))?;
     let twice = if best - opposite < 0.3 * gradient * reach { 2.0 } else { 1.0 };
     Some((best, twice * growth * growth.sqrt()))
 }
@@ -142,16 +142,17 @@ fn growth(
     let angle = 0.2f64;
     let mut growth = 1.0;
     for i in uncertain.used() {
-        let along = xi[i] / reach;
-        let mut side = xi.map(|x| -along * x / reach);
-        side[i] += 1.0;
+        let along = xi.as_flattened()[i] / reach;
+        let mut side = each(xi, |x| -along * x / reach);
+        side.as_flattened_mut()[i] += 1.0;
         let length = dot(&side, &side).sqrt();
         if length < 1e-3 {
             continue;
         }
         let turned = |sign: f64| -> Option<f64> {
             let (sin, cos) = (sign * angle).sin_cos();
-            value(&std::array::from_fn(|j| cos * xi[j] + sin * reach * side[j] / length))
+            let at = |kind: usize, j: usize| cos * xi[kind][j] + sin * reach * side[kind][j] / length;
+            value(&std::array::from_fn(|kind| std::array::from_fn(|j| at(kind, j))))
         };
         let mean = 0.5 * (turned(1.0)? + turned(-1.0)?);
         let flat = gradient * reach * (1.0 - angle.cos());

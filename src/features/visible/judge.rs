@@ -71,9 +71,8 @@ pub(super) struct Judge<'a> {
     /// Slots of what hides the samples of a straight segment.
     pub(super) by: Vec<u32>,
     center: Option<(i64, i64)>,
-    /// Ids that were taken last, in a ring.
+    /// Ids that were taken last, the latest first.
     latest: [u32; LATEST],
-    oldest: usize,
     /// Number of the feature, or of the pixel, that asks.
     asking: u32,
     found: Found,
@@ -93,7 +92,6 @@ impl<'a> Judge<'a> {
             by: Vec::new(),
             center: None,
             latest: [0; LATEST],
-            oldest: 0,
             asking: 0,
             found: Found::default(),
             stats: FeatureStats::default(),
@@ -404,18 +402,33 @@ impl<'a> Judge<'a> {
         let wraps = frame.sampler.turn().is_some();
         for r in rows[0]..=rows[1] {
             let line = &frame.images.polygon_id[(r * w) as usize..((r + 1) * w) as usize];
-            for c in columns[0]..=columns[1] {
-                let c = if wraps { c.rem_euclid(w) } else { c };
-                let Some(id) = line.get(c as usize) else { continue };
-                // Nothing, or one of the latest: most pixels.
-                if *id != 0 && !self.latest.contains(id) {
-                    self.latest[self.oldest] = *id;
-                    self.oldest = (self.oldest + 1) % LATEST;
-                    if let Some(slot) = frame.slot_of_id(*id) {
-                        self.take_slot(slot, own);
-                    }
-                }
+            let inside = columns[0].max(0) as usize..(columns[1] + 1).clamp(0, w) as usize;
+            for id in line.get(inside).into_iter().flatten() {
+                self.take_id(*id, own);
             }
+            if wraps && columns[0] < 0 {
+                self.take_id(line[w as usize - 1], own);
+            }
+            if wraps && columns[1] >= w {
+                self.take_id(line[0], own);
+            }
+        }
+    }
+
+    /// The polygon of an id, unless that is nothing or one of the latest: as of most pixels.
+    #[inline]
+    fn take_id(&mut self, id: u32, own: &Own<'_>) {
+        // The latest first, by itself: it is that of most.
+        if id == self.latest[0] || self.latest.contains(&id) {
+            return;
+        }
+        // The last of all goes, the first stays first in line.
+        self.latest.rotate_right(1);
+        self.latest[0] = id;
+        if id != 0
+            && let Some(slot) = self.frame.slot_of_id(id)
+        {
+            self.take_slot(slot, own);
         }
     }
 

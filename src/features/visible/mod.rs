@@ -4,7 +4,8 @@
 //! that the feature does not lie on hides the sample if it covers that ray, exactly in f64 (all e_k . u >= 0), and is
 //! nearer by more than the derived rounding bound: n . u / d > 1 / |p| + bound.
 //!
-//! **What the images propose.** The polygons seen by the nine pixels around each sample are tested first. Along a segment
+//! **What the images propose.** The polygons seen by the nine pixels around each sample are tested first (in straight images by those
+//! around some of them). Along a segment
 //! p(t) = a + t b both conditions are linear in t: a polygon covers one interval of it, in closed form, and is tested once
 //! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
 //!
@@ -35,9 +36,9 @@ use crate::world::World;
 use frame::Frame;
 #[cfg(feature = "gpu")]
 use glam::DVec3;
-use judge::Judge;
+use judge::{Judge, Judged};
 use rayon::prelude::*;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -136,7 +137,13 @@ impl<'a> Prepared<'a> {
     /// What would be asked of the images, feature by feature: for a device that still has them.
     #[cfg(feature = "gpu")]
     pub fn asking(&self) -> Vec<Asking> {
-        self.by_judges(|judge, _, placed| judge.asking(placed))
+        let Some(frame) = &self.frame else { return Vec::new() };
+        let judges = Judges::new(frame);
+        self.placed
+            .par_iter()
+            .with_min_len(BATCH)
+            .map_init(|| judges.wake(), |awake, placed| awake.judge().asking(placed))
+            .collect()
     }
 
     /// Predicts them. `told` are, in the order of [`Prepared::asking`], the slots of what may hide the samples; otherwise
@@ -144,41 +151,74 @@ impl<'a> Prepared<'a> {
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
         let mut keys = vec![u64::MAX; pixels];
-        let mut prediction =
-            FeaturePrediction { features: Vec::with_capacity(self.placed.len()), ..Default::default() };
-        let judged = self.by_judges(|judge, i, placed| judge.feature(placed, told.map(|told| told[i].as_slice())));
-        for (judged, placed) in judged.into_iter().zip(self.placed) {
-            prediction.stats.add(&judged.stats);
+        let mut prediction = FeaturePrediction::default();
+        let mut rest = Vec::new();
+        if let Some(frame) = &self.frame {
+            let judges = Judges::new(frame);
+            let features = self.placed.par_iter().enumerate().with_min_len(BATCH);
+            let judged = features.map_init(
+                || judges.wake(),
+                |awake, (i, placed)| {
+                    let told = told.map(|told| told[i].as_slice());
+                    let Judged { seen, stats, pixels } = awake.judge().feature(placed, told);
+                    (seen, (stats, pixels))
+                },
+            );
+            // Straight to where they stay: what is told of a feature is long.
+            judged.unzip_into_vecs(&mut prediction.features, &mut rest);
+        }
+        for ((stats, pixels), placed) in rest.into_iter().zip(self.placed) {
+            prediction.stats.add(&stats);
             // Points and landmarks over segments over patches, then lower numbers.
             let key = u64::from(layer_of(&placed.feature.shape)) << 32 | u64::from(placed.feature.id);
-            for pixel in judged.pixels {
+            for pixel in pixels {
                 let at = &mut keys[pixel as usize];
                 *at = key.min(*at);
             }
-            prediction.features.push(judged.seen);
         }
         prediction.feature_id = keys.iter().map(|key| if *key == u64::MAX { 0 } else { *key as u32 }).collect();
         prediction
     }
+}
 
-    /// Something of all features, in order. Workers hand on what they have set up: a pool may split the work into many
-    /// tasks.
-    fn by_judges<T: Send>(&self, one: impl Fn(&mut Judge<'_>, usize, &PlacedFeature) -> T + Sync) -> Vec<T> {
-        /// Features that a worker takes at a time.
-        const BATCH: usize = 32;
-        let Some(frame) = &self.frame else { return Vec::new() };
-        let idle: Mutex<Vec<Judge<'_>>> = Mutex::new(Vec::new());
-        let idle_ones = || idle.lock().unwrap_or_else(PoisonError::into_inner);
-        let batch = |(index, some): (usize, &[PlacedFeature])| {
-            let waiting = idle_ones().pop();
-            let mut judge = waiting.unwrap_or_else(|| Judge::new(frame));
-            let done: Vec<T> = some.iter().zip(index * BATCH..).map(|(p, i)| one(&mut judge, i, p)).collect();
-            idle_ones().push(judge);
-            done
-        };
-        let batches: Vec<Vec<T>> =
-            self.placed.par_chunks(BATCH).enumerate().map(|(i, some)| batch((i, some))).collect();
-        batches.into_iter().flatten().collect()
+/// Features that a worker takes at a time, at least.
+const BATCH: usize = 32;
+
+/// Workers at rest, with what they have set up: a pool may split the work into many tasks.
+struct Judges<'a> {
+    frame: &'a Frame<'a>,
+    idle: Mutex<Vec<Judge<'a>>>,
+}
+
+impl<'a> Judges<'a> {
+    fn new(frame: &'a Frame<'a>) -> Self {
+        Self { frame, idle: Mutex::new(Vec::new()) }
+    }
+
+    fn idle(&self) -> MutexGuard<'_, Vec<Judge<'a>>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wake(&self) -> Awake<'_, 'a> {
+        Awake { judge: self.idle().pop(), of: self }
+    }
+}
+
+/// A worker that rests again when it is let go.
+struct Awake<'j, 'a> {
+    judge: Option<Judge<'a>>,
+    of: &'j Judges<'a>,
+}
+
+impl<'a> Awake<'_, 'a> {
+    fn judge(&mut self) -> &mut Judge<'a> {
+        self.judge.get_or_insert_with(|| Judge::new(self.of.frame))
+    }
+}
+
+impl Drop for Awake<'_, '_> {
+    fn drop(&mut self) {
+        self.of.idle().extend(self.judge.take());
     }
 }
 

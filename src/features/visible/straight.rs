@@ -10,6 +10,10 @@ use crate::features::straight::Straight;
 use glam::DVec3;
 use std::ops::Range;
 
+/// How far apart are the blocks of three by three pixels along a segment that are looked through, pixels. Nearly all that
+/// hides it shows in them; finding the rest by tiles is faster than looking through more.
+const BLOCKS_APART: f64 = 24.0;
+
 /// No slot.
 const NONE: u32 = u32::MAX;
 
@@ -120,9 +124,8 @@ impl Judge<'_> {
         match told {
             Some(told) => self.take_told(told, own),
             None => {
-                // Blocks of three by three pixels, side by side, hold what is around all samples.
                 let [from, to] = part.pixels;
-                let blocks = ((to - from).abs().max_element() / 3.0).ceil().max(1.0);
+                let blocks = ((to - from).abs().max_element() / BLOCKS_APART).ceil().max(1.0);
                 (0..=blocks as u32).for_each(|i| self.gather(from.lerp(to, f64::from(i) / blocks), own));
             }
         }

@@ -2,7 +2,7 @@
 //! f64, turned into the image frame and rounded once.
 
 use crate::features::roi::{ERRORS, KIND, Material, Projection, Uncertain};
-use crate::features::{BoxFrame, FeaturePrediction, ImageKind, PlacedFeature};
+use crate::features::{BoxFrame, FeaturePrediction, ImageKind, PlacedFeature, Room};
 use crate::gpu::layout::GridKind;
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DVec3};
@@ -97,13 +97,13 @@ impl RoiPlan {
             ImageKind::Beams(by) => Some((GridKind::Scanner, by)),
             _ => None,
         };
-        let mut points = Vec::new();
+        let mut room = Room::default();
         for (i, (seen, placed)) in prediction.features.iter_mut().zip(placed).enumerate() {
             let uncertain = frame.uncertain(placed);
-            if !frame.prepare(seen, &uncertain, &mut points) {
+            if !frame.prepare(seen, &uncertain, &mut room) {
                 continue;
             }
-            if known.is_some() && self.add(frame, &uncertain, &points) {
+            if known.is_some() && self.add(frame, &uncertain, &room.points) {
                 self.on_device.push(i as u32);
             } else {
                 self.on_host.push(i as u32);
@@ -162,7 +162,7 @@ impl RoiPlan {
     ) -> u32 {
         let before = self.columns.len();
         for i in of {
-            let [mut first, second] = uncertain.columns().pair(i);
+            let [mut first, second] = uncertain.pair(i);
             if let Some(about) = about {
                 first += second.cross(about);
             }
