@@ -90,7 +90,16 @@ fn check_csv(csv: &str) {
             }
             "id_mismatch" => assert!(*error <= 1e-3, "{path}: {error}"),
             "range_m" | "silhouette_px" if rough => assert!(*error > 0.0, "{path}"),
-            "visible_fraction" if !rough => assert_eq!(*error, 0.0, "{path}"),
+            // Images and rays decide the same of the same samples; finer ones are nearer to the truth.
+            kind if kind.starts_with("visible_fraction") && !rough => {
+                let of =
+                    |variant: &str| errors[&(sensor.clone(), "cpu".to_owned(), variant.to_owned(), kind.to_owned())];
+                let rays = of("features by rays");
+                match variant.contains("every") {
+                    false => assert!((error - rays).abs() < 1e-9, "{path}: {error}, rays {rays}"),
+                    true => assert!(*error <= rays + 1e-9, "{path}: {error}, rays {rays}"),
+                }
+            }
             "missing_share" => assert!((0.4..0.9).contains(error), "{path}: {error}"),
             _ => {}
         }
@@ -102,7 +111,14 @@ fn check_csv(csv: &str) {
             assert!(errors.contains_key(&key), "{key:?} is not there");
         }
         assert!(fronts[&(sensor.to_owned(), "id_mismatch".to_owned())] > 0);
-        assert!(errors.keys().any(|k| k.0 == sensor && k.3 == "roi_missed"), "{sensor} has no regions of interest");
+        let roi = |method: &str, kind: &str| {
+            let variant = format!("roi {method}, pose 10 cm 3 deg");
+            errors[&(sensor.to_owned(), "cpu".to_owned(), variant, kind.to_owned())]
+        };
+        // 1 % and what chance may add to so many draws; the derivative alone leaves out what bends.
+        assert!(roi("as needed", "roi_missed") <= 0.012 && roi("set", "roi_missed") <= 0.012, "{sensor}");
+        assert!(roi("linear", "roi_area_share") < roi("as needed", "roi_area_share"), "{sensor}");
+        assert!(roi("linear", "roi_missed") > roi("as needed", "roi_missed"), "{sensor}");
     }
 }
 

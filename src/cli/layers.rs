@@ -151,6 +151,7 @@ impl LayerArgs {
             sensor: pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf),
             objects: loaded.layer.pose_covariances.iter().map(of_object).collect::<Result<_>>()?,
             confidence: self.confidence,
+            ..BoxOptions::default()
         };
         // An image of numbers and the answer of a virtual sensor are made without boxes.
         let only_without = (feature_id || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();

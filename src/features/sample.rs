@@ -1,6 +1,6 @@
 //! Features sampled along their image.
 //!
-//! A segment's image is cut into pieces of at most half a pixel, and a sample sits in the middle of each. A pinhole
+//! A segment's image is cut into pieces of at most half a pixel or finer, and a sample sits in the middle of each. A pinhole
 //! camera images straight lines as straight lines: clipped in closed form, equal pieces in the image. Everywhere else
 //! (lens distortion, scanners, ray tables) the arc of directions between the ends is halved until its image is short
 //! enough, so that the curved image of a straight edge is followed, over seam and poles, too.
@@ -14,7 +14,7 @@ use crate::geometry::plane_of_polygon;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
 use glam::{DVec2, DVec3};
 
-/// Longest piece of an image that one sample stands for, pixels.
+/// Longest piece of an image that one sample stands for unless it is to be finer, pixels.
 pub const STEP: f64 = 0.5;
 /// Most samples of one segment.
 pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
@@ -71,6 +71,8 @@ pub struct Sampler<'a> {
     pinhole: Option<&'a Camera>,
     size: DVec2,
     turn: Option<f64>,
+    /// Longest piece of an image that one sample stands for, pixels.
+    step: f64,
     /// About the finest angle between neighbouring rays.
     pixel_angle: f64,
     /// Elevations between which a single row sees.
@@ -80,8 +82,13 @@ pub struct Sampler<'a> {
 }
 
 impl<'a> Sampler<'a> {
-    /// For a sensor.
+    /// For a sensor, every [`STEP`].
     pub fn new(sensor: &'a Sensor) -> Self {
+        Self::with_step(sensor, STEP)
+    }
+
+    /// For a sensor, every so many pixels, above 0.
+    pub fn with_step(sensor: &'a Sensor, step: f64) -> Self {
         let (mut pinhole, mut cone, mut beams) = (None, None, None);
         match &sensor.spec().geometry {
             Geometry::Camera(c) if c.distortion.is_none() => pinhole = Some(c),
@@ -98,6 +105,7 @@ impl<'a> Sampler<'a> {
             pinhole,
             size: DVec2::new(f64::from(sensor.width()), f64::from(sensor.height())),
             turn: sensor.columns_of_a_turn(),
+            step,
             pixel_angle: pixel_angle(sensor),
             cone,
             beams,
@@ -201,7 +209,7 @@ impl<'a> Sampler<'a> {
         let place = |p: DVec3| DVec2::new(camera.fx * (p.x / p.z) + camera.cx, camera.fy * (p.y / p.z) + camera.cy);
         let pixels = [place(start), place(end)];
         let length = pixels[0].distance(pixels[1]);
-        let count = (length / STEP).ceil().clamp(1.0, MAX_SEGMENT_SAMPLES as f64);
+        let count = (length / self.step).ceil().clamp(1.0, MAX_SEGMENT_SAMPLES as f64);
         Some(Straight { t: [from, to], ends: [start, end], pixels, count: count as usize, length, step: 1.0 / count })
     }
 
@@ -285,8 +293,9 @@ impl<'a> Sampler<'a> {
         let middle = || end(0.5 * (from.phi + to.phi));
         let t = [from.t, to.t];
         let apart = from.pixel.zip(to.pixel).map(|(p, q)| self.distance(p, q));
-        let short = apart.is_some_and(|d| d <= STEP);
-        let last = depth == 0 || *left == 0 || to.phi - from.phi <= 0.25 * STEP * self.pixel_angle && apart.is_none();
+        let short = apart.is_some_and(|d| d <= self.step);
+        let last =
+            depth == 0 || *left == 0 || to.phi - from.phi <= 0.25 * self.step * self.pixel_angle && apart.is_none();
         if short || last {
             let m = middle();
             *left = left.saturating_sub(1);
@@ -297,7 +306,7 @@ impl<'a> Sampler<'a> {
                     at: m.at,
                     pixel,
                     ends: [from.pixel.unwrap_or(pixel), to.pixel.unwrap_or(pixel)],
-                    weight: apart.unwrap_or(0.0).min(STEP),
+                    weight: apart.unwrap_or(0.0).min(self.step),
                 }),
                 None => self.outside(m.at, t),
             });
@@ -331,7 +340,7 @@ impl<'a> Sampler<'a> {
         // Beams are tall or thin: samples are held to them one by one.
         let plain = self.cone.is_none() && self.beams.is_none();
         let length = p.distance(q);
-        let count = (length / STEP).ceil().max(1.0);
+        let count = (length / self.step).ceil().max(1.0);
         if !(plain && m.distance(0.5 * (p + q)) <= BENT && count as usize <= *left) || length > RUN {
             return false;
         }
@@ -376,8 +385,8 @@ impl<'a> Sampler<'a> {
         if let Some([low, high]) = bounds {
             let flat = self.cone.is_some_and(|[l, h]| l == h);
             let size = high - low;
-            let area = if flat { size.x * STEP } else { size.x * size.y };
-            let step = (area / MAX_PATCH_SAMPLES as f64).sqrt().max(STEP);
+            let area = if flat { size.x * self.step } else { size.x * size.y };
+            let step = (area / MAX_PATCH_SAMPLES as f64).sqrt().max(self.step);
             let columns = (size.x / step).ceil().max(1.0);
             let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
             let cell = DVec2::new(size.x / columns, size.y / rows);

@@ -17,6 +17,18 @@ use crate::world::World;
 use glam::DVec3;
 use rayon::prelude::*;
 
+/// How uncertainties go through the projection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BoxMethod {
+    /// By its derivative where it hardly bends over them, as a set elsewhere: holds with the confidence.
+    #[default]
+    AsNeeded,
+    /// By its derivative always, unless the feature may come behind the sensor: fast, and no bound where projection bends.
+    Linear,
+    /// As a set always, unless it may come behind the sensor: slow.
+    Set,
+}
+
 /// How uncertain everything is, and how sure boxes are to be.
 #[derive(Clone, Debug)]
 pub struct BoxOptions {
@@ -26,11 +38,13 @@ pub struct BoxOptions {
     pub objects: Vec<(u32, PoseCovariance)>,
     /// Probability with which a box holds its feature.
     pub confidence: f64,
+    /// How boxes are found.
+    pub method: BoxMethod,
 }
 
 impl Default for BoxOptions {
     fn default() -> Self {
-        Self { sensor: [[0.0; 6]; 6], objects: Vec::new(), confidence: 0.99 }
+        Self { sensor: [[0.0; 6]; 6], objects: Vec::new(), confidence: 0.99, method: BoxMethod::AsNeeded }
     }
 }
 
@@ -68,7 +82,7 @@ pub fn add_boxes(
     features.for_each_init(Room::default, |room, (seen, placed)| {
         let uncertain = frame.uncertain(placed);
         if frame.prepare(seen, &uncertain, room) {
-            set(seen, room.finder.find(&frame.image, &uncertain, &room.points, &frame.level));
+            set(seen, room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method));
         }
     });
     Ok(())
@@ -87,6 +101,7 @@ pub(crate) struct BoxFrame<'a> {
     pub image: Image<'a>,
     pub viewpoint: Viewpoint,
     pub level: Level,
+    pub method: BoxMethod,
     world: &'a World,
     objects: Vec<(u32, PoseErrors)>,
 }
@@ -103,6 +118,7 @@ impl<'a> BoxFrame<'a> {
             image: Image::of(sensor),
             viewpoint: Viewpoint::new(world_from_sensor, &options.sensor),
             level: Level::new(options.confidence),
+            method: options.method,
             world,
             objects,
         })
@@ -126,7 +142,7 @@ impl<'a> BoxFrame<'a> {
             let (seen, placed) = (&features[*i as usize], &placed[*i as usize]);
             let uncertain = self.uncertain(placed);
             points::seen(&self.image, &uncertain, seen, &mut room.points);
-            room.finder.find(&self.image, &uncertain, &room.points, &self.level)
+            room.finder.find(&self.image, &uncertain, &room.points, &self.level, self.method)
         };
         let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(Room::default, find).collect();
         for (i, found) in which.iter().zip(found) {

@@ -89,6 +89,7 @@ pub(crate) use {
     seen::MARGIN,
 };
 
+use crate::features::BoxMethod;
 use glam::DVec3;
 use linear::{bent_bounds, linear_bounds};
 use passing::common_deviation;
@@ -204,6 +205,7 @@ impl Finder {
         uncertain: &Uncertain,
         points: &[Material],
         level: &Level,
+        method: BoxMethod,
     ) -> Option<Roi> {
         // Most are seen from end to end.
         if self.whole.is_empty() || self.whole != points {
@@ -220,9 +222,14 @@ impl Finder {
             return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
         }
         let linear = linear_bounds(&self.seen, k);
-        let near = self.rough.iter().all(|r| k * r.spread <= BENT * r.lever);
-        let bent = |seen| bent_bounds(projection, uncertain, seen, linear, k);
-        let (bounds, flag) = match if near { Some(linear) } else { bent(&self.seen) } {
+        let near = || self.rough.iter().all(|r| k * r.spread <= BENT * r.lever);
+        let bounds = match method {
+            BoxMethod::Linear => Some(linear),
+            BoxMethod::AsNeeded if near() => Some(linear),
+            BoxMethod::AsNeeded => bent_bounds(projection, uncertain, &self.seen, linear, k),
+            BoxMethod::Set => None,
+        };
+        let (bounds, flag) = match bounds {
             Some(bounds) => (bounds, RoiFlag::Linear),
             None => match set_bounds(projection, uncertain, &self.rough, level, k) {
                 Some(bounds) => (bounds, RoiFlag::Set),
@@ -236,7 +243,7 @@ impl Finder {
 /// The box of a feature's material points (those visible at the nominal pose) that holds all of them with probability
 /// `confidence`; clipped to the image, at least a pixel wide and high. `None` if no point has an image.
 pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Material], confidence: f64) -> Option<Roi> {
-    Finder::default().find(projection, uncertain, points, &Level::new(confidence))
+    Finder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
 }
 
 /// True if errors of `k` standard deviations may bring a point next to where projection is singular, or beyond.

@@ -4,7 +4,7 @@ use super::FeatureOptions;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::features::sample::Sampler;
-use crate::features::{Occluder, PlacedFeature};
+use crate::features::{Occluder, PlacedFeature, STEP};
 use crate::geometry::Pose;
 use crate::plan::{Facing, IdScheme, Images, Instance, facings};
 use crate::sensor::Sensor;
@@ -46,6 +46,11 @@ impl<'a> Frame<'a> {
             return Err(Error::invalid(what, "ask for polygon_id"));
         }
         sensor.check_projection()?;
+        // Much finer than any sensor's pixel is taken for.
+        if !(1e-3..=STEP).contains(&options.step) {
+            let what = format!("features sampled every {} pixels", options.step);
+            return Err(Error::usage(what, format!("give a step of 0.001 to {STEP} pixels")));
+        }
         let objects = environment.objects().len();
         for p in placed {
             let slot = p.slots.iter().find(|slot| environment.locate(**slot).is_none());
@@ -70,7 +75,7 @@ impl<'a> Frame<'a> {
             facings: facings(environment, &sensor.spec().class).collect(),
             instances: (0..objects).map(|_| OnceLock::new()).collect(),
             of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
-            sampler: Sampler::new(sensor),
+            sampler: Sampler::with_step(sensor, options.step),
         })
     }
 

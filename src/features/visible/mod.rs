@@ -26,7 +26,7 @@ mod straight;
 mod tally;
 mod tiles;
 
-use super::{FeaturePrediction, PlacedFeature};
+use super::{FeaturePrediction, PlacedFeature, STEP};
 use crate::environment::FeatureShape;
 use crate::error::Result;
 use crate::geometry::Pose;
@@ -51,7 +51,7 @@ pub enum Visibility {
 }
 
 /// How features are predicted.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureOptions {
     /// UTC seconds, for probabilities of existence; `None` is the newest confirmation of all features.
     pub time: Option<f64>,
@@ -61,6 +61,15 @@ pub struct FeatureOptions {
     pub feature_id: bool,
     /// How visibility is decided.
     pub visibility: Visibility,
+    /// Longest piece of a feature's image that one sample stands for, pixels: above 0, at most [`STEP`]. The finer, the nearer are
+    /// visible fractions to the truth, and the longer it takes.
+    pub step: f64,
+}
+
+impl Default for FeatureOptions {
+    fn default() -> Self {
+        Self { time: None, ids: IdScheme::default(), feature_id: false, visibility: Visibility::default(), step: STEP }
+    }
 }
 
 /// Predicts what a sensor at a pose (body axes) sees of features, from the `polygon_id` image that an engine made of the
@@ -91,7 +100,7 @@ pub struct FeatureOptions {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
-/// not exist, or the sensor is a ray table without a nearest ray.
+/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range.
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,

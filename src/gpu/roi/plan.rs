@@ -2,7 +2,7 @@
 //! f64, turned into the image frame and rounded once.
 
 use crate::features::roi::{ERRORS, KIND, Material, Projection, Uncertain};
-use crate::features::{BoxFrame, FeaturePrediction, ImageKind, PlacedFeature, Room};
+use crate::features::{BoxFrame, BoxMethod, FeaturePrediction, ImageKind, PlacedFeature, Room};
 use crate::gpu::layout::GridKind;
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DVec3};
@@ -93,6 +93,7 @@ impl RoiPlan {
         self.on_device.clear();
         self.on_host.clear();
         let known = match frame.image.kind {
+            _ if frame.method != BoxMethod::AsNeeded => None,
             ImageKind::Pinhole(by) => Some((GridKind::Camera, by)),
             ImageKind::Beams(by) => Some((GridKind::Scanner, by)),
             _ => None,

@@ -1,8 +1,7 @@
 //! Features: how much of each is seen, and how often its region of interest misses it.
 //!
-//! The product has no knob for the step at which features are sampled: it is a pixel. What changes it is the sensor's
-//! resolution, and what trades time for certainty is [`Visibility`]. Linear or set-based is chosen for each region of
-//! interest by how far its projection bends; errors of the pose from small to large bring up all of them.
+//! Knobs: by images or by a ray to every sample, how finely features are sampled, the sensor's resolution; for regions of
+//! interest how errors go through the projection, with errors of the pose from small to large.
 
 use super::paths::Which;
 use super::timing::Timing;
@@ -12,8 +11,8 @@ use crate::acquire::features::{GenerateOptions, generate};
 use crate::environment::FeatureShape;
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, Visibility, VisibleInterval, place,
-    predict_features,
+    BoxMethod, BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, STEP, SeenFeature, Visibility,
+    VisibleInterval, place, predict_features,
 };
 use crate::geometry::{Aabb, Pose};
 use crate::plan::{Images, Stats};
@@ -26,9 +25,11 @@ use std::f64::consts::TAU;
 /// Features are made of what is so near, metres.
 const NEAR: f64 = 6.0;
 /// Standard deviations of the pose: metres, degrees.
-const POSE_ERRORS: [(f64, f64); 3] = [(0.01, 0.3), (0.1, 3.0), (0.5, 15.0)];
+const POSE_ERRORS: [(f64, f64); 3] = [(0.01, 0.3), (0.1, 3.0), (0.2, 8.0)];
 /// Times of regions of interest are told for so many.
 const PER: f64 = 100.0;
+/// The truth has a sample so often, pixels.
+const TRUE_STEP: f64 = STEP / 8.0;
 /// Visible fractions that differ by less are the same: lengths were added up in another order.
 const ROUNDING: f64 = 1e-12;
 /// Points of each visible stretch that a region is to hold.
@@ -48,32 +49,39 @@ pub(super) fn rows(one: &mut One<'_>, truths: &[Truth], rows: &mut Vec<Row>, not
     if cases.iter().all(|c| c.placed.is_empty()) {
         return Ok(());
     }
+    use Visibility::{Image, Rays};
     let paths = [
-        (Which::CpuAll, Visibility::Rays, View::Whole),
-        (Which::CpuAll, Visibility::Image, View::Whole),
-        (Which::CpuAll, Visibility::Image, View::Reduced(2)),
-        (Which::CpuAll, Visibility::Image, View::Reduced(4)),
-        (Which::Gpu, Visibility::Image, View::Whole),
+        (Which::CpuAll, Rays, STEP, View::Whole),
+        (Which::CpuAll, Image, STEP / 4.0, View::Whole),
+        (Which::CpuAll, Image, STEP / 2.0, View::Whole),
+        (Which::CpuAll, Image, STEP, View::Whole),
+        (Which::CpuAll, Image, STEP, View::Reduced(2)),
+        (Which::CpuAll, Image, STEP, View::Reduced(4)),
+        (Which::Gpu, Image, STEP, View::Whole),
     ];
-    for (which, visibility, view) in paths {
+    for (which, visibility, step, view) in paths {
         if which == Which::Gpu && !one.engines.has_gpu() {
             continue;
         }
         if let Some(seen) = view.of(one.sensor)? {
-            let (timing, worst, mean) = visible(one, &cases, which, visibility, &seen.sensor)?;
-            let by = if visibility == Visibility::Rays { "rays" } else { "images" };
+            let options = FeatureOptions { visibility, step, ..FeatureOptions::default() };
+            let (timing, worst, mean) = visible(one, &cases, which, &options, &seen.sensor)?;
+            let by = if visibility == Rays { "rays" } else { "images" };
             let engine = if which == Which::Gpu { "gpu" } else { "cpu" };
-            let variant = format!("features by {by}{}", view.name());
-            let bound = (view == View::Whole).then_some(0.0);
-            let (family, label) = (format!("{engine}, by {by}"), view.label().to_owned());
-            let row = Row { family, label, ..one.row(engine, &variant, &timing) };
+            let finer = if step < STEP { format!(", every {step} px") } else { String::new() };
+            let variant = format!("features by {by}{}{finer}", view.name());
+            let label = if step < STEP { format!("{step} px") } else { view.label().to_owned() };
+            let row = Row { family: format!("{engine}, by {by}"), label, ..one.row(engine, &variant, &timing) };
             for (error_kind, error) in [("visible_fraction", worst), ("visible_fraction_mean", mean)] {
-                rows.push(Row { error_kind, error, bound, ..row.clone() });
+                rows.push(Row { error_kind, error, bound: None, ..row.clone() });
             }
             notes.push(timing.notes(engine.to_owned(), variant));
         }
     }
-    regions(one, &cases, rows)
+    for (metres, degrees) in POSE_ERRORS {
+        regions(one, &cases, (metres, degrees), rows, notes)?;
+    }
+    Ok(())
 }
 
 /// The features that have a part in the image, spread over all there are, and how they are seen.
@@ -89,11 +97,10 @@ fn case<'a>(one: &One<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
     let inside: Vec<usize> = (0..placed.len()).filter(|i| in_image(&all.features[*i])).collect();
     let step = inside.len().div_ceil(one.effort.features).max(1);
     let chosen: Vec<usize> = inside.into_iter().step_by(step).collect();
-    let truth = FeaturePrediction {
-        features: chosen.iter().map(|i| all.features[*i].clone()).collect(),
-        ..FeaturePrediction::default()
-    };
-    Ok(Case { pose, placed: chosen.into_iter().map(|i| placed[i].clone()).collect(), truth })
+    let placed: Vec<PlacedFeature> = chosen.into_iter().map(|i| placed[i].clone()).collect();
+    let finely = FeatureOptions { step: TRUE_STEP, ..by_rays };
+    let truth = predict_features(world, one.sensor, pose, &truth.images, &placed, &finely)?;
+    Ok(Case { pose, placed, truth })
 }
 
 /// Times of image and features together; greatest and mean error of visible fractions.
@@ -101,19 +108,17 @@ fn visible(
     one: &mut One<'_>,
     cases: &[Case<'_>],
     which: Which,
-    visibility: Visibility,
+    options: &FeatureOptions,
     sensor: &Sensor,
 ) -> Result<(Timing, f64, f64)> {
     let world = &one.scene.world;
-    let options = FeatureOptions { visibility, ..FeatureOptions::default() };
     let (mut timing, mut worst, mut sum, mut count) = (Timing::default(), 0f64, 0.0, 0usize);
     for case in cases {
         let Some(predictor) = one.engines.predictor(which) else { continue };
         let (mut images, mut found) = (Images::default(), FeaturePrediction::default());
         timing.measure(one.effort, || {
             let mut stats = predictor.predict_into(world, sensor, case.pose, &request(), &mut images)?;
-            found =
-                predictor.predict_features(world, sensor, case.pose, &images, &case.placed, &options, &mut stats)?;
+            found = predictor.predict_features(world, sensor, case.pose, &images, &case.placed, options, &mut stats)?;
             Ok(stats)
         })?;
         for (seen, truth) in found.features.iter().zip(&case.truth.features) {
@@ -127,77 +132,94 @@ fn visible(
     Ok((timing, worst, sum / count.max(1) as f64))
 }
 
-/// Regions of interest: by errors of the pose, and by how they were found.
-fn regions(one: &mut One<'_>, cases: &[Case<'_>], rows: &mut Vec<Row>) -> Result<()> {
-    for (metres, degrees) in POSE_ERRORS {
-        let mut covariance = [[0.0; 6]; 6];
-        for i in 0..6 {
-            let sigma = if i < 3 { metres } else { f64::to_radians(degrees) };
-            covariance[i][i] = sigma * sigma;
+/// Regions of interest of the same features by every method.
+fn regions(
+    one: &mut One<'_>,
+    cases: &[Case<'_>],
+    (metres, degrees): (f64, f64),
+    rows: &mut Vec<Row>,
+    notes: &mut Vec<PathNotes>,
+) -> Result<()> {
+    let mut covariance = [[0.0; 6]; 6];
+    for i in 0..6 {
+        let sigma = if i < 3 { metres } else { f64::to_radians(degrees) };
+        covariance[i][i] = sigma * sigma;
+    }
+    let methods = [(BoxMethod::AsNeeded, "as needed"), (BoxMethod::Linear, "linear"), (BoxMethod::Set, "set")];
+    for (method, name) in methods {
+        let options = BoxOptions { sensor: covariance, method, ..BoxOptions::default() };
+        let (mut timing, mut found) = (Timing::default(), Vec::new());
+        for case in cases {
+            found.extend(boxed(one, case, &options, (metres, degrees), &mut timing)?);
         }
-        let options = BoxOptions { sensor: covariance, ..BoxOptions::default() };
-        for flag in ["linear", "set", "whole_image"] {
-            let (mut timing, mut missed, mut poses) = (Timing::default(), Vec::new(), 0usize);
-            for case in cases {
-                let more = flagged(one, case, &options, flag, (metres, degrees), &mut timing)?;
-                poses += usize::from(!more.is_empty());
-                missed.extend(more);
-            }
-            if missed.is_empty() {
-                continue;
-            }
-            let timing = timing.scaled(PER * poses as f64 / missed.len() as f64);
-            let variant = format!("roi {flag}, pose {} cm {degrees} deg", 100.0 * metres);
-            let (family, label) = (format!("roi {flag}"), format!("{} cm", 100.0 * metres));
-            let row = Row { family, label, ..one.row("cpu", &variant, &timing) };
-            let fail = 1.0 - options.confidence;
-            let n = one.effort.draws as f64;
-            // What chance alone may add to the share of one region, at three sigma.
-            let luck = 3.0 * (fail * options.confidence / n).sqrt();
-            let mean = missed.iter().sum::<f64>() / missed.len() as f64;
-            let worst = missed.iter().copied().fold(0.0, f64::max);
-            rows.push(Row { error_kind: "roi_missed", error: mean, bound: Some(fail), ..row.clone() });
-            rows.push(Row { error_kind: "roi_missed_worst", error: worst, bound: Some(1.1 * fail + luck), ..row });
+        if found.is_empty() {
+            continue;
         }
+        // Of so many at each pose.
+        let timing = timing.scaled(PER * cases.len() as f64 / found.len() as f64);
+        let cm = 100.0 * metres;
+        let variant = format!("roi {name}, pose {cm} cm {degrees} deg");
+        let row = Row { family: format!("roi {name}"), label: format!("{cm} cm"), ..one.row("cpu", &variant, &timing) };
+        let fail = 1.0 - options.confidence;
+        let n = one.effort.draws as f64;
+        // What chance alone may add to the share of one region, at three sigma.
+        let luck = 3.0 * (fail * options.confidence / n).sqrt();
+        let mean = |of: fn(&Region) -> f64| found.iter().map(of).sum::<f64>() / found.len() as f64;
+        let worst = found.iter().map(|r| r.missed).fold(0.0, f64::max);
+        let kinds = [
+            ("roi_missed", mean(|r| r.missed), Some(fail)),
+            ("roi_missed_worst", worst, Some(1.1 * fail + luck)),
+            ("roi_area_share", mean(|r| r.area), None),
+        ];
+        rows.extend(kinds.map(|(error_kind, error, bound)| Row { error_kind, error, bound, ..row.clone() }));
+        notes.push(timing.notes("cpu".to_owned(), variant));
     }
     Ok(())
 }
 
-/// Shares of draws in which the regions that were found in one way miss their features, and the time of these regions.
-fn flagged(
+/// What is told of one region.
+struct Region {
+    /// Share of draws in which it misses its feature.
+    missed: f64,
+    /// Its share of the image.
+    area: f64,
+}
+
+/// The regions of all that is seen, and their time.
+fn boxed(
     one: &mut One<'_>,
     case: &Case<'_>,
     options: &BoxOptions,
-    flag: &str,
     errors: (f64, f64),
     timing: &mut Timing,
-) -> Result<Vec<f64>> {
+) -> Result<Vec<Region>> {
     let (world, sensor, effort) = (&one.scene.world, one.sensor, one.effort);
     let Some(predictor) = one.engines.predictor(Which::CpuAll) else { return Ok(Vec::new()) };
     // A patch's region is of the part that is seen, which no list of points holds.
-    let judged = |i: &usize| !matches!(case.placed[*i].feature.shape, FeatureShape::Patch { .. });
-    let mut subset: Vec<usize> = (0..case.placed.len()).filter(judged).collect();
-    let pick = |subset: &[usize]| {
-        let features = subset.iter().map(|i| case.truth.features[*i].clone()).collect();
-        let placed: Vec<PlacedFeature> = subset.iter().map(|i| case.placed[*i].clone()).collect();
-        (FeaturePrediction { features, ..FeaturePrediction::default() }, placed)
+    let judged = |i: &usize| {
+        let patch = matches!(case.placed[*i].feature.shape, FeatureShape::Patch { .. });
+        !patch && !case.truth.features[*i].visible.is_empty()
     };
-    let (mut all, placed) = pick(&subset);
-    predictor.add_boxes(&mut all, &placed, world, sensor, case.pose, options, &mut Stats::default())?;
-    let found_so: Vec<bool> = all.features.iter().map(|f| f.roi_flag == Some(flag)).collect();
-    let mut found = found_so.iter();
-    subset.retain(|_| found.next() == Some(&true));
-    if subset.is_empty() {
-        return Ok(Vec::new());
-    }
-    let (mut boxed, placed) = pick(&subset);
+    let judged: Vec<usize> = (0..case.placed.len()).filter(judged).collect();
+    let features = judged.iter().map(|i| case.truth.features[*i].clone()).collect();
+    let mut seen = FeaturePrediction { features, ..FeaturePrediction::default() };
+    let placed: Vec<PlacedFeature> = judged.iter().map(|i| case.placed[*i].clone()).collect();
     timing.measure(effort, || {
         let mut stats = Stats::default();
-        predictor.add_boxes(&mut boxed, &placed, world, sensor, case.pose, options, &mut stats)?;
+        predictor.add_boxes(&mut seen, &placed, world, sensor, case.pose, options, &mut stats)?;
+        for (flag, name) in [("linear", "linear regions"), ("set", "regions as sets"), ("whole_image", "whole images")]
+        {
+            stats.count(name, seen.features.iter().filter(|f| f.roi_flag == Some(flag)).count());
+        }
         Ok(stats)
     })?;
-    let missed = |(i, seen): (usize, &SeenFeature)| missed(sensor, case.pose, seen, errors, effort.draws, i as u64);
-    Ok(boxed.features.par_iter().enumerate().map(missed).collect())
+    let pixels = f64::from(sensor.width()) * f64::from(sensor.height());
+    let told = |(i, seen): (usize, &SeenFeature)| {
+        let [x0, y0, x1, y1] = seen.roi?;
+        let missed = missed(sensor, case.pose, seen, errors, effort.draws, i as u64);
+        Some(Region { missed, area: (x1 - x0) * (y1 - y0) / pixels })
+    };
+    Ok(seen.features.par_iter().enumerate().filter_map(told).collect())
 }
 
 /// The share of draws in which what is seen of a feature is not in its region. Poses and points are moved in space and

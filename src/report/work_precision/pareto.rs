@@ -20,17 +20,23 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     on
 }
 
-/// Marks the front among the rows of each kind of error. Regions of interest have none: each row is of other features or
-/// other errors of the pose, so that none can take another's place; nor can a part of the image take that of the whole.
+/// Marks the front among the rows of each kind of error. Regions of interest are compared at the same errors of the pose,
+/// which their labels tell, and their size is no error; a part of the image cannot take the place of the whole.
 pub(super) fn mark(rows: &mut [Row]) {
     let path = |r: &Row| (r.engine.clone(), r.variant.clone());
     let partial: Vec<_> = rows.iter().filter(|r| r.error_kind == "missing_share").map(path).collect();
-    let mut kinds: Vec<&'static str> = rows.iter().map(|r| r.error_kind).collect();
+    let group = |r: &Row| match r.error_kind {
+        "roi_area_share" => None,
+        _ if partial.contains(&path(r)) => None,
+        kind if kind.starts_with("roi") => Some((kind, r.label.clone())),
+        kind => Some((kind, String::new())),
+    };
+    let groups: Vec<_> = rows.iter().map(group).collect();
+    let mut kinds: Vec<_> = groups.iter().flatten().collect();
     kinds.sort_unstable();
     kinds.dedup();
-    for kind in kinds.into_iter().filter(|k| !k.starts_with("roi")) {
-        let alike = |r: &Row| r.error_kind == kind && !partial.contains(&path(r));
-        let of_kind: Vec<usize> = (0..rows.len()).filter(|i| alike(&rows[*i])).collect();
+    for kind in kinds {
+        let of_kind: Vec<usize> = (0..rows.len()).filter(|i| groups[*i].as_ref() == Some(kind)).collect();
         let points: Vec<(f64, f64)> = of_kind.iter().map(|i| (rows[*i].median_ms, rows[*i].error)).collect();
         for (i, on) in of_kind.into_iter().zip(front(&points)) {
             rows[i].pareto = on;

@@ -14,7 +14,7 @@ const FORMAT: u32 = 1;
 const COLUMNS: &str = "scene,sensor,engine,variant,error_kind,error,bound,median_ms,p95_ms,pareto";
 
 /// Kinds of errors: name, unit, what it is.
-const KINDS: [(&str, &str); 13] = [
+const KINDS: [(&str, &str); 14] = [
     (
         "id_mismatch",
         "share of pixels that show another polygon than the reference, or something where it shows nothing",
@@ -32,7 +32,7 @@ const KINDS: [(&str, &str); 13] = [
     ("missing_share", "share of the sensor's pixels that the path leaves out; its other errors are of the rest"),
     (
         "visible_fraction",
-        "greatest error of a feature's visible fraction; the truth is a ray to every sample; below 1e-12 it counts as none",
+        "greatest error of a feature's visible fraction; the truth is a ray every 1/16 of a pixel; below 1e-12 it counts as none",
     ),
     ("visible_fraction_mean", "the mean error over all features"),
     (
@@ -40,6 +40,7 @@ const KINDS: [(&str, &str); 13] = [
         "share of draws of the errors in which a feature is outside its region of interest, mean over regions",
     ),
     ("roi_missed_worst", "the same of the worst region; its bound has room for chance"),
+    ("roi_area_share", "no error, but what certainty costs: mean share of the image that a region takes"),
 ];
 
 /// Charts: kind, title, label of the axis.
@@ -126,7 +127,7 @@ fn kinds() -> Section {
     let head = vec!["error_kind".into(), "what it is".into()];
     let text = "Errors are the worst over all poses, shares and means are over all of them. Times are of all runs after one \
                 that is not counted; they include selection and all images in memory, with the GPU synchronised. Those of \
-                features include their image. A row is on the Pareto front if no other of its kind is as fast and as exact; paths that leave a part of the image out have no place on it.";
+                features include their image. A row is on the Pareto front if no other of its kind is as fast and as exact; paths that leave a part of the image out have no place on it. Regions of interest are compared at the same errors of the pose.";
     let table = Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() };
     Section { title: "How to read it".into(), parts: vec![Part::Text(text.into()), Part::Table(table)] }
 }
@@ -143,8 +144,7 @@ fn section(finding: &Finding) -> Result<Section> {
         if !rows.is_empty() {
             let caption = "Rings: the Pareto front. 1/2, 1/4: reduced resolution; table: the same rays from a table; part: \
                            the middle of the image only. A mark at 0 has no error at all.";
-            let roi =
-                "One mark for each size of the pose's error, by how the region was found; dashed: what was asked for.";
+            let roi = "One mark for each size of the pose's error, by how errors went through the projection; dashed: what was asked for.";
             let caption = if kind == "roi_missed" { roi } else { caption };
             parts.push(Part::Chart { svg: chart(&rows, title, label).svg()?, caption: caption.into() });
         }
@@ -203,7 +203,7 @@ fn tables(rows: &[Row]) -> Vec<Part> {
             ],
         ),
         ("Features", &["visible_fraction", "visible_fraction_mean"]),
-        ("Regions of interest: times of 100", &["roi_missed", "roi_missed_worst"]),
+        ("Regions of interest: times of 100", &["roi_missed", "roi_missed_worst", "roi_area_share"]),
     ];
     families.iter().filter_map(|(caption, kinds)| table(rows, caption, kinds)).map(Part::Table).collect()
 }
