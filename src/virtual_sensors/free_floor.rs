@@ -12,7 +12,7 @@ use super::mask::{Mask, MaskRegion};
 use super::view::{Surface, View, of_surfaces};
 use super::{Input, Settings};
 use crate::error::Result;
-use crate::sensor::{Geometry, Sensor};
+use crate::sensor::Geometry;
 use glam::DVec3;
 use serde::Serialize;
 
@@ -87,6 +87,11 @@ impl Floor {
         let range = self.height / self.up.dot(ray);
         (range > 0.0 && range <= self.range_max).then(|| ray * range)
     }
+
+    /// Where the ray of a corner between pixels meets it.
+    fn meet_at(&self, (i, j): (u32, u32), view: &View<'_>) -> Option<DVec3> {
+        view.ray_at(f64::from(i) - 0.5, f64::from(j) - 0.5).and_then(|ray| self.meet(ray))
+    }
 }
 
 pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor> {
@@ -95,16 +100,22 @@ pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor
     let floor_z_world = settings.floor_z_world.unwrap_or(world_from_robot.translation.z);
     let height = floor_z_world - view.world_from_sensor.translation.z;
     let floor = Floor { up: view.up, height, range_max: view.sensor.spec().range_max };
-    let mut corners = Corners::new(view.sensor);
     let mut mask = Mask::new(view.sensor.width(), view.sensor.height());
     let mut pixels_over_horizon = 0;
+    // Of the corners above and below a row, as far as they were asked for: undistorting is slow.
+    let mut meets = [(); 2].map(|()| vec![None; mask.width as usize + 1]);
     for row in 0..mask.height {
+        meets.swap(0, 1);
+        meets[1].fill(None);
         for column in 0..mask.width {
             if !view.surface(column, row).is_some_and(|s| floor.holds(&s)) {
                 continue;
             }
-            let around = [(0, 0), (1, 0), (1, 1), (0, 1)];
-            if around.into_iter().all(|(i, j)| corners.meet((column + i, row + j), &floor, &view).is_some()) {
+            let all = [(0, 0), (1, 0), (1, 1), (0, 1)].into_iter().all(|(i, j)| {
+                let corner = (column + i, row + j);
+                *meets[j as usize][corner.0 as usize].get_or_insert_with(|| floor.meet_at(corner, &view).is_some())
+            });
+            if all {
                 mask.pixels[view.at(column, row)] = true;
             } else {
                 pixels_over_horizon += 1;
@@ -114,16 +125,16 @@ pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor
     // A lens bends what is straight.
     let straight = matches!(&view.sensor.spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
     let mut regions: Vec<FloorRegion> =
-        mask.regions(!straight).iter().map(|region| project(region, &mut corners, &floor, &view)).collect();
+        mask.regions(!straight).iter().map(|region| project(region, &floor, &view)).collect();
     regions.sort_by(|a, b| b.area.total_cmp(&a.area));
     let area = regions.iter().map(|r| r.area).sum();
     Ok(FreeFloor { floor_z_world, area, pixels: mask.count(), pixels_over_horizon, regions, mask })
 }
 
-fn project(region: &MaskRegion, corners: &mut Corners, floor: &Floor, view: &View<'_>) -> FloorRegion {
+fn project(region: &MaskRegion, floor: &Floor, view: &View<'_>) -> FloorRegion {
     let mut area = 0.0;
     let mut outline = |corners_of: &[(u32, u32)]| {
-        let points: Vec<DVec3> = corners_of.iter().filter_map(|c| corners.meet(*c, floor, view)).collect();
+        let points: Vec<DVec3> = corners_of.iter().filter_map(|c| floor.meet_at(*c, view)).collect();
         debug_assert_eq!(points.len(), corners_of.len(), "corners of pixels that count meet the floor");
         area += signed_area(&points, floor.up);
         points.into_iter().map(|p| view.in_robot(p)).collect::<Vec<_>>()
@@ -137,23 +148,4 @@ fn project(region: &MaskRegion, corners: &mut Corners, floor: &Floor, view: &Vie
 fn signed_area(points: &[DVec3], axis: DVec3) -> f64 {
     let Some((first, rest)) = points.split_first() else { return 0.0 };
     rest.windows(2).map(|w| 0.5 * (w[0] - first).cross(w[1] - first).dot(axis)).sum()
-}
-
-/// Where the corners of pixels meet the floor, each worked out once: undistorting is slow.
-struct Corners {
-    across: usize,
-    found: Vec<Option<Option<DVec3>>>,
-}
-
-impl Corners {
-    fn new(sensor: &Sensor) -> Self {
-        let (across, down) = (sensor.width() as usize + 1, sensor.height() as usize + 1);
-        Self { across, found: vec![None; across * down] }
-    }
-
-    fn meet(&mut self, (i, j): (u32, u32), floor: &Floor, view: &View<'_>) -> Option<DVec3> {
-        let known = &mut self.found[j as usize * self.across + i as usize];
-        *known
-            .get_or_insert_with(|| view.ray_at(f64::from(i) - 0.5, f64::from(j) - 0.5).and_then(|ray| floor.meet(ray)))
-    }
 }

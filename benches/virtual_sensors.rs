@@ -1,0 +1,114 @@
+//! What the reductions of the virtual sensors cost, beside the prediction that each is made from: `cargo bench --bench
+//! virtual_sensors`, a table in Markdown. On one thread, the fastest of many runs. Scenes: the charging bay of
+//! `scenes/docking.rhai`, and the hospital where `PRESIGHT_DATA` (default `../shared/data`) holds it.
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "the table is the result")]
+
+use glam::DVec3;
+use presight::acquire::features::{GenerateOptions, generate};
+use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, place};
+use presight::free_poses::free_poses;
+use presight::io::{gltf, script};
+use presight::virtual_sensors::{Corridor, Input, Settings, VirtualSensor};
+use presight::{Backend, IdScheme, Options, Output, Pose, Predictor, Request, Sensor, Stats, World, preset};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Each is repeated for so long, seconds.
+const PATIENCE: f64 = 0.5;
+
+fn main() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    println!(
+        "| scene, virtual sensor | preset | prediction, ms | features (landmarks) | their prediction, ms | reduction, ms |"
+    );
+    println!("|---|---|---|---|---|---|");
+    let bay = script::load(root.join("scenes/docking.rhai"), &Default::default(), &mut |_| ()).expect("a scene");
+    // Where scenes/pictures.sh stands.
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.2, -0.6, 1.0), 0.0, 0.0, 5f64.to_radians());
+    measure("docking", &World::new(bay.environment), &pose);
+    let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
+    let hospital = data.join("env/hospital.glb");
+    if hospital.is_file() {
+        let world = World::new(gltf::import(&hospital, &Default::default()).expect("a scene").environment);
+        let pose = free_poses(&world, 1, 1).expect("a free pose")[0];
+        measure("hospital", &world, &pose);
+    } else {
+        eprintln!("SKIPPED: hospital");
+    }
+}
+
+fn measure(scene: &str, world: &World, pose: &Pose) {
+    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 }).expect("the CPU engine starts");
+    // Five metres ahead, as wide as a robot of 60 cm.
+    let corridor = Corridor::new(vec![[0.0, 0.0], [5.0, 0.0]], 0.3, -1.0, 1.0).expect("a corridor");
+    let settings = Settings { floor_z_world: Some(0.0), corridor: Some(corridor) };
+    for task in VirtualSensor::ALL {
+        let name = match task {
+            VirtualSensor::FreeFloor | VirtualSensor::Edges => "video-camera",
+            VirtualSensor::RadarLines | VirtualSensor::RadarNearest | VirtualSensor::RadarLandmarks => {
+                "microwave-radar-scan"
+            }
+            VirtualSensor::DepthImage | VirtualSensor::VerticalPlanes => "laser-range-camera",
+            VirtualSensor::Docking => "laser-scanner",
+        };
+        let mut spec = preset(name).expect("a preset").spec().clone();
+        // Docking asks for stated noise.
+        (spec.noise.range_sigma, spec.noise.angle_sigma) = (0.01, 0.001);
+        let sensor = Sensor::new(spec).expect("a sensor");
+        let placed = if task.needs_features() { wanted(task, world) } else { Vec::new() };
+        let outputs = if task.needs_features() { task.outputs().with(Output::PolygonId) } else { task.outputs() };
+        let request = Request { outputs, ids: IdScheme::Model };
+        let image_ms = fastest(|| {
+            predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+        });
+        let prediction = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+        let options = FeatureOptions::default();
+        let mut features = |stats: &mut Stats| -> FeaturePrediction {
+            let seen = predictor.predict_features(world, &sensor, pose, &prediction.images, &placed, &options, stats);
+            seen.expect("features")
+        };
+        let features_ms = if placed.is_empty() {
+            0.0
+        } else {
+            fastest(|| {
+                features(&mut Stats::default());
+            })
+        };
+        let features = task.needs_features().then(|| features(&mut Stats::default()));
+        let (environment, ids) = (world.environment(), request.ids);
+        let input = Input { environment, prediction: &prediction, ids, features: features.as_ref() };
+        let reduction_ms = fastest(|| {
+            task.reduce(&input, &settings).expect("an answer");
+        });
+        println!(
+            "| {scene}, `{}` | {name} | {image_ms:.2} | {} | {features_ms:.2} | {reduction_ms:.3} |",
+            task.name(),
+            placed.len()
+        );
+    }
+}
+
+/// Features of the scene's own layer that a task looks at, or edges made from the model.
+fn wanted(task: VirtualSensor, world: &World) -> Vec<PlacedFeature> {
+    let environment = world.environment();
+    let own = environment.layer(task.class()).cloned();
+    let mut layer = match (own, task) {
+        (_, VirtualSensor::Edges) => generate(environment, "video", &GenerateOptions::default()).expect("edges").layer,
+        (Some(own), _) => own,
+        (None, _) => return Vec::new(),
+    };
+    layer.features.retain(|f| task.wants(&f.shape));
+    place(world, &layer).expect("features of this world")
+}
+
+/// Milliseconds of the fastest run, of three at least.
+fn fastest(mut run: impl FnMut()) -> f64 {
+    let (start, mut runs, mut least) = (Instant::now(), 0, f64::INFINITY);
+    while start.elapsed().as_secs_f64() < PATIENCE || runs < 3 {
+        let begin = Instant::now();
+        run();
+        least = least.min(begin.elapsed().as_secs_f64() * 1e3);
+        runs += 1;
+    }
+    least
+}
