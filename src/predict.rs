@@ -10,7 +10,7 @@ use crate::geometry::Pose;
 use crate::gpu;
 use crate::plan::{FramePlan, Images, Output, Request, Stats};
 #[cfg(feature = "gpu")]
-use crate::probe::{Probe, Task};
+use crate::probe::{Probe, Task, Told};
 use crate::sensor::Sensor;
 use crate::world::World;
 use std::time::Instant;
@@ -98,12 +98,12 @@ enum Engine {
     Gpu(Box<gpu::Engine>, Proven),
 }
 
-/// Kinds of sensors for which a device has shown that it does what it should.
+/// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
 #[cfg(feature = "gpu")]
 #[derive(Default)]
 struct Proven {
     images: Vec<Task>,
-    regions: Vec<Task>,
+    regions: Vec<(Task, Told)>,
 }
 
 impl Predictor {
@@ -488,16 +488,20 @@ fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
 #[cfg(feature = "gpu")]
 fn prove_regions(engine: &mut gpu::Engine, proven: &mut Proven, sensor: &Sensor) -> Result<()> {
     let task = Task::of(sensor);
-    if proven.regions.contains(&task) {
-        return Ok(());
-    }
-    let told = Probe::new()?.regions(task, engine)?;
+    let known = proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
+    let told = match known {
+        Some(told) => told,
+        None => {
+            let told = Probe::new()?.regions(task, engine)?;
+            proven.regions.push((task, told));
+            told
+        }
+    };
     if told.wrong > 0 {
         let what = format!("{} makes {} of {} regions of a probe wrong", engine.adapter(), told.wrong, told.all);
         let remedy = "update its driver, or use --backend cpu; see presight doctor";
         return Err(Error::new(ErrorKind::NoDevice, what, remedy));
     }
-    proven.regions.push(task);
     Ok(())
 }
 

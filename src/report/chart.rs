@@ -39,7 +39,7 @@ pub enum Style {
 /// Points of one name.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// In the legend.
+    /// In the legend; without one it is not in it.
     pub name: String,
     /// x and y in the units of the axes; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
@@ -138,7 +138,7 @@ impl Chart {
             let at: Vec<(i32, i32)> = at.into_iter().map(|(cx, cy)| (cx - left, cy - top)).collect();
             draw_series(&area, series, &at)?;
         }
-        for (i, series) in self.series.iter().enumerate() {
+        for (i, series) in self.series.iter().filter(|s| !s.name.is_empty()).enumerate() {
             let y = 20 + 20 * i as i32;
             let ends = match series.style {
                 Style::Points | Style::Front => vec![(22, y)],

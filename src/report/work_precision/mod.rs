@@ -216,17 +216,18 @@ struct Truth {
 
 impl One<'_> {
     fn run(&mut self, progress: &mut impl FnMut(&str)) -> Result<Finding> {
-        let name = format!("{}, {}", self.scene.name, self.sensor.spec().name);
-        progress(&format!("{name}: the truth"));
+        // Lines may be cut: what changes most comes first.
+        let place = format!("{}, {}", self.sensor.spec().name, self.scene.name);
+        progress(&format!("the truth: {place}"));
         let truths = self.scene.poses.iter().map(|pose| self.truth(pose)).collect::<Result<Vec<_>>>()?;
         let (mut rows, mut notes) = (Vec::new(), Vec::new());
         for path in Path::all(self.engines.has_gpu()) {
-            progress(&format!("{name}: {} {}", path.engine(), path.variant(self.engines)));
+            progress(&format!("{}, {}: {place}", path.engine(), path.variant(self.engines)));
             if let Some(view) = path.view.of(self.sensor)? {
                 self.image_rows(&path, &view, &truths, &mut rows, &mut notes)?;
             }
         }
-        progress(&format!("{name}: features"));
+        progress(&format!("features: {place}"));
         features::rows(self, &truths, &mut rows, &mut notes)?;
         pareto::mark(&mut rows);
         let preview = png::preview_png(&truths[0].images, self.sensor, Output::Range)?;

@@ -114,7 +114,7 @@ fn about(findings: &Findings, machine: &Machine) -> Section {
     let missing = "Not in the product, and so not here: the GPU's render pipeline for cameras (measured in \
                    benches/render_pipeline), planar images resampled to curved ones (benches/resampling). A request names \
                    no region of the image: a smaller sensor does, as the `roi` of a ROS camera_info file; it is measured \
-                   as \"middle part\". Features are sampled every half pixel; another step is another resolution.";
+                   as \"middle part\". Features are sampled every half pixel unless it is said otherwise.";
     let parts = vec![
         Part::Table(Table { caption: "How it was measured".into(), head, rows, marked: Vec::new() }),
         Part::Text(missing.into()),
@@ -168,10 +168,9 @@ fn chart(rows: &[&Row], title: &str, label: &str) -> Chart {
         series[at].points.push((row.median_ms, row.error));
         series[at].labels.push(row.label.clone());
     }
-    let mut front: Vec<(f64, f64)> = rows.iter().filter(|r| r.pareto).map(|r| (r.median_ms, r.error)).collect();
-    front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    if !front.is_empty() {
-        series.push(Series { name: "Pareto front".into(), points: front, style: Style::Front, ..Series::default() });
+    for (name, mut points) in fronts(rows) {
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        series.push(Series { name, points, style: Style::Front, ..Series::default() });
     }
     // A bound that all share is a line across; others are in the table.
     let bounds: Vec<f64> = rows.iter().filter_map(|r| r.bound).collect();
@@ -183,6 +182,23 @@ fn chart(rows: &[&Row], title: &str, label: &str) -> Chart {
     }
     let (title, x_label, y_label) = (title.to_owned(), "median time, ms".to_owned(), label.to_owned());
     Chart { title, x_label, y_label, x_log: true, y_log: true, series }
+}
+
+/// Pareto fronts: one, or one for each size of the pose's error, of which only the first is named.
+fn fronts(rows: &[&Row]) -> Vec<(String, Vec<(f64, f64)>)> {
+    let group = |r: &Row| if r.error_kind.starts_with("roi") { r.label.clone() } else { String::new() };
+    let mut fronts: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+    for row in rows.iter().filter(|r| r.pareto) {
+        let (group, point) = (group(row), (row.median_ms, row.error));
+        match fronts.iter_mut().find(|f| f.0 == group) {
+            Some(front) => front.1.push(point),
+            None => fronts.push((group, vec![point])),
+        }
+    }
+    for (i, front) in fronts.iter_mut().enumerate() {
+        front.0 = if i == 0 { "Pareto front".into() } else { String::new() };
+    }
+    fronts
 }
 
 /// One table for images, one for features, one for regions of interest: a row for each path, a column for each kind.
