@@ -1,6 +1,6 @@
 //! Features sampled along their image.
 //!
-//! A segment's image is cut into pieces of at most half a pixel or finer, and a sample sits in the middle of each. A pinhole
+//! A segment's image is cut into pieces of at most half a pixel, finer if that is asked for, and a sample sits in the middle of each. A pinhole
 //! camera images straight lines as straight lines: clipped in closed form, equal pieces in the image. Everywhere else
 //! (lens distortion, scanners, ray tables) the arc of directions between the ends is halved until its image is short
 //! enough, so that the curved image of a straight edge is followed, over seam and poles, too.
@@ -88,7 +88,7 @@ impl<'a> Sampler<'a> {
     }
 
     /// For a sensor, every so many pixels, above 0.
-    pub fn with_step(sensor: &'a Sensor, step: f64) -> Self {
+    pub(super) fn with_step(sensor: &'a Sensor, step: f64) -> Self {
         let (mut pinhole, mut cone, mut beams) = (None, None, None);
         match &sensor.spec().geometry {
             Geometry::Camera(c) if c.distortion.is_none() => pinhole = Some(c),
