@@ -7,8 +7,8 @@ use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, Reason, SeenFeature, predict_features};
 use presight::{
-    Angles, Appearance, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, RayTable,
-    Scanner, Sensor, SensorSpec, World,
+    Angles, Appearance, Environment, ErrorKind, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
+    RayTable, Scanner, Sensor, SensorSpec, World,
 };
 use std::sync::Arc;
 
@@ -238,4 +238,25 @@ fn a_predictor_predicts_features_on_its_own_threads() {
     assert_eq!(found, again);
     assert!(stats.stages_ms.iter().any(|(stage, _)| stage == "features"));
     assert!(stats.counts.contains(&("feature samples".into(), 2)), "{:?}", stats.counts);
+}
+
+/// Finer sampling is nearer to the truth; what is no step, or coarser than half a pixel, is refused.
+#[test]
+fn the_step_of_sampling_is_a_choice_within_limits() {
+    let (world, sensor) = (wall(Appearance::Opaque, false), scenes::camera(64, 48));
+    let images = common::reference(&common::plan(&world, &sensor, &Pose::IDENTITY));
+    // Behind the wall, and beyond its edge at y = 1: seen from there on.
+    let across = [placed(1, segment([6.0, 1.0, 0.1], [6.0, 2.5, 0.1]), &[])];
+    let seen = |step: f64| {
+        let options = FeatureOptions { step, ..FeatureOptions::default() };
+        predict_features(&world, &sensor, &Pose::IDENTITY, &images, &across, &options)
+    };
+    // The ray at y / x = 1 / 3 passes the edge, and meets it at y = 2: 1 of 1.5 m is hidden.
+    let off = |step: f64| (seen(step).unwrap().features[0].visible[0].t[0] - 2.0 / 3.0).abs();
+    assert!(off(0.001) < 1e-3 && off(0.5) < 0.1, "{} {}", off(0.001), off(0.5));
+    assert!(seen(0.001).unwrap().stats.samples > 400 * seen(0.5).unwrap().stats.samples);
+    for step in [0.0, -1.0, 0.000_9, 0.500_1, f64::NAN, f64::INFINITY] {
+        let e = seen(step).unwrap_err();
+        assert!(e.kind() == ErrorKind::Usage && e.to_string().contains("0.001 to 0.5"), "{step}: {e}");
+    }
 }

@@ -61,8 +61,8 @@ pub struct FeatureOptions {
     pub feature_id: bool,
     /// How visibility is decided.
     pub visibility: Visibility,
-    /// Longest piece of a feature's image that one sample stands for, pixels: above 0, at most [`STEP`]. The finer, the nearer are
-    /// visible fractions to the truth, and the longer it takes.
+    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. The finer, the nearer are visible
+    /// fractions to the truth, and the longer it takes.
     pub step: f64,
 }
 

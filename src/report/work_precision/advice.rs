@@ -1,11 +1,10 @@
 //! What to take, worked out from the rows.
 
 use super::Row;
+use super::features::ROUNDING;
 
 /// What is less exact must take at most this share of the time to be worth a word.
 const WORTH: f64 = 0.9;
-/// Visible fractions that differ by less are the same: lengths were added up in another order.
-const SAME: f64 = 1e-9;
 
 /// A sentence or two for one scene and sensor.
 pub(super) fn of(scene: &str, sensor: &str, rows: &[Row]) -> String {
@@ -61,7 +60,7 @@ fn for_features(rows: &[Row]) -> Option<String> {
     };
     let kinds = ["visible_fraction", "visible_fraction_mean"];
     let rays = of_kind(kinds[0]).find(|r| r.variant == "features by rays")?;
-    let as_exact = |r: &&Row| kinds.iter().all(|kind| error(r, kind) <= error(rays, kind) + SAME);
+    let as_exact = |r: &&Row| kinds.iter().all(|kind| error(r, kind) <= error(rays, kind) + ROUNDING);
     let best = of_kind(kinds[0]).filter(as_exact).min_by(|a, b| a.median_ms.total_cmp(&b.median_ms))?;
     let off = if best.error == 0.0 { "no error".into() } else { format!("at most {:.3} of one wrong", best.error) };
     Some(format!(" For features take {}, {}: {off}, in {}.", best.engine, best.variant, ms(best.median_ms)))

@@ -31,7 +31,7 @@ const PER: f64 = 100.0;
 /// The truth has a sample so often, pixels.
 const TRUE_STEP: f64 = STEP / 8.0;
 /// Visible fractions that differ by less are the same: lengths were added up in another order.
-const ROUNDING: f64 = 1e-12;
+pub(super) const ROUNDING: f64 = 1e-12;
 /// Points of each visible stretch that a region is to hold.
 const POINTS: usize = 5;
 
