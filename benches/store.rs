@@ -82,7 +82,7 @@ fn opening(c: &mut Criterion) {
         b.iter_batched(|| (), |()| WorldIndex::new(&environment, Scheme::default(), params), BatchSize::PerIteration);
     });
     group.bench_function("open, with the index", |b| {
-        b.iter(|| World::new(store::read(path).expect("it is sound")));
+        b.iter(|| store::read_world(path, Scheme::default(), params).expect("it is sound"));
     });
     group.finish();
 }

@@ -32,8 +32,12 @@ impl World {
 
     /// The first version of a world, with an index of that scheme.
     pub fn with_index(environment: Environment, scheme: Scheme, params: Params) -> Self {
-        let index = Arc::new(WorldIndex::new(&environment, scheme, params));
-        Self { environment: Arc::new(environment), index, version: 1 }
+        Self::of(WorldIndex::new(&environment, scheme, params), environment)
+    }
+
+    /// The first version of a world whose index is there.
+    pub(crate) fn of(index: WorldIndex, environment: Environment) -> Self {
+        Self { environment: Arc::new(environment), index: Arc::new(index), version: 1 }
     }
 
     /// The same version of the environment with another index.

@@ -68,21 +68,17 @@ fn is_store(path: &Path) -> bool {
 /// A store is in presight's frame already.
 #[cfg(feature = "store")]
 fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
-    let environment = crate::io::store::read(path)?;
+    let world = crate::io::store::read_world(path, scheme, Params::tuned(scheme))?;
     let mut report = ImportReport::default();
     let mut seen = std::collections::HashSet::new();
-    for object in environment.objects() {
+    for object in world.environment().objects() {
         let polygons = object.mesh.polygon_count() as u64;
         report.polygons_in_scene += polygons;
         if seen.insert(std::sync::Arc::as_ptr(&object.mesh)) {
             report.polygons_stored += polygons;
         }
     }
-    Ok(Scene {
-        world: World::with_index(environment, scheme, Params::tuned(scheme)),
-        world_from_gltf: Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0),
-        report,
-    })
+    Ok(Scene { world, world_from_gltf: Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0), report })
 }
 
 #[cfg(not(feature = "store"))]

@@ -45,15 +45,31 @@ pub(crate) struct PolygonRecord {
 
 impl PolygonRecord {
     /// Its part of all corners.
+    #[inline]
     pub fn corners(self, all: &[u32]) -> &[u32] {
         let first = self.first_corner as usize;
         &all[first..first + usize::from(self.corner_count)]
     }
 
+    /// Least and greatest coordinates of its corners.
+    #[inline]
+    pub fn extent(self, all: &[u32], vertices: &[Vec3]) -> (Vec3, Vec3) {
+        let own = self.corners(all);
+        // Nearly all polygons have three or four corners: without a branch on that, which could not be foretold.
+        let fourth = own[3.min(own.len() - 1)];
+        let at = |corner: u32| vertices[corner as usize];
+        let (a, b, c, d) = (at(own[0]), at(own[1]), at(own[2]), at(fourth));
+        let mut extent = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        if own.len() > 4 {
+            for &corner in &own[4..] {
+                extent = (extent.0.min(at(corner)), extent.1.max(at(corner)));
+            }
+        }
+        extent
+    }
+
     fn bounds(self, all: &[u32], vertices: &[Vec3]) -> Aabb {
-        let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        let corners = self.corners(all).iter().map(|&c| vertices[c as usize]);
-        let (min, max) = corners.fold(start, |(min, max), v| (min.min(v), max.max(v)));
+        let (min, max) = self.extent(all, vertices);
         Aabb { min: min.as_dvec3(), max: max.as_dvec3() }
     }
 }
@@ -211,8 +227,9 @@ impl Mesh {
         order: PolygonOrder,
     ) -> Result<Self> {
         check_vertices(&vertices)?;
-        if let Some(c) = corners.iter().find(|c| **c as usize >= vertices.len()) {
-            return Err(Error::invalid(format!("vertex {c} of {}", vertices.len()), ""));
+        let greatest = corners.iter().copied().fold(0, u32::max);
+        if greatest as usize >= vertices.len() && !corners.is_empty() {
+            return Err(Error::invalid(format!("vertex {greatest} of {}", vertices.len()), ""));
         }
         let mut end = 0;
         for (i, record) in polygons.iter().enumerate() {
@@ -234,14 +251,17 @@ impl Mesh {
             None => polygons.iter().enumerate().map(plane_of).collect::<Result<_>>()?,
         };
         let sound = |p: &Plane| (p.normal.length_squared() - 1.0).abs() <= 1e-6 && p.offset.is_finite();
-        if planes.len() != polygons.len() || !planes.iter().all(sound) {
+        // To the last one: a loop that may end early is not unrolled.
+        if planes.len() != polygons.len() || !planes.iter().fold(true, |all, plane| all & sound(plane)) {
             return Err(Error::invalid("planes without a normal, or not one for each polygon", ""));
         }
         let mut cuts = cuts_of(polygons.len(), order);
         cuts.push(polygons.len());
         let cluster = |pair: &[usize]| {
-            let own = polygons[pair[0]..pair[1]].iter();
-            let bounds = own.fold(Aabb::EMPTY, |b, r| b.union(r.bounds(&corners, &vertices)));
+            let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+            let own = polygons[pair[0]..pair[1]].iter().map(|r| r.extent(&corners, &vertices));
+            let (min, max) = own.fold(start, |(min, max), (a, b)| (min.min(a), max.max(b)));
+            let bounds = Aabb { min: min.as_dvec3(), max: max.as_dvec3() };
             Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds }
         };
         let clusters: Vec<Cluster> = cuts.windows(2).map(cluster).collect();
@@ -362,7 +382,8 @@ fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
 }
 
 fn check_vertices(vertices: &[Vec3]) -> Result<()> {
-    let bad = vertices.iter().position(|v| !v.is_finite() || f64::from(v.abs().max_element()) > limits::MAX_COORDINATE);
+    let sound = |v: &Vec3| (v.abs().cmple(Vec3::splat(limits::MAX_COORDINATE as f32))).all();
+    let bad = vertices.iter().position(|v| !sound(v));
     match bad {
         None => Ok(()),
         Some(i) => Err(Error::invalid(

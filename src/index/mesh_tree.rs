@@ -10,7 +10,7 @@ use std::ops::Range;
 
 /// Nodes in preorder.
 #[derive(Clone, Debug)]
-pub(super) struct MeshTree {
+pub(crate) struct MeshTree {
     nodes: Vec<Node>,
     /// Of polygons, eight by eight.
     boxes: Vec<Boxes8>,
@@ -42,12 +42,8 @@ impl MeshTree {
         let mut boxes = vec![Boxes8::EMPTY; polygons.div_ceil(LANES)];
         let vertices = mesh.vertices();
         for (i, record) in mesh.polygons().iter().enumerate() {
-            let mut b = Box32::EMPTY;
-            for corner in record.corners(mesh.all_corners()) {
-                let p = vertices[*corner as usize].to_array();
-                b = b.union(&Box32 { min: p, max: p });
-            }
-            boxes[i / LANES].set(i % LANES, &b);
+            let (min, max) = record.extent(mesh.all_corners(), vertices);
+            boxes[i / LANES].set(i % LANES, &Box32 { min: min.to_array(), max: max.to_array() });
         }
         let clusters: Vec<Box32> = mesh.clusters().iter().map(|c| Box32::around(&c.bounds, DVec3::ZERO)).collect();
         let mut tree = Self { nodes: Vec::with_capacity(2 * clusters.len()), boxes };
@@ -74,7 +70,13 @@ impl MeshTree {
     /// The next part from node `at` on that meets the shape: a node wholly in it, or a leaf. Parts come once each, in
     /// rising order.
     #[inline(always)]
-    pub fn next_part<S: Shape>(&self, at: &mut usize, shape: &S, shift: &Shift, visited: &mut usize) -> Option<Part> {
+    pub(super) fn next_part<S: Shape>(
+        &self,
+        at: &mut usize,
+        shape: &S,
+        shift: &Shift,
+        visited: &mut usize,
+    ) -> Option<Part> {
         while let Some(node) = self.nodes.get(*at) {
             *visited += 1;
             let bounds = shift.apply(&node.bounds);
@@ -94,13 +96,13 @@ impl MeshTree {
     }
 
     /// Groups of eight polygons that a part has members in.
-    pub fn groups(part: &Part) -> Range<u32> {
+    pub(super) fn groups(part: &Part) -> Range<u32> {
         part.first / LANES as u32..(part.first + part.count).div_ceil(LANES as u32)
     }
 
     /// Polygons of a group that are of the part and meet the shape, a bit each.
     #[inline(always)]
-    pub fn filter<S: Shape>(&self, group: u32, part: &Part, shape: &S, shift: &Shift) -> u32 {
+    pub(super) fn filter<S: Shape>(&self, group: u32, part: &Part, shape: &S, shift: &Shift) -> u32 {
         let first = i64::from(group) * LANES as i64;
         let below = (i64::from(part.first) - first).max(0) as u32;
         let above = (i64::from(part.first + part.count) - first).min(LANES as i64) as u32;
@@ -108,7 +110,7 @@ impl MeshTree {
         self.boxes[group as usize].meet(shape, shift) & own
     }
 
-    pub fn bounds(&self) -> Box32 {
+    pub(super) fn bounds(&self) -> Box32 {
         self.nodes.first().map_or(Box32::EMPTY, |root| root.bounds)
     }
 

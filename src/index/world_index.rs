@@ -41,6 +41,9 @@ enum Kind {
     },
 }
 
+/// Trees of meshes, known by their address.
+pub(crate) type Trees = HashMap<*const Mesh, Arc<MeshTree>>;
+
 /// Neighbouring polygons of one cluster of an object's mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectRun {
@@ -57,9 +60,14 @@ pub struct ObjectRun {
 impl WorldIndex {
     /// Builds the index of an environment.
     pub fn new(environment: &Environment, scheme: Scheme, params: Params) -> Self {
+        Self::with_trees(environment, scheme, params, &Trees::default())
+    }
+
+    /// As [`WorldIndex::new`]; a scheme that has trees for meshes takes those that are there.
+    pub(crate) fn with_trees(environment: &Environment, scheme: Scheme, params: Params, trees: &Trees) -> Self {
         let kind = match scheme {
             Scheme::None => Kind::None,
-            Scheme::TwoLevel => two_level(environment, params),
+            Scheme::TwoLevel => two_level(environment, params, trees),
             _ => {
                 let boxes: Vec<(u32, Aabb)> = environment.objects().iter().flat_map(polygon_boxes).collect();
                 build(scheme, params, &boxes).map_or(Kind::None, Kind::Flat)
@@ -234,17 +242,21 @@ fn first_of(sorted: &mut Vec<*const MeshTree>, pointer: *const MeshTree) -> bool
     first
 }
 
-fn two_level(environment: &Environment, params: Params) -> Kind {
+/// Meshes without a tree in `known` get one.
+fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
     let mut numbers: HashMap<*const Mesh, usize> = HashMap::new();
     let mut meshes = Vec::new();
     for o in environment.objects() {
-        numbers.entry(Arc::as_ptr(&o.mesh)).or_insert_with(|| {
-            meshes.push(&o.mesh);
+        let address = Arc::as_ptr(&o.mesh);
+        numbers.entry(address).or_insert_with(|| {
+            meshes.push((&o.mesh, known.get(&address)));
             meshes.len() - 1
         });
     }
-    let each: Vec<Arc<MeshTree>> =
-        meshes.par_iter().with_max_len(1).map(|mesh| Arc::new(MeshTree::new(mesh))).collect();
+    let tree = |(mesh, known): &(&Arc<Mesh>, Option<&Arc<MeshTree>>)| {
+        known.map_or_else(|| Arc::new(MeshTree::new(mesh)), Arc::clone)
+    };
+    let each: Vec<Arc<MeshTree>> = meshes.par_iter().with_max_len(1).map(tree).collect();
     let trees = environment.objects().iter().map(|o| each[numbers[&Arc::as_ptr(&o.mesh)]].clone()).collect();
     let boxes: Vec<(u32, Aabb)> = (0..)
         .zip(environment.objects())

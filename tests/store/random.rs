@@ -2,6 +2,7 @@
 //! sensor sees in them.
 
 use super::{at, block, create, note, point, small};
+use presight::index::{Params, Scheme};
 use presight::io::store::{self, Store};
 use presight::{Backend, Change, Environment, NewObject, Options, Pose, Predictor, Request, World};
 use proptest::prelude::*;
@@ -120,7 +121,12 @@ proptest! {
         prop_assert_eq!(again.environment().content_hash(), hash);
         prop_assert_eq!(again.environment().slot_count(), world.environment().slot_count());
         let expected = seen(&world);
-        prop_assert!(seen(&World::new(info.environment)) == expected, "of the store");
+        for scheme in [Scheme::TwoLevel, Scheme::S3d] {
+            let read = store::read_world(&path, scheme, Params::tuned(scheme)).unwrap();
+            prop_assert_eq!(read.environment().content_hash(), hash);
+            read.index().assert_well_formed(read.environment());
+            prop_assert!(seen(&read) == expected, "of the store, {scheme:?}");
+        }
         prop_assert!(seen(&World::new(scratch)) == expected, "from scratch");
         prop_assert!(seen(&again) == expected, "replayed");
         // All of it undone, newest first, is the beginning.

@@ -36,6 +36,7 @@ pub use write::{Batch, Note};
 use crate::change::Change;
 use crate::environment::{Environment, Mesh};
 use crate::error::{Error, ErrorKind, Result};
+use crate::index::{Params, Scheme, WorldIndex};
 use crate::io::layer::LayerFile;
 use crate::world::World;
 use rows::Meta;
@@ -107,7 +108,19 @@ impl Meshes {
 /// version, [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| read::load(c, path)).map(|loaded| loaded.environment)
+    in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
+}
+
+/// [`World::with_index`] of what [`read`] reads, sooner: meshes are indexed while others are read.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> {
+    let connection = connect(path, Access::Read)?;
+    let with_trees = scheme == Scheme::TwoLevel;
+    let loaded = in_one_version(&connection, path, |c| read::load(c, path, with_trees))?;
+    let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &loaded.trees);
+    Ok(World::of(index, loaded.environment))
 }
 
 /// What `presight env info` tells.
@@ -132,7 +145,7 @@ pub struct Info {
 pub fn info(path: &Path) -> Result<Info> {
     let connection = connect(path, Access::Read)?;
     in_one_version(&connection, path, |c| {
-        let read::Loaded { environment, meta, .. } = read::load(c, path)?;
+        let read::Loaded { environment, meta, .. } = read::load(c, path, false)?;
         log::walk(c, path, &meta, |_| Ok(()))?;
         let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
         Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
@@ -182,7 +195,7 @@ impl Store {
         let connection = connect(path, Access::Write)?;
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
-        let loaded = read::load(&connection, path)?;
+        let loaded = read::load(&connection, path, false)?;
         let mut ids = HashMap::new();
         log::walk(&connection, path, &loaded.meta, |entry| {
             ids.extend(entry.id.map(|id| (id, entry.number)));
@@ -297,7 +310,7 @@ impl Store {
 
     /// Takes note of what the file holds.
     fn take_in(&mut self, loaded: read::Loaded) -> Environment {
-        let read::Loaded { environment, meta, meshes } = loaded;
+        let read::Loaded { environment, meta, meshes, .. } = loaded;
         self.meta = meta;
         self.materials = environment.materials().len();
         let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());

@@ -7,9 +7,11 @@ use super::rows::{Meta, feature_hash, from_json, layer_hash, material_hash, mesh
 use super::schema::{damaged, refusal};
 use crate::environment::{Environment, FeatureLayer, Mesh, NewObject};
 use crate::error::{Error, Result};
+use crate::index::{MeshTree, Trees};
 use crate::io::layer::{FeatureFields, from_fields};
 use rusqlite::{Connection, Row};
 use std::collections::HashMap;
+use std::mem::MaybeUninit;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -18,6 +20,8 @@ pub(super) struct Loaded {
     pub environment: Environment,
     pub meta: Meta,
     pub meshes: HashMap<i64, LoadedMesh>,
+    /// Of the meshes in the environment, if they were asked for.
+    pub trees: Trees,
 }
 
 pub(super) struct LoadedMesh {
@@ -50,15 +54,16 @@ impl MeshRow {
     }
 }
 
-/// Reads within the caller's transaction.
-pub(super) fn load(connection: &Connection, path: &Path) -> Result<Loaded> {
-    let reader = Reader { connection, path, digest: std::cell::Cell::default() };
+/// Reads within the caller's transaction, with trees for the meshes if these will be indexed.
+pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<Loaded> {
+    let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
     reader.load().map_err(|e| e.in_file(path))
 }
 
 struct Reader<'a> {
     connection: &'a Connection,
     path: &'a Path,
+    with_trees: bool,
     digest: std::cell::Cell<Digest>,
 }
 
@@ -67,7 +72,7 @@ impl Reader<'_> {
         let meta = Meta::read(self.connection, self.path)?;
         let mut environment = Environment::new();
         self.materials(&mut environment)?;
-        let meshes = self.meshes(environment.materials().len())?;
+        let (meshes, trees) = self.meshes(environment.materials().len())?;
         self.objects(&mut environment, &meshes)?;
         let number = |n: i64| u32::try_from(n).map_err(|_| damaged("a number is out of range"));
         environment.skip_to(number(meta.next_object)?, number(meta.next_slot)?).map_err(damaged)?;
@@ -75,7 +80,7 @@ impl Reader<'_> {
         if self.digest.get() != meta.digest {
             return Err(damaged("rows are missing, or there are too many"));
         }
-        Ok(Loaded { environment, meta, meshes })
+        Ok(Loaded { environment, meta, meshes, trees })
     }
 
     /// Each row through `read`, whose error names table and row.
@@ -113,7 +118,7 @@ impl Reader<'_> {
     }
 
     /// Meshes that no object has are proven and not kept.
-    fn meshes(&self, materials: usize) -> Result<HashMap<i64, LoadedMesh>> {
+    fn meshes(&self, materials: usize) -> Result<(HashMap<i64, LoadedMesh>, Trees)> {
         let mut used = std::collections::HashSet::new();
         self.each("objects", "mesh", |row| {
             used.insert(get::<i64>(row, 0)?);
@@ -129,50 +134,56 @@ impl Reader<'_> {
         // The largest first: others are decoded beside it.
         rows.sort_by_key(|row| std::cmp::Reverse(row.size));
         let mut bytes = self.room_for(&rows)?;
-        let mut rest = bytes.as_mut_slice();
+        let mut rest = &mut *bytes;
         let mut done: Vec<_> = rows.iter().map(|_| (None, None)).collect();
+        let with_trees = self.with_trees;
+        let decode = move |row: &MeshRow, bytes: &[u8]| {
+            let mesh = blob::decode(&row.name, bytes, materials)?;
+            let tree = with_trees.then(|| Arc::new(MeshTree::new(&mesh)));
+            Ok((Arc::new(mesh), tree))
+        };
         // Each is proven and decoded while the next is read.
         rayon::in_place_scope(|scope| -> Result<()> {
             for (row, (content, mesh)) in rows.iter().zip(&mut done) {
                 let bytes;
                 (bytes, rest) = std::mem::take(&mut rest).split_at_mut(row.size);
-                self.read_content(row.number, bytes)?;
-                let bytes = &*bytes;
+                let bytes = self.read_content(row.number, bytes)?;
                 scope.spawn(move |_| *content = Some(row.prove(bytes)));
                 if used.contains(&row.number) {
-                    scope.spawn(move |_| *mesh = Some(blob::decode(&row.name, bytes, materials)));
+                    scope.spawn(move |_| *mesh = Some(decode(row, bytes)));
                 }
             }
             Ok(())
         })?;
-        let mut meshes = HashMap::with_capacity(rows.len());
-        for (row, (content, mesh)) in rows.into_iter().zip(done) {
+        let (mut meshes, mut trees) = (HashMap::with_capacity(rows.len()), Trees::default());
+        for (row, (content, decoded)) in rows.into_iter().zip(done) {
             let content = content.ok_or_else(|| damaged("a mesh was not proven"))??;
-            let mesh = mesh.transpose()?.map(Arc::new);
+            let (mesh, tree) = decoded.transpose()?.unzip();
+            trees.extend(mesh.as_ref().map(Arc::as_ptr).zip(tree.flatten()));
             self.prove(row.hash, row.hash)?;
             meshes.insert(row.number, LoadedMesh { name: row.name, content, mesh });
         }
-        Ok(meshes)
+        Ok((meshes, trees))
     }
 
     /// One piece of memory for all contents: the system hands out a large one faster than many.
-    fn room_for(&self, rows: &[MeshRow]) -> Result<Vec<u8>> {
+    fn room_for(&self, rows: &[MeshRow]) -> Result<Box<[MaybeUninit<u8>]>> {
         let file = std::fs::metadata(self.path).map_err(|e| Error::io(self.path, "read the store", e))?.len();
         let total = rows.iter().try_fold(0usize, |sum, row| sum.checked_add(row.size));
         match total.filter(|total| *total as u64 <= file) {
-            Some(total) => Ok(vec![0; total]),
+            Some(total) => Ok(Box::new_uninit_slice(total)),
             None => Err(damaged("its meshes are longer than the file")),
         }
     }
 
     /// The blob of a mesh, without the copies that SQLite makes of a column.
-    fn read_content(&self, mesh: i64, to: &mut [u8]) -> Result<()> {
+    fn read_content<'b>(&self, mesh: i64, to: &'b mut [MaybeUninit<u8>]) -> Result<&'b [u8]> {
         let wrap = |e| refusal(self.path, "read the store", e);
         let blob = self.connection.blob_open("main", "meshes", "content", mesh, true).map_err(wrap)?;
         if blob.len() != to.len() {
             return Err(damaged(format!("mesh {mesh} is not as long as it claims")));
         }
-        blob.read_at_exact(to, 0).map_err(wrap)
+        blob.raw_read_at_exact(to, 0).map(|bytes| &*bytes).map_err(wrap)
     }
 
     fn objects(&self, environment: &mut Environment, meshes: &HashMap<i64, LoadedMesh>) -> Result<()> {

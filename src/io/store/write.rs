@@ -402,7 +402,7 @@ impl Store {
         self.locked = false;
         let locked =
             self.connection.execute_batch("BEGIN IMMEDIATE").is_ok() || self.connection.execute_batch("BEGIN").is_ok();
-        let loaded = read::load(&self.connection, &self.path);
+        let loaded = read::load(&self.connection, &self.path, false);
         let _ = self.connection.execute_batch("ROLLBACK");
         match loaded {
             Ok(loaded) if locked => Some(self.take_in(loaded)),
