@@ -1,13 +1,11 @@
 //! Poses at which a sensor could stand: what tests, benches and the index's statistics are taken at.
 
-use crate::cpu::Engine;
 use crate::environment::Object;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::index::{Found, Region};
-use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
+use crate::plan::{Facing, facings};
 use crate::random::SplitMix64;
-use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use crate::world::World;
 use glam::DVec3;
 
@@ -15,8 +13,8 @@ use glam::DVec3;
 pub const FREE_DISTANCE: f64 = 0.3;
 /// Least share of rays, spread evenly over all directions, that hit something.
 pub const FREE_HITS: f64 = 0.6;
-/// Rays of the hit test: 16 x 12.
-const RAYS: (u32, u32) = (16, 12);
+/// Rays of the hit test.
+const RAYS: u32 = 192;
 /// Tries for each wanted pose.
 const TRIES: usize = 2000;
 
@@ -28,8 +26,7 @@ const TRIES: usize = 2000;
 /// [`crate::ErrorKind::Invalid`] if the world has too little free space among its polygons.
 pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
     let bounds = world.environment().bounds();
-    let sensor = all_round()?;
-    let mut engine = Engine::new(0)?;
+    let rays = all_round();
     let mut random = SplitMix64(seed);
     let mut found = Found::default();
     let mut poses = Vec::with_capacity(n);
@@ -43,7 +40,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
         let lean = if poses.len() % 2 == 0 { 0.0 } else { 20f64.to_radians() };
         let (roll, pitch) = (lean * (random.unit() - 0.5), lean * (random.unit() - 0.5));
         let pose = Pose::from_xyz_rpy(at, roll, pitch, yaw);
-        if is_clear(world, at, &mut found) && hits(&mut engine, world, &sensor, &pose)? >= FREE_HITS {
+        if is_clear(world, at, &mut found) && is_surrounded(world, &rays, &pose, &mut found) {
             poses.push(pose);
         }
     }
@@ -57,25 +54,66 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
 }
 
 /// Rays spread evenly over the sphere along a spiral (Fibonacci lattice).
-fn all_round() -> Result<Sensor> {
-    let n = RAYS.0 * RAYS.1;
+fn all_round() -> Vec<DVec3> {
     let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let ray = |i: u32| {
-        let z = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(n);
+        let z = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(RAYS);
         let (sin, cos) = (turn * f64::from(i)).sin_cos();
         DVec3::new(cos, sin, 0.0) * (1.0 - z * z).sqrt() + DVec3::Z * z
     };
-    let table = RayTable::new(RAYS.0, RAYS.1, (0..n).map(ray).collect())?;
-    Sensor::new(SensorSpec::new("all round", "", Geometry::Rays(table)))
+    (0..RAYS).map(ray).collect()
 }
 
-/// Share of directions that hit something.
-fn hits(engine: &mut Engine, world: &World, sensor: &Sensor, pose: &Pose) -> Result<f64> {
-    let request = Request { outputs: Outputs::of(&[Output::Range]), ..Request::default() };
-    let mut images = Images::default();
-    engine.render(&FramePlan::new(world, sensor, pose, &request), &mut images, &mut Stats::default())?;
-    let hit = images.range.iter().filter(|r| r.is_finite()).count();
-    Ok(hit as f64 / images.pixels() as f64)
+/// True if at least [`FREE_HITS`] of the rays hit something that a sensor of no class sees.
+fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut Found) -> bool {
+    let (environment, bounds) = (world.environment(), world.environment().bounds());
+    let facings: Vec<Facing> = facings(environment, "").collect();
+    let (at, reach) = (pose.translation, (bounds.max - bounds.min).length());
+    let mut hits = |ray: &DVec3| {
+        let direction = pose.rotation * *ray;
+        found.clear();
+        world.index().query(environment, &Region::ray(at, direction, reach), found);
+        found.all().filter_map(|slot| environment.locate(slot)).any(|(object, polygon)| {
+            let object = &environment.objects()[object as usize];
+            let facing = facings[usize::from(object.mesh.material(polygon))];
+            facing.opaque && is_hit(object, polygon, at, direction, facing.one_sided)
+        })
+    };
+    // No more rays than it takes to know.
+    let wanted = (FREE_HITS * rays.len() as f64).ceil() as usize;
+    let (mut hit, mut missed) = (0, 0);
+    for ray in rays {
+        if hits(ray) {
+            hit += 1;
+        } else {
+            missed += 1;
+        }
+        if hit >= wanted || missed > rays.len() - wanted {
+            break;
+        }
+    }
+    hit >= wanted
+}
+
+/// Corners of a polygon relative to a point, world axes.
+fn corners_from(object: &Object, polygon: u32, at: DVec3) -> Vec<DVec3> {
+    let world_from_mesh = object.world_from_mesh();
+    object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p) - at).collect()
+}
+
+/// Not of unit length.
+fn normal_of(corners: &[DVec3]) -> DVec3 {
+    (1..corners.len() - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum()
+}
+
+/// True if a ray meets the polygon, on its front if that is the only side there is.
+fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided: bool) -> bool {
+    let corners = corners_from(object, polygon, at);
+    let n = corners.len();
+    let normal = normal_of(&corners);
+    let distance = normal.dot(corners[0]);
+    let inside = (0..n).all(|k| distance * corners[k].cross(corners[(k + 1) % n]).dot(direction) >= 0.0);
+    inside && normal.dot(direction) * distance > 0.0 && (!one_sided || distance < 0.0)
 }
 
 /// True if no polygon is nearer than [`FREE_DISTANCE`].
@@ -91,11 +129,8 @@ fn is_clear(world: &World, at: DVec3, found: &mut Found) -> bool {
 
 /// Distance of a point from a polygon, metres.
 fn distance(object: &Object, polygon: u32, at: DVec3) -> f64 {
-    let world_from_mesh = object.world_from_mesh();
-    let corners: Vec<DVec3> =
-        object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p) - at).collect();
-    let n = corners.len();
-    let normal: DVec3 = (1..n - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+    let corners = corners_from(object, polygon, at);
+    let (n, normal) = (corners.len(), normal_of(&corners));
     let side = |k: usize| (corners[k], corners[(k + 1) % n] - corners[k]);
     if (0..n).all(|k| normal.dot(side(k).1.cross(-side(k).0)) >= 0.0) {
         return normal.normalize_or_zero().dot(corners[0]).abs();

@@ -83,21 +83,27 @@ pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision)
     pixels.iter().map(|pixel| found.get(pixel).unwrap_or(&no_ray).clone()).collect()
 }
 
-/// What a polygon would show at a pixel if the ray met it; `None` without a ray.
-pub(super) fn on_plane_of(
-    plan: &FramePlan,
-    instance: &Instance,
-    polygon: u32,
-    pixel: (u32, u32),
-    precision: Precision,
-) -> Option<Candidate> {
-    let ray = plan.sensor.ray(pixel.0, pixel.1)?;
-    let mesh = &plan.environment().objects()[instance.object as usize].mesh;
-    let face = Face::new(instance, mesh, polygon);
-    let bound = FaceBound::new(&face, instance.center_in_mesh, precision);
-    let id = (plan.polygon_id(instance.object, polygon), instance.object + 1);
-    let reflection = plan.reflection(instance.object, polygon);
-    Some(Candidate::new(&face, &bound, ray, (id, reflection), false))
+/// A polygon on whose plane pixels are compared.
+pub(super) struct OnPlane {
+    face: Face,
+    bound: FaceBound,
+    ids: (u32, u32),
+    reflection: f64,
+}
+
+impl OnPlane {
+    pub fn new(plan: &FramePlan, instance: &Instance, polygon: u32, precision: Precision) -> Self {
+        let mesh = &plan.environment().objects()[instance.object as usize].mesh;
+        let face = Face::new(instance, mesh, polygon);
+        let bound = FaceBound::new(&face, instance.center_in_mesh, precision);
+        let ids = (plan.polygon_id(instance.object, polygon), instance.object + 1);
+        Self { face, bound, ids, reflection: plan.reflection(instance.object, polygon) }
+    }
+
+    /// What it would show along a ray that met it.
+    pub fn at(&self, ray: DVec3) -> Candidate {
+        Candidate::new(&self.face, &self.bound, ray, (self.ids, self.reflection), false)
+    }
 }
 
 fn face_of(plan: &FramePlan, instances: &[Instance], object: u32, polygon: u32) -> Face {

@@ -14,6 +14,7 @@ mod pixel;
 
 pub(crate) use bound::PlaneBound;
 pub use bound::Precision;
+use candidates::OnPlane;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{Allowed, Shares, Values};
 #[cfg(feature = "report")]
@@ -176,7 +177,7 @@ pub fn compare_values(
     plan: &FramePlan,
     precision: Precision,
 ) -> Report {
-    let judge = Judge { plan, precision, instances: instances(plan), lookup: Lookup::new(plan) };
+    let mut judge = Judge { plan, precision, instances: instances(plan), lookup: Lookup::new(plan), last: None };
     let mut report = Report::default();
     let mut unclear = Vec::new();
     for (at, reference, other) in pixels {
@@ -202,7 +203,8 @@ pub fn allowed(
 ) -> Option<Allowed> {
     let values = Values::of(reference, row as usize * reference.width as usize + column as usize);
     let (object, polygon) = Lookup::new(plan).find(plan, values.polygon_id?)?;
-    let c = candidates::on_plane_of(plan, &plan.instance_of(object), polygon, (column, row), precision)?;
+    let ray = plan.sensor.ray(column, row)?;
+    let c = OnPlane::new(plan, &plan.instance_of(object), polygon, precision).at(ray);
     Some(Allowed::above(&c, &values, precision))
 }
 
@@ -237,18 +239,24 @@ struct Judge<'a> {
     precision: Precision,
     instances: Vec<Instance>,
     lookup: Lookup,
+    /// The polygon of the last pixel that was compared on one, which the next mostly shows too.
+    last: Option<(u32, OnPlane)>,
 }
 
 impl Judge<'_> {
     /// What needs no candidates: identical pixels, and those that show the same polygon within the bounds.
-    fn at_a_glance(&self, at: (u32, u32), reference: &Values, other: &Values) -> Option<Verdict> {
+    fn at_a_glance(&mut self, (column, row): (u32, u32), reference: &Values, other: &Values) -> Option<Verdict> {
         if reference.identical(other) {
             return Some(Verdict::Same(Shares::default()));
         }
         let id = reference.polygon_id.filter(|id| *id != 0 && Some(*id) == other.polygon_id)?;
-        let (object, polygon) = self.lookup.find(self.plan, id)?;
-        let instance = &self.instances[object as usize];
-        let c = candidates::on_plane_of(self.plan, instance, polygon, at, self.precision)?;
+        if self.last.as_ref().is_none_or(|(known, _)| *known != id) {
+            let (object, polygon) = self.lookup.find(self.plan, id)?;
+            let instance = &self.instances[object as usize];
+            self.last = Some((id, OnPlane::new(self.plan, instance, polygon, self.precision)));
+        }
+        let (_, on_plane) = self.last.as_ref()?;
+        let c = on_plane.at(self.plan.sensor.ray(column, row)?);
         let shares = other.off(&c, Some(reference), self.plan.sensor.spec(), self.precision)?;
         (shares.most() <= 1.0).then_some(Verdict::Same(shares))
     }

@@ -7,7 +7,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// Cones are widened by this, radians: far above rounding, far below what would cost time.
+/// Cones are widened by this, radians: far above rounding (2e-8 for the arcsine of nearly 1), far below what would cost
+/// time.
 const SLACK: f64 = 1e-6;
 /// A cone wider than this to either side is taken for everything: it may not be convex.
 const WIDEST: f64 = 1.4;
@@ -83,10 +84,10 @@ fn cone_around(object: u32, polygon: u32, corners: &[DVec3], grown: f64) -> Cone
 /// Axis and half angle of a cone around unit vectors; a zero vector (a corner at the sensor) makes it everything.
 fn around(units: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
     let axis = units.clone().sum::<DVec3>().normalize_or_zero();
-    let angle = |u: DVec3| {
-        if axis == DVec3::ZERO || u == DVec3::ZERO { PI } else { axis.cross(u).length().atan2(axis.dot(u)) }
-    };
-    (axis, units.map(angle).fold(0.0, f64::max))
+    // The farthest has the longest chord: one angle is computed and not one for each.
+    let chord = |u: DVec3| if u == DVec3::ZERO { 2.0 } else { axis.distance(u) };
+    let farthest = if axis == DVec3::ZERO { 2.0 } else { units.map(chord).fold(0.0, f64::max) };
+    (axis, 2.0 * (farthest / 2.0).min(1.0).asin())
 }
 
 /// Halves a bundle of rays again and again, keeping the polygons whose cones touch it, and hands what remains to

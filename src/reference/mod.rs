@@ -16,7 +16,7 @@ pub(crate) use bundle::{beams, cones, descend, instances};
 pub(crate) use face::{Edge, Face, UNIT_ROUNDOFF};
 
 use crate::error::Result;
-use crate::plan::{FramePlan, Images, Instance, Output};
+use crate::plan::{FramePlan, Images, Output};
 use glam::DVec3;
 
 /// What [`render`] counted.
@@ -73,17 +73,19 @@ fn cast(plan: &FramePlan, pixels: impl Iterator<Item = (u32, u32)>) -> (Vec<Beam
     let (cones, edge_on) = cones(plan, &instances, |face, _| (!face.edge_on()).then_some(0.0));
     let mut beams = beams(&plan.sensor, pixels);
     descend(&mut beams, &cones, &|beams, cones| {
+        let mut face = Face::default();
         for cone in cones {
-            paint(plan, &instances, cone, beams);
+            let mesh = &plan.environment().objects()[cone.object as usize].mesh;
+            face.renew(&instances[cone.object as usize], mesh, cone.polygon);
+            paint(plan, &face, cone, beams);
         }
     });
     (beams, Counts { polygons: cones.len() + edge_on, edge_on })
 }
 
 /// Tests one polygon against a few rays.
-fn paint(plan: &FramePlan, instances: &[Instance], cone: &Cone, beams: &mut [Beam<Option<Hit>>]) {
+fn paint(plan: &FramePlan, face: &Face, cone: &Cone, beams: &mut [Beam<Option<Hit>>]) {
     let objects = plan.environment().objects();
-    let face = Face::new(&instances[cone.object as usize], &objects[cone.object as usize].mesh, cone.polygon);
     let slot = |object: u32, polygon: u32| objects[object as usize].first_slot + polygon;
     for beam in beams.iter_mut().filter(|b| face.holds(b.ray)) {
         let inverse_range = face.inverse_range(beam.ray);
