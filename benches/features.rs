@@ -9,6 +9,9 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "its table is what it is for")]
 
+mod common;
+
+use common::fastest;
 use glam::{DMat3, DVec3};
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::FeatureShape;
@@ -181,16 +184,4 @@ fn pieces(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature])
         });
     }
     all
-}
-
-/// Milliseconds of the fastest run: of at least three, and of as many as fit in half a second.
-fn fastest(mut run: impl FnMut()) -> f64 {
-    let (start, mut runs, mut least) = (Instant::now(), 0, f64::INFINITY);
-    while start.elapsed().as_secs_f64() < 0.5 || runs < 3 {
-        let begin = Instant::now();
-        run();
-        least = least.min(begin.elapsed().as_secs_f64() * 1e3);
-        runs += 1;
-    }
-    least
 }

@@ -3,6 +3,9 @@
 //! `scenes/docking.rhai`, and the hospital where `PRESIGHT_DATA` (default `../shared/data`) holds it.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "the table is the result")]
 
+mod common;
+
+use common::fastest;
 use glam::DVec3;
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, place};
@@ -11,10 +14,6 @@ use presight::io::{gltf, script};
 use presight::virtual_sensors::{Corridor, Input, Settings, VirtualSensor};
 use presight::{Backend, IdScheme, Options, Output, Pose, Predictor, Request, Sensor, Stats, World, preset};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
-
-/// Each is repeated for so long, seconds.
-const PATIENCE: f64 = 0.5;
 
 fn main() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -99,16 +98,4 @@ fn wanted(task: VirtualSensor, world: &World) -> Vec<PlacedFeature> {
     };
     layer.features.retain(|f| task.wants(&f.shape));
     place(world, &layer).expect("features of this world")
-}
-
-/// Milliseconds of the fastest run, of three at least.
-fn fastest(mut run: impl FnMut()) -> f64 {
-    let (start, mut runs, mut least) = (Instant::now(), 0, f64::INFINITY);
-    while start.elapsed().as_secs_f64() < PATIENCE || runs < 3 {
-        let begin = Instant::now();
-        run();
-        least = least.min(begin.elapsed().as_secs_f64() * 1e3);
-        runs += 1;
-    }
-    least
 }
