@@ -145,6 +145,9 @@ fn distance(object: &Object, polygon: u32, at: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::{FramePlan, Images, Request};
+    use crate::reference;
+    use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
     use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
     use glam::Vec3;
     use std::sync::Arc;
@@ -183,6 +186,41 @@ mod tests {
         assert!((distance(object, 0, DVec3::new(1.0, 1.0, 0.7)) - 0.7).abs() < 1e-12);
         assert!((distance(object, 0, DVec3::new(-3.0, 1.0, 4.0)) - 5.0).abs() < 1e-12);
         assert!((distance(object, 0, DVec3::new(-3.0, -4.0, 12.0)) - 13.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_polygon_is_hit_inside_its_outline_and_before_the_ray() {
+        let world = hall();
+        let floor = |direction: DVec3, one_sided: bool, height: f64| {
+            let object = &world.environment().objects()[0];
+            is_hit(object, 0, DVec3::new(1.0, 1.0, height), direction.normalize(), one_sided)
+        };
+        let (down, aslant) = (-DVec3::Z, DVec3::new(2.9, 1.9, -1.0));
+        assert!(floor(down, false, 1.0) && floor(aslant, false, 1.0));
+        assert!(!floor(DVec3::Z, false, 1.0) && !floor(aslant, false, 1.1));
+        // Its front is below.
+        assert!(!floor(down, true, 1.0) && floor(DVec3::Z, true, -1.0));
+    }
+
+    /// Rays find what an image of them shows.
+    #[test]
+    fn as_many_rays_hit_as_an_image_of_them_shows() {
+        let (world, rays, mut found) = (hall(), all_round(), Found::default());
+        let table = RayTable::new(RAYS, 1, rays.clone()).unwrap();
+        let sensor = Sensor::new(SensorSpec::new("all round", "", Geometry::Rays(table))).unwrap();
+        let mut verdicts = [0; 2];
+        for k in 0..40 {
+            // From inside to far outside.
+            let at = DVec3::new(2.0 + 0.08 * f64::from(k), 1.5, 1.2);
+            let pose = Pose::from_xyz_rpy(at, 0.1, 0.2, 0.3 * f64::from(k));
+            let mut images = Images::default();
+            reference::render(&FramePlan::new(&world, &sensor, &pose, &Request::default()), &mut images).unwrap();
+            let share = images.range.iter().filter(|r| r.is_finite()).count() as f64 / f64::from(RAYS);
+            let surrounded = is_surrounded(&world, &rays, &pose, &mut found);
+            assert_eq!(surrounded, share >= FREE_HITS, "{share} at {at}");
+            verdicts[usize::from(surrounded)] += 1;
+        }
+        assert!(verdicts.iter().all(|n| *n > 5), "{verdicts:?}");
     }
 
     #[test]
