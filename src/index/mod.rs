@@ -25,13 +25,13 @@ mod world_index;
 
 pub use exact::polygon_meets;
 pub use grid::Grid;
-pub(crate) use mesh_tree::MeshTree;
 pub use plop::Plop;
 pub use region::Region;
 pub use sector::{Rect, Sector};
 pub use skd::Skd;
-pub(crate) use world_index::Trees;
 pub use world_index::{ObjectRun, WorldIndex};
+#[cfg(feature = "store")]
+pub(crate) use {mesh_tree::MeshTree, world_index::Trees};
 
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;
