@@ -9,7 +9,10 @@
 //! is off by eps^2 |c|). M and the three products and sums of each component add 4 more: v_k is off by
 //! 6 eps |M| |p_k - c| + eps^2 |M| |c|. n is rounded in the mesh, in N, in the product and when it is normalized:
 //! `off_n` = 6 eps |N| / |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own:
-//! `off_d` = 12 eps |M| min|p - c| (1 + |N| / |N n_mesh|) covers all of it: the term c2 min|v_k| / |d|.
+//! `off_d` = 12 eps |M| min|p - c| (1 + |N| / |N n_mesh|) covers all of it: the term c2 min|v_k| / |d|. In f32 that is a
+//! thousandth of d where d is a thousandth of |v|, as over a large floor. So polygons flatter than [`SET_UP_FINELY`] around
+//! the sensor are set up in f64 by every compute engine, and eps here is 2^-53 for them; n / d is then rounded once more on its way
+//! to f32, which is one of the 6 eps of the ray and the product below.
 //!
 //! **Plane.** What is not the engine's arithmetic but the polygon's own: corners off the common plane by up to
 //! `deviation` (merging and f32 vertices allow some, and another engine may take another corner for d, or cut the
@@ -38,6 +41,7 @@
 //! the part within all its edges' planes, which cuts off what lies beyond the sides of the dent: no farther from an edge's
 //! plane than the corner that is farthest beyond it.
 
+use crate::geometry::Aabb;
 use crate::reference::{Edge, Face, UNIT_ROUNDOFF};
 use glam::DVec3;
 
@@ -85,6 +89,18 @@ impl Precision {
     }
 }
 
+/// Plane distance over that of the nearest corner, in the mesh's frame, below which compute engines in f32 set up polygons
+/// in f64 if the sensor is no farther from their box than the box is large.
+pub(crate) const SET_UP_FINELY: f64 = 2e-3;
+
+/// True of polygons that they surely do.
+pub(crate) fn is_set_up_finely(face: &Face) -> bool {
+    // From the sensor.
+    let around = || face.relative.iter().fold(Aabb::EMPTY, |b, p| b.with(*p));
+    let is_near = |b: Aabb| b.distance_squared(DVec3::ZERO) <= (0.999 * b.size()).powi(2);
+    face.flatness <= SET_UP_FINELY && is_near(around())
+}
+
 /// The error bounds of a polygon's plane, and what they are made of.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlaneBound {
@@ -105,7 +121,9 @@ impl PlaneBound {
     pub fn new(face: &Face, centre_in_mesh: DVec3, precision: Precision) -> Self {
         let eps = precision.unit_roundoff();
         let centre = 4.0 * face.norm * centre_in_mesh.length() * (UNIT_ROUNDOFF + eps * eps);
-        let arithmetic = 12.0 * eps * face.nearest * (1.0 + face.normal_condition);
+        let finely = precision == Precision::F32 && is_set_up_finely(face);
+        let of_distance = if finely { Precision::F64.unit_roundoff() } else { eps };
+        let arithmetic = 12.0 * of_distance * face.nearest * (1.0 + face.normal_condition);
         let farthest = face.relative.iter().map(|p| p.length()).fold(0.0, f64::max) * face.norm;
         let tilt = 8.0 * UNIT_ROUNDOFF * farthest * (1.0 + face.aspect);
         let deviation = face.spread();

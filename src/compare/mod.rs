@@ -14,6 +14,10 @@ mod pixel;
 
 pub(crate) use bound::PlaneBound;
 pub use bound::Precision;
+#[cfg(feature = "gpu")]
+pub(crate) use bound::SET_UP_FINELY;
+#[cfg(all(feature = "gpu", test))]
+pub(crate) use bound::is_set_up_finely;
 use candidates::OnPlane;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{Allowed, Shares, Values};

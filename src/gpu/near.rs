@@ -1,15 +1,17 @@
-//! Polygons so flat to the sensor that f32 may not prove their side, set up in f64. There are few: only clusters
-//! around the sensor are looked at; what lies farther off and is as flat is thinner than a ray's epsilon.
+//! Polygons so flat to the sensor that f32 may not prove their side, or would leave too little of their distance, set up in
+//! f64: `compare::bound` counts on it. There are few: only clusters around the sensor are looked at; what lies farther off
+//! and is as flat is hardly thicker than a ray.
 
 use super::geometry::spread;
 use super::grid::Tables;
 use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS, SLOT_WORDS};
+use crate::compare::SET_UP_FINELY;
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
 use glam::{DMat3, DVec3};
 
-/// |d| / |v| below which the CPU takes over: far above where the shader leaves off.
-const FLAT: f64 = 6.2e-5;
+/// |d| / |v| below which the CPU takes over, far above where the shader leaves off: what is counted on, and rounding.
+const FLAT: f64 = 1.001 * SET_UP_FINELY;
 /// |d| / |c| below which it does, for two f32 may not hold the centre.
 const CENTER: f64 = 6.0e-11;
 
@@ -155,4 +157,77 @@ fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
     // Wider by more than an edge may be off.
     let slack = 1e-5 * (a + b);
     vec![normal.cross(a) + slack, b.cross(normal) + slack]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::is_set_up_finely;
+    use crate::plan::Request;
+    use crate::reference::Face;
+    use crate::{Environment, Material, NewObject, Polygon, PolygonOrder, Pose, World, preset};
+    use glam::{DAffine3, Vec3};
+    use proptest::prelude::*;
+    use std::sync::Arc;
+
+    /// Plates of all sizes beside each other in the sensor's plane, or nearly, between others that only share their clusters.
+    fn plates(shift: [f64; 3], size: f64, scale: [f64; 3], turn: f64) -> World {
+        let mut environment = Environment::new();
+        environment.add_material(Material::named("paint")).unwrap();
+        let (mut vertices, mut polygons) = (Vec::new(), Vec::new());
+        for i in 0..150 {
+            let side = size * 1.05f64.powi(i % 50);
+            let z = if i % 3 == 0 { 0.0 } else { f64::from(i - 75) * 0.03 * size };
+            let (x, y) = (f64::from(i % 12 - 6) * size, f64::from(i / 12 - 6) * size);
+            let corner = |a: f64, b: f64| Vec3::new((x + a * side) as f32, (y + b * side) as f32, z as f32);
+            let first = vertices.len() as u32;
+            vertices.extend([corner(0.0, 0.0), corner(1.0, 0.1), corner(0.9, 1.0)]);
+            polygons.push(Polygon::new(vec![first, first + 1, first + 2], 0));
+        }
+        let mesh = Arc::new(Mesh::new("plates", vertices, polygons, PolygonOrder::Spatial).unwrap());
+        let pose = Pose::from_xyz_rpy(DVec3::from(shift), 0.3 * turn, -0.2 * turn, turn);
+        let object_from_mesh = DAffine3::from_scale(DVec3::from(scale));
+        environment.insert(NewObject { object_from_mesh, ..NewObject::new("plates", pose, mesh) }).unwrap();
+        World::new(environment)
+    }
+
+    proptest! {
+        /// What the bound counts on: no polygon that it takes for set up in f64 is left to the shader.
+        #[test]
+        fn what_the_bound_counts_on_is_in_the_list(
+            height in -9.0..0.0f64,
+            at in proptest::array::uniform2(-8.0..8.0f64),
+            size in -2.0..2.0f64,
+            scale in proptest::array::uniform3(0.3..3.0f64),
+            turn in 0.0..1.0f64,
+        ) {
+            let size = size.exp2();
+            let world = plates([0.0; 3], size, scale, turn);
+            let object = &world.environment().objects()[0];
+            let above = DVec3::new(at[0] * size, at[1] * size, height.exp2() * 0.02 * size);
+            let place = object.world_from_mesh().transform_point3(above);
+            let sensor = preset("microwave-radar-image").unwrap();
+            let pose = Pose::from_xyz_rpy(place, 0.1, 0.2, turn);
+            let plan = FramePlan::new(&world, &sensor, &pose, &Request::default());
+            let (tables, mut list) = (Tables::new(&sensor), NearList::default());
+            let (mut wanted, mut edge_on) = (Vec::new(), 0);
+            for run in &plan.runs {
+                let instance = &plan.instances[run.instance as usize];
+                if is_near(&object.mesh, instance, run) {
+                    list.add(&plan, &tables, instance, run);
+                }
+                for polygon in run.first..run.first + run.count {
+                    let face = Face::new(instance, &object.mesh, polygon);
+                    if is_set_up_finely(&face) {
+                        wanted.push(object.first_slot + polygon);
+                        edge_on += u32::from(face.edge_on());
+                    }
+                }
+            }
+            prop_assume!(!wanted.is_empty());
+            let taken: Vec<u32> = list.slots.iter().map(|s| s.0).collect();
+            let missing = wanted.iter().filter(|slot| !taken.contains(slot)).count() as u32;
+            prop_assert!(missing <= list.edge_on.max(edge_on), "{missing} of {} are missing", wanted.len());
+        }
+    }
 }

@@ -28,6 +28,8 @@ pub(crate) struct Face {
     pub norm: f64,
     /// How much the normal's own transform magnifies rounding: 1.7 if it is rigid.
     pub normal_condition: f64,
+    /// Distance of the plane over that of the nearest corner, both before the transform: how flat it is to the sensor.
+    pub flatness: f64,
     /// Longest side by thickness, in the mesh frame: how much rounding of corners tilts the plane.
     pub aspect: f64,
 }
@@ -80,6 +82,7 @@ impl Face {
         self.norm = norm(image_from_mesh);
         self.nearest = length(nearest).sqrt() * self.norm;
         self.normal_condition = norm(instance.normal_from_mesh) / turned.length();
+        self.flatness = self.distance.abs() * turned.length() / length(nearest).sqrt();
         self.aspect = aspect(in_mesh);
     }
 
