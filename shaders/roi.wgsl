@@ -30,9 +30,9 @@ struct RoiParams {
     highest: f32,
     // Beyond these many deviations more an event does not count.
     margin: f32,
-    // Limits of nonlinearity: moved by this share of the lever, off by this share of a side's distance and so many pixels.
+    // Limits of nonlinearity: moved by these shares of the lever, off by this share of a side's distance and so many pixels.
     bent: f32,
-    grazing: f32,
+    much: f32,
     slightly: f32,
     slight: f32,
     tail_steps: f32,
@@ -422,7 +422,7 @@ fn found() -> RoiBox {
     for (var i = 0u; i < feature.points; i++) {
         let point = point_of(i);
         let lever = lever_of(point.p);
-        if !(k * point.spread < (1.0 - params.grazing) * lever) {
+        if !(k * point.spread <= params.much * lever) {
             return RoiBox(vec4f(), k, BEYOND, vec2u());
         }
         near &= k * point.spread <= params.bent * lever;

@@ -13,7 +13,7 @@ use presight::environment::{Environment, Existence, Feature, FeatureShape, Prope
 use presight::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes, predict_features,
 };
-use presight::{Angles, Camera, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
+use presight::{Angles, Camera, Distortion, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -38,6 +38,16 @@ fn scanner() -> Sensor {
     let elevation = Angles::Uniform { start_deg: -90.0, step_deg: 1.0, count: 181 };
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     Sensor::new(SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner))).unwrap()
+}
+
+/// The camera with a lens: 180 degrees of a fisheye, or barrel distortion.
+fn lenses() -> [Sensor; 2] {
+    let fisheye = Distortion::Equidistant([0.01, -0.002, 0.0, 0.0]);
+    let barrel = Distortion::PlumbBob([-0.28, 0.07, 1e-4, -2e-4, 0.0]);
+    [("fisheye", fisheye, 200.0), ("barrel", barrel, 500.0)].map(|(name, distortion, f)| {
+        let camera = Camera { distortion, ..Camera::pinhole(640, 480, f, f, 319.5, 239.5) };
+        Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).unwrap()
+    })
 }
 
 /// L with L L^T the covariance, zero where it is singular.
@@ -361,6 +371,20 @@ fn extreme_boxes_hold_as_often_as_they_say() {
     );
 }
 
+/// Round the pole columns say little or nothing, but rows do: only those are taken that the point may come to.
+#[test]
+fn at_a_pole_few_rows_are_taken() {
+    let pose = Pose::from_xyz_rpy(DVec3::ZERO, 5f64.to_radians(), 15f64.to_radians(), 0.0);
+    for (x, all_columns) in [(1.2, false), (0.8, true)] {
+        let [_, case] = both("a point at the pole", robot(0.05, 10.0), point(x, -0.2, 3.0, isotropic(0.01)), None);
+        let case = Case { pose, ..case };
+        assert_all(std::slice::from_ref(&case));
+        let ([x0, y0, x1, y1], flag) = case.found(0.99);
+        assert_eq!((flag, x1 - x0 > 715.0), ("set", all_columns), "{x}: {x0} {x1}");
+        assert!(y1 - y0 < 20.0, "{x}: {y0} {y1}");
+    }
+}
+
 /// A covariance of random directions, sometimes singular.
 fn any_covariance(random: &mut Random, position: f64, angle: f64) -> Covariance {
     let root: [[f64; 6]; 6] = std::array::from_fn(|i| {
@@ -406,6 +430,70 @@ fn family(seed: u64, count: usize, distances: [f64; 2], relative: f64, heading_d
         }
     };
     (0..count).map(one).collect()
+}
+
+/// Leaning sensors of every kind on a robot uncertain in x, y and heading, or in everything: what is level turns up and down with
+/// the heading, and back again.
+fn leaning(seed: u64, count: usize) -> Vec<Case> {
+    let mut random = Random(seed);
+    let [fisheye, barrel] = lenses();
+    let sensors = [camera(), scanner(), fisheye, barrel];
+    let one = |i: usize| {
+        let angle = |random: &mut Random, degrees: f64| random.uniform(-degrees, degrees).to_radians();
+        let (roll, pitch) = (angle(&mut random, 15.0), angle(&mut random, 35.0));
+        let place = DVec3::new(random.uniform(-5.0, 5.0), 2.0, 1.0);
+        let pose = Pose::from_xyz_rpy(place, roll, pitch, angle(&mut random, 180.0));
+        let distance = 0.7 * 12f64.powf(random.uniform(0.0, 1.0));
+        let sigma = 0.02 * random.uniform(0.0, 1.0);
+        let shape = match any_shape(&mut random, distance, sigma) {
+            FeatureShape::Segment { ends, .. } => {
+                let [a, b] = ends.map(|p| pose.transform_point(p));
+                segment(a, b, sigma)
+            }
+            FeatureShape::Point { at, covariance } => FeatureShape::Point { at: pose.transform_point(at), covariance },
+            FeatureShape::Patch { corners, covariance } => {
+                FeatureShape::Patch { corners: corners.iter().map(|p| pose.transform_point(*p)).collect(), covariance }
+            }
+            other => other,
+        };
+        let heading = [2.0, 5.0, 10.0, 20.0][random.below(4)];
+        let covariance = if random.below(3) > 0 {
+            robot(random.uniform(0.0, 0.1), heading)
+        } else {
+            any_covariance(&mut random, 0.1, 0.6 * f64::to_radians(heading))
+        };
+        Case {
+            name: format!("leaning {seed}, {i}, heading {heading}"),
+            sensor: sensors[i % sensors.len()].clone(),
+            pose,
+            covariance,
+            shape,
+            tight: Some(2.0),
+        }
+    };
+    (0..count).map(one).collect()
+}
+
+#[test]
+fn leaning_sensors_hold_as_often_as_they_say() {
+    let seed = env_number("PRESIGHT_SEED", 3);
+    assert_all(&leaning(seed, env_number("PRESIGHT_CASES", 24) as usize));
+}
+
+/// An edge that is highest in the image at no error: a search outwards from there misses where it reaches farthest.
+#[test]
+fn what_turns_back_is_held() {
+    let pose = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 20f64.to_radians(), 0.0);
+    let shape = segment(DVec3::new(4.0, 0.8, -1.5), DVec3::new(4.0, -0.8, -1.5), 0.01);
+    let case = |heading: f64| Case {
+        name: format!("level edge from a leaning camera, heading {heading}"),
+        sensor: camera(),
+        pose,
+        covariance: robot(0.02, heading),
+        shape: shape.clone(),
+        tight: Some(2.0),
+    };
+    assert_all(&[case(5.0), case(10.0), case(20.0)]);
 }
 
 /// Range sigma up to 5 %, angles up to 2 degrees, away from border and seam.

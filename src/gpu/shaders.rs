@@ -101,7 +101,7 @@ mod tests {
             records, raster_groups, raster_y, raster_z, lost_ids);
         assert_same!(&module, Survivor: polygon, instance, lines, flags);
         let module = parse("roi", ROI);
-        assert_same!(&module, RoiParams: sensor, by, size, turn, log_fail, lowest, first, highest, margin, bent, grazing,
+        assert_same!(&module, RoiParams: sensor, by, size, turn, log_fail, lowest, first, highest, margin, bent, much,
             slightly, slight, tail_steps, feature_count);
         assert_same!(&module, RoiFeature: origin, first_point, points, first_column, object_columns, columns);
         assert_same!(&module, RoiPoint: p, share, at, other_share, spread);

@@ -74,6 +74,13 @@ impl Projection for Image<'_> {
         }
     }
 
+    fn clearance(&self, p_in_body: DVec3) -> f64 {
+        match self.kind {
+            Kind::Pinhole(_) | Kind::Lens => (self.image_from_body * p_in_body).z,
+            Kind::Beams(_) | Kind::Scanner | Kind::Around => p_in_body.length(),
+        }
+    }
+
     fn size(&self) -> (u32, u32) {
         (self.sensor.width(), self.sensor.height())
     }

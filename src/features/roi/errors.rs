@@ -8,7 +8,7 @@ use super::PoseCovariance;
 use crate::environment::FeatureShape;
 use crate::features::normal::square_root;
 use crate::geometry::Pose;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DVec3};
 
 /// Most errors: six of each pose, three of each end.
 pub(crate) const ERRORS: usize = 3 * KIND;
@@ -232,21 +232,19 @@ impl Uncertain {
         self.body_from_frame.transpose() * (p_in_body - self.origin)
     }
 
-    /// Where errors bring a point, body frame. Object and sensor may turn by large angles: exact, not linear.
+    /// Where errors bring a point, body frame.
     pub(super) fn moved(&self, point: &Placed, xi: &Each) -> DVec3 {
+        self.motion(xi).place(point)
+    }
+
+    /// What errors do to all points. Object and sensor may turn by large angles: exact, not linear.
+    pub(super) fn motion(&self, xi: &Each) -> Motion {
         let [sensor, object, ends] = &self.columns;
-        let mut v = point.q;
-        if self.has_ends() {
-            let [first, second] = ends.sum(&xi[2]);
-            v += first * point.shares[0] + second * point.shares[1];
-        }
-        if self.has_object() {
-            let [shift, turn] = object.sum(&xi[1]);
-            v = turned(turn, v) + shift;
-        }
+        let object = self.has_object().then(|| object.sum(&xi[1])).map(|[shift, turn]| (Turn::new(turn), shift));
+        let ends = self.has_ends().then(|| ends.sum(&xi[2]));
         // The sensor's columns are negated.
         let [shift, turn] = sensor.sum(&xi[0]);
-        turned(turn, self.origin + v + shift)
+        Motion { ends, object, shift: self.origin + shift, turn: Turn::new(turn) }
     }
 
     /// Derivatives, by each error at none, of what has the gradient `g` at a point.
@@ -261,25 +259,6 @@ impl Uncertain {
         ]
     }
 
-    /// Derivatives by each error at errors `xi`, which brought a point to `there`, of what has the gradient `g` there.
-    /// An angle changed by d turns what Exp(angle) has turned by J d, with J the left Jacobian of the rotations.
-    pub(super) fn slopes_at(&self, point: &Placed, xi: &Each, there: DVec3, g: DVec3) -> Each {
-        let [sensor, object, ends] = &self.columns;
-        let mut slopes = Each::default();
-        let [_, turn] = sensor.sum(&xi[0]);
-        slopes[0] = sensor.slopes([turned(-turn, g), left_jacobian(-turn, there.cross(g))]);
-        let mut g = turned(-turn, g);
-        if self.has_object() {
-            let [_, turn] = object.sum(&xi[1]);
-            let [first, second] = ends.sum(&xi[2]);
-            let v = turned(turn, point.q + first * point.shares[0] + second * point.shares[1]);
-            slopes[1] = object.slopes([g, left_jacobian(-turn, v.cross(g))]);
-            g = turned(-turn, g);
-        }
-        slopes[2] = ends.slopes(point.shares.map(|share| share * g));
-        slopes
-    }
-
     /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
     pub(crate) fn spread(&self, point: &Placed) -> f64 {
         let [sensor, object, ends] = &self.sizes;
@@ -290,34 +269,59 @@ impl Uncertain {
     }
 }
 
-/// Exp(turn) v; a series for the small angles that most are.
-fn turned(turn: DVec3, v: DVec3) -> DVec3 {
-    let square = turn.length_squared();
-    if square > 0.06 {
-        return DQuat::from_scaled_axis(turn) * v;
-    }
-    // sin(a) / a and (1 - cos(a)) / a^2, to 1e-13 here.
-    let sine = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0)));
-    let versine = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0)));
-    let across = turn.cross(v);
-    v + sine * across + versine * turn.cross(across)
+/// Where errors bring the points of a feature, body frame.
+pub(super) struct Motion {
+    /// Of both ends, in the feature's frame.
+    ends: Option<[DVec3; 2]>,
+    /// Of the object, about the origin of its frame.
+    object: Option<(Turn, DVec3)>,
+    /// From the frame's origin to the sensor, before it turns.
+    shift: DVec3,
+    turn: Turn,
 }
 
-/// J v, with J the left Jacobian of the rotation by `turn`: its transpose is that of the rotation back.
-fn left_jacobian(turn: DVec3, v: DVec3) -> DVec3 {
-    let square = turn.length_squared();
-    // (1 - cos a) / a^2 and (a - sin a) / a^3.
-    let (versine, rest) = if square > 0.06 {
-        let angle = square.sqrt();
-        ((1.0 - angle.cos()) / square, (angle - angle.sin()) / (square * angle))
-    } else {
-        (
-            0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
-            (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))) / 6.0,
-        )
-    };
-    let across = turn.cross(v);
-    v + versine * across + rest * turn.cross(across)
+impl Motion {
+    pub fn place(&self, point: &Placed) -> DVec3 {
+        let mut v = point.q;
+        if let Some([first, second]) = self.ends {
+            v += first * point.shares[0] + second * point.shares[1];
+        }
+        if let Some((turn, shift)) = self.object {
+            v = turn.of(v) + shift;
+        }
+        self.turn.of(self.shift + v)
+    }
+}
+
+/// Exp(turn), with sin(a) / a and (1 - cos(a)) / a^2 of its angle; series for the small angles that most are.
+#[derive(Clone, Copy)]
+struct Turn {
+    turn: DVec3,
+    sine: f64,
+    versine: f64,
+}
+
+impl Turn {
+    fn new(turn: DVec3) -> Self {
+        let square = turn.length_squared();
+        let (sine, versine) = if square > 0.06 {
+            let angle = square.sqrt();
+            let (sin, cos) = angle.sin_cos();
+            (sin / angle, (1.0 - cos) / square)
+        } else {
+            // To 1e-13 here.
+            (
+                1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))),
+                0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0))),
+            )
+        };
+        Self { turn, sine, versine }
+    }
+
+    fn of(&self, v: DVec3) -> DVec3 {
+        let across = self.turn.cross(v);
+        v + self.sine * across + self.versine * self.turn.cross(across)
+    }
 }
 
 fn sizes(pairs: &[[DVec3; 2]; KIND]) -> [f64; 2] {

@@ -15,8 +15,8 @@
 //! events. Joint tails are tabulated by Owen's function (Owen 1956; Genz 2004, "Numerical computation of rectangular bivariate
 //! and trivariate normal and t probabilities", Stat. Comput. 14, compares the ways).
 //!
-//! Where projection bends over the reach of the errors, the side is instead the farthest value over all errors of that size
-//! (the design point of first-order reliability), with the size raised for the curvature there (Breitung 1984; `set`).
+//! Where projection bends over the reach of the errors, neither derivatives nor second-order terms bound anything: a set of errors
+//! of that probability goes through the projection draw by draw (`set`).
 //!
 //! # The paper's Fig. 10
 //!
@@ -92,7 +92,7 @@ pub(crate) use {
 use crate::features::BoxMethod;
 use glam::DVec3;
 use linear::{bent_bounds, linear_bounds};
-use passing::common_deviation;
+use passing::Passing;
 use seen::{Rough, Seen, dot, rough, see};
 use set::set_bounds;
 
@@ -139,6 +139,12 @@ pub trait Projection: Sync {
     /// How far the point is from where the projection is singular: depth before a camera, distance from a scanner's axis.
     fn lever(&self, p_in_body: DVec3) -> f64;
 
+    /// How far the point is from where it has no image: depth before a camera, distance from a scanner's centre. The lever, unless
+    /// told better.
+    fn clearance(&self, p_in_body: DVec3) -> f64 {
+        self.lever(p_in_body)
+    }
+
     /// Columns and rows.
     fn size(&self) -> (u32, u32);
 
@@ -150,24 +156,25 @@ pub trait Projection: Sync {
         differences(self, p_in_body, at)
     }
 
-    /// Derivative of the lever.
-    fn lever_gradient(&self, p_in_body: DVec3) -> DVec3 {
+    /// Derivative of the clearance.
+    fn clearance_gradient(&self, p_in_body: DVec3) -> DVec3 {
         let step = 1e-6 * p_in_body.length().max(1e-6);
-        DVec3::from_array(
-            DVec3::AXES
-                .map(|axis| (self.lever(p_in_body + axis * step) - self.lever(p_in_body - axis * step)) / (2.0 * step)),
-        )
+        let at = |shift: DVec3| self.clearance(p_in_body + shift);
+        DVec3::from_array(DVec3::AXES.map(|axis| (at(axis * step) - at(-axis * step)) / (2.0 * step)))
     }
 }
 
 /// One of the four sides: which coordinate, and +1 or -1.
 const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
 
-/// What is left of a point's lever where it counts as lost.
+/// What is left of a point's clearance where it counts as lost.
 pub(crate) const GRAZING: f64 = 0.05;
 
 /// Errors that move a point by no more than this share of its lever do not bend its projection.
 pub(crate) const BENT: f64 = 0.02;
+
+/// Those that may move it by more than this share bend it in more ways than the errors that make the sides show.
+pub(crate) const MUCH: f64 = 0.35;
 
 /// Finds boxes of one feature after the other, in room that is kept.
 #[derive(Default)]
@@ -176,6 +183,7 @@ pub(crate) struct Finder {
     seen: Vec<Seen>,
     /// The points that `seen` is of, while it is of all of them.
     whole: Vec<Material>,
+    passing: Passing,
 }
 
 impl Finder {
@@ -216,18 +224,18 @@ impl Finder {
         if self.rough.is_empty() {
             return None;
         }
-        let k = common_deviation(&self.seen, level);
+        let k = self.passing.common_deviation(&self.seen, level);
         // Where the set reaches behind the sensor, or round its axis, no box holds it.
         if self.rough.iter().any(|r| is_lost(projection, uncertain, r, k)) {
             return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
         }
         let linear = linear_bounds(&self.seen, k);
-        let near = || self.rough.iter().all(|r| k * r.spread <= BENT * r.lever);
+        let within = |share: f64| self.rough.iter().all(|r| k * r.spread <= share * r.lever);
         let bounds = match method {
             BoxMethod::Linear => Some(linear),
-            BoxMethod::AsNeeded if near() => Some(linear),
-            BoxMethod::AsNeeded => bent_bounds(projection, uncertain, &self.seen, linear, k),
-            BoxMethod::Set => None,
+            BoxMethod::AsNeeded if within(BENT) => Some(linear),
+            BoxMethod::AsNeeded if within(MUCH) => bent_bounds(projection, uncertain, &self.seen, linear, k),
+            BoxMethod::AsNeeded | BoxMethod::Set => None,
         };
         let (bounds, flag) = match bounds {
             Some(bounds) => (bounds, RoiFlag::Linear),
@@ -246,13 +254,13 @@ pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Materi
     Finder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
 }
 
-/// True if errors of `k` standard deviations may bring a point next to where projection is singular, or beyond.
+/// True if errors of `k` standard deviations may bring a point next to where it has no image, or beyond.
 fn is_lost(projection: &impl Projection, uncertain: &Uncertain, rough: &Rough, k: f64) -> bool {
-    let left = (1.0 - GRAZING) * rough.lever;
+    let left = (1.0 - GRAZING) * rough.clearance;
     if k * rough.spread < left {
         return false;
     }
-    let slopes = uncertain.slopes(&rough.point, projection.lever_gradient(rough.point.p));
+    let slopes = uncertain.slopes(&rough.point, projection.clearance_gradient(rough.point.p));
     k * dot(&slopes, &slopes).sqrt() >= left
 }
 

@@ -6,7 +6,6 @@
 //! farther event hardly counts.
 
 use super::SIDES;
-use super::errors::KIND;
 use super::seen::{MARGIN, Seen, dot};
 use crate::features::normal::{Tails, apart, tail_quantile};
 
@@ -17,7 +16,7 @@ pub(crate) const MOST: usize = 3;
 pub(crate) const EVENTS: usize = 4 * MOST;
 
 /// What a confidence says about thresholds, made once for all features.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub(crate) struct Level {
     /// The probability that is left.
     pub fail: f64,
@@ -27,18 +26,33 @@ pub(crate) struct Level {
     pub first: f64,
     /// At which so many as are looked at have it together.
     pub highest: f64,
+    /// Logarithm of `fail`; tail at `first`, and how fast its logarithm falls there.
+    wanted: f64,
+    tail: f64,
+    hazard: f64,
+    tails: &'static Tails,
 }
 
 impl Level {
     pub fn new(confidence: f64) -> Self {
         let fail = 1.0 - confidence;
         let shared = |n: f64| tail_quantile(fail / n);
-        Self { fail, lowest: shared(1.0), first: shared(4.0), highest: shared(EVENTS as f64) }
+        let (tails, first) = (Tails::get(), shared(4.0));
+        Self {
+            fail,
+            lowest: shared(1.0),
+            first,
+            highest: shared(EVENTS as f64),
+            wanted: fail.ln(),
+            tail: tails.tail(first),
+            hazard: 0.398_942_280_401_432_7 / tails.mills(first),
+            tails,
+        }
     }
 }
 
 /// A point passing a side.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Event {
     /// Whose slopes.
     seen: usize,
@@ -49,103 +63,159 @@ struct Event {
     /// By how many more for each that the common number rises.
     rate: f64,
     tail: f64,
+    /// Number of its direction: both ways through a side are one.
+    direction: usize,
 }
 
-/// The events that count, and the tree between them.
-struct Events {
-    events: [Event; EVENTS],
-    count: usize,
-    /// For all but the first event of a tree: its neighbour, and how far apart they are.
-    parents: [(usize, f64); EVENTS],
+/// A neighbour in the spanning tree, and how far apart the errors are that make the two.
+#[derive(Clone, Copy, Debug)]
+struct Parent {
+    event: usize,
+    /// Below 0 of what has none.
+    apart: f64,
+    /// Joint tail with it.
+    joint: f64,
+    /// Not in the tree yet.
+    out: bool,
 }
 
-/// The number of standard deviations k at which no side is passed but with the probability that is left.
-pub(super) fn common_deviation(seen: &[Seen], level: &Level) -> f64 {
-    let tails = Tails::get();
-    let mut events = Events::new(seen, level.first, tails);
-    if events.count == 0 {
-        return level.lowest;
+/// The events that count and the tree between them, in room that is kept.
+#[derive(Default)]
+pub(super) struct Passing {
+    events: Vec<Event>,
+    /// Point and coordinate by direction.
+    directions: Vec<(usize, usize)>,
+    /// Correlations, and what is apart of their amounts: of each direction with those before it, in turn.
+    pairs: Vec<(f64, f64)>,
+    parents: Vec<Parent>,
+    /// Deviations and tails by event.
+    reach: Vec<(f64, f64)>,
+    /// Points that a side may count, with their deviations.
+    near: Vec<(f64, usize)>,
+}
+
+impl Passing {
+    /// The number of standard deviations k at which no side is passed but with the probability that is left.
+    pub fn common_deviation(&mut self, seen: &[Seen], level: &Level) -> f64 {
+        self.take_events(seen, level);
+        if self.events.is_empty() {
+            return level.lowest;
+        }
+        self.take_pairs(seen);
+        self.join(level.tails);
+        let within = |k: f64| k.clamp(level.lowest, level.highest);
+        // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
+        let before = self.passed(0.0, level.tails).ln() - level.wanted;
+        let k = within(level.first + before / level.hazard);
+        let step = k - level.first;
+        if step.abs() < 1e-6 {
+            return k;
+        }
+        let after = self.passed(step, level.tails).ln() - level.wanted;
+        let slope = (after - before) / step;
+        within(if slope < -0.1 { k - after / slope } else { k })
     }
-    events.join(seen, tails);
-    let wanted = level.fail.ln();
-    let excess = |k: f64| events.passed(k - level.first, tails).ln() - wanted;
-    let within = |k: f64| k.clamp(level.lowest, level.highest);
-    // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
-    let hazard = |k: f64| 0.398_942_280_401_432_7 / tails.mills(k);
-    let before = excess(level.first);
-    let k = within(level.first + before / hazard(level.first));
-    let step = k - level.first;
-    if step.abs() < 1e-6 {
-        return k;
-    }
-    let after = excess(k);
-    let slope = (after - before) / step;
-    within(if slope < -0.1 { k - after / slope } else { k })
-}
 
-impl Events {
-    /// Chosen at `k` standard deviations: of each side the point that makes it, and those nearly as likely to pass.
-    fn new(seen: &[Seen], k: f64, tails: &Tails) -> Self {
-        let none = Event::default();
-        let mut all = Self { events: [none; EVENTS], count: 0, parents: [(0, -1.0); EVENTS] };
-        let at_first = tails.tail(k);
+    /// At the level's first number of standard deviations: of each side the point that makes it, and those nearly as likely
+    /// to pass.
+    fn take_events(&mut self, seen: &[Seen], level: &Level) {
+        self.events.clear();
+        self.directions.clear();
+        let k = level.first;
         for side in SIDES {
-            let c = side.0;
-            let maker =
-                (0..seen.len()).fold(0, |b, i| if seen[i].reach(side, k) > seen[b].reach(side, k) { i } else { b });
-            let (limit, sigma) = (seen[maker].reach(side, k), seen[maker].sigma[c]);
-            let first = all.count;
-            let mut at = Some((f64::NEG_INFINITY, maker));
-            while let Some((nearest, i)) = at {
+            let (c, sign) = side;
+            let mut maker = (f64::NEG_INFINITY, 0);
+            for (i, s) in seen.iter().enumerate() {
+                let reach = s.reach(side, k);
+                maker = if reach > maker.0 { (reach, i) } else { maker };
+            }
+            let (limit, maker) = maker;
+            if !seen.get(maker).is_some_and(|s| s.sigma[c] > 0.0) {
+                continue;
+            }
+            self.near.clear();
+            for (i, s) in seen.iter().enumerate().filter(|(i, s)| *i != maker && s.sigma[c] > 0.0) {
+                let to_side = limit - sign * s.rough.at[c];
+                if to_side < (k + MARGIN) * s.sigma[c] {
+                    self.near.push((to_side / s.sigma[c], i));
+                }
+            }
+            let first = self.events.len();
+            self.take_event(seen, side, (k, level.tail, 1.0), maker);
+            while self.events.len() < first + MOST
+                && let Some(nearest) =
+                    (0..self.near.len()).reduce(|a, b| if self.near[b] < self.near[a] { b } else { a })
+            {
+                let (deviations, i) = self.near.swap_remove(nearest);
                 let s = &seen[i];
-                let deviations = nearest.max(k);
-                if !(s.sigma[c] > 0.0 && deviations < k + MARGIN) {
-                    break;
-                }
                 // Points that move as one pass as one.
-                let one = |e: &Event| {
-                    dot(&seen[e.seen].slopes[c], &s.slopes[c]) > (1.0 - 1e-6) * s.sigma[c] * seen[e.seen].sigma[c]
+                let is_one = |e: &Event| {
+                    let (slopes, sigma) = (&seen[e.seen].slopes[c], seen[e.seen].sigma[c]);
+                    dot(slopes, &s.slopes[c]) > (1.0 - 1e-6) * s.sigma[c] * sigma
                 };
-                if !all.events[first..all.count].iter().any(one) {
-                    let rate = sigma / s.sigma[c];
-                    // Those that make a side are all as far.
-                    let tail = if deviations == k { at_first } else { tails.tail(deviations) };
-                    all.events[all.count] = Event { seen: i, side, deviations, rate, tail };
-                    all.count += 1;
+                if !self.events[first..].iter().any(is_one) {
+                    let deviations = deviations.max(k);
+                    let tail = if deviations == k { level.tail } else { level.tails.tail(deviations) };
+                    self.take_event(seen, side, (deviations, tail, seen[maker].sigma[c] / s.sigma[c]), i);
                 }
-                if all.count == first + MOST {
-                    break;
-                }
-                // The next nearest.
-                let after = if i == maker { (f64::NEG_INFINITY, 0) } else { (nearest, i) };
-                at = next(seen, side, limit, maker, after);
             }
         }
-        all
+    }
+
+    fn take_event(&mut self, seen: &[Seen], side: (usize, f64), (deviations, tail, rate): (f64, f64, f64), at: usize) {
+        debug_assert!(at < seen.len());
+        let known = self.directions.iter().position(|d| *d == (at, side.0));
+        let direction = known.unwrap_or_else(|| {
+            self.directions.push((at, side.0));
+            self.directions.len() - 1
+        });
+        self.events.push(Event { seen: at, side, deviations, rate, tail, direction });
+    }
+
+    fn take_pairs(&mut self, seen: &[Seen]) {
+        self.pairs.clear();
+        for (n, (of, c)) in self.directions.iter().enumerate() {
+            let (slopes, sigma) = (&seen[*of].slopes[*c], seen[*of].sigma[*c]);
+            for (before, d) in &self.directions[..n] {
+                let rho = dot(slopes, &seen[*before].slopes[*d]) / (sigma * seen[*before].sigma[*d]);
+                self.pairs.push((rho, apart(rho.abs())));
+            }
+            self.pairs.push((1.0, 0.0));
+        }
+    }
+
+    /// How far apart the errors are that make two events; `None` if they go opposite ways, or are independent.
+    #[inline]
+    fn apart(&self, a: &Event, b: &Event) -> Option<f64> {
+        let (more, less) = (a.direction.max(b.direction), a.direction.min(b.direction));
+        let (rho, apart) = self.pairs[more * (more + 1) / 2 + less];
+        (a.side.1 * b.side.1 * rho > 0.0).then_some(apart)
     }
 
     /// The spanning tree of greatest joint tails (Prim).
-    fn join(&mut self, seen: &[Seen], tails: &Tails) {
-        let events = &self.events[..self.count];
-        let directions = Directions::new(events, seen);
-        let mut best = [-1.0f64; EVENTS];
-        let mut out = [true; EVENTS];
+    fn join(&mut self, tails: &Tails) {
+        self.parents.clear();
+        self.parents.resize(self.events.len(), Parent { event: 0, apart: -1.0, joint: -1.0, out: true });
         let mut last = 0;
-        for _ in 1..self.count {
-            out[last] = false;
+        for _ in 1..self.events.len() {
+            self.parents[last].out = false;
             let mut next = usize::MAX;
-            let b = &events[last];
-            for (i, a) in events.iter().enumerate().filter(|(i, _)| out[*i]) {
+            let b = self.events[last];
+            for i in 0..self.events.len() {
+                if !self.parents[i].out {
+                    continue;
+                }
+                let a = &self.events[i];
                 // What goes opposite ways hardly ever happens together.
-                if let Some(apart) = directions.apart((i, a), (last, b)) {
+                if let Some(apart) = self.apart(a, &b) {
                     let (far, less) =
                         if a.deviations > b.deviations { (a.deviations, a.tail) } else { (b.deviations, b.tail) };
                     let joint = less * tails.shared(far, apart);
-                    if joint > best[i] {
-                        (best[i], self.parents[i]) = (joint, (last, apart));
+                    if joint > self.parents[i].joint {
+                        self.parents[i] = Parent { event: last, apart, joint, out: true };
                     }
                 }
-                if next == usize::MAX || best[i] > best[next] {
+                if next == usize::MAX || self.parents[i].joint > self.parents[next].joint {
                     next = i;
                 }
             }
@@ -154,80 +224,24 @@ impl Events {
     }
 
     /// At most this probability that any side is passed, with the common number of standard deviations so much higher.
-    fn passed(&self, more: f64, tails: &Tails) -> f64 {
-        let mut reach = [(0.0, 0.0); EVENTS];
-        for i in 0..self.count {
-            let e = &self.events[i];
+    fn passed(&mut self, more: f64, tails: &Tails) -> f64 {
+        self.reach.clear();
+        for e in &self.events {
             let deviations = (e.deviations + more * e.rate).max(0.0);
-            let same = reach[..i].last().filter(|r| r.0 == deviations);
-            reach[i] = match same {
-                _ if more == 0.0 => (e.deviations, e.tail),
-                Some(known) => *known,
-                None if deviations == reach[0].0 => reach[0],
-                None => (deviations, tails.tail(deviations)),
-            };
+            // Those that make a side are all as far.
+            let known = self.reach.iter().find(|r| r.0 == deviations).map(|r| r.1);
+            let tail = if more == 0.0 { e.tail } else { known.unwrap_or_else(|| tails.tail(deviations)) };
+            self.reach.push((deviations, tail));
         }
         let mut sum = 0.0;
-        for i in 0..self.count {
-            let (parent, apart) = self.parents[i];
-            sum += reach[i].1;
-            if apart >= 0.0 {
-                let (far, less) = if reach[i].0 > reach[parent].0 { reach[i] } else { reach[parent] };
-                sum -= less * tails.shared(far, apart);
+        for (reach, parent) in self.reach.iter().zip(&self.parents) {
+            sum += reach.1;
+            if parent.apart >= 0.0 {
+                let other = self.reach[parent.event];
+                let (far, less) = if reach.0 > other.0 { *reach } else { other };
+                sum -= less * tails.shared(far, parent.apart);
             }
         }
         sum.max(f64::MIN_POSITIVE)
     }
-}
-
-/// How far apart the errors are that make events: both ways through a side are one direction.
-struct Directions {
-    /// By event.
-    number: [usize; EVENTS],
-    /// Correlations, and what is apart of their amounts, by pairs of directions, the greater number first.
-    pairs: [[(f64, f64); EVENTS]; EVENTS],
-}
-
-impl Directions {
-    fn new(events: &[Event], seen: &[Seen]) -> Self {
-        let mut all = Self { number: [0; EVENTS], pairs: [[(0.0, 0.0); EVENTS]; EVENTS] };
-        let mut known = [(&[[0.0; KIND]; 3], 0.0, (0, 0)); EVENTS];
-        let mut count = 0;
-        for (e, number) in events.iter().zip(&mut all.number) {
-            let (of, c) = (e.seen, e.side.0);
-            *number = (0..count).find(|n| known[*n].2 == (of, c)).unwrap_or_else(|| {
-                let (slopes, sigma) = (&seen[of].slopes[c], seen[of].sigma[c]);
-                for (before, pair) in known[..count].iter().zip(&mut all.pairs[count]) {
-                    let rho = dot(slopes, before.0) / (sigma * before.1);
-                    *pair = (rho, apart(rho.abs()));
-                }
-                all.pairs[count][count] = (1.0, 0.0);
-                known[count] = (slopes, sigma, (of, c));
-                count += 1;
-                count - 1
-            });
-        }
-        all
-    }
-
-    /// Of two events; `None` if they go opposite ways, or are independent.
-    #[inline]
-    fn apart(&self, (i, a): (usize, &Event), (j, b): (usize, &Event)) -> Option<f64> {
-        let (m, n) = (self.number[i], self.number[j]);
-        let (rho, apart) = self.pairs[m.max(n)][m.min(n)];
-        (a.side.1 * b.side.1 * rho > 0.0).then_some(apart)
-    }
-}
-
-/// The point that comes next after one with so many deviations, by deviations and then by number; not the one that makes
-/// the side.
-fn next(seen: &[Seen], (c, sign): (usize, f64), limit: f64, maker: usize, after: (f64, usize)) -> Option<(f64, usize)> {
-    let mut best: Option<(f64, usize)> = None;
-    for (i, s) in seen.iter().enumerate().filter(|(i, s)| *i != maker && s.sigma[c] > 0.0) {
-        let here = ((limit - sign * s.rough.at[c]) / s.sigma[c], i);
-        if here > after && best.is_none_or(|b| here < b) {
-            best = Some(here);
-        }
-    }
-    best
 }

@@ -13,6 +13,8 @@ pub(super) struct Rough {
     /// Of column and row by the position, body frame.
     pub gradient: [DVec3; 2],
     pub lever: f64,
+    /// See [`Projection::clearance`].
+    pub clearance: f64,
     /// At least the standard deviation of its position, body frame.
     pub spread: f64,
 }
@@ -68,8 +70,8 @@ pub(super) fn rough(projection: &impl Projection, uncertain: &Uncertain, points:
             Some(gradient) => (gradient, projection.lever(point.p)),
             None => ([DVec3::ZERO; 2], 0.0),
         };
-        let spread = uncertain.spread(&point);
-        into.push(Rough { point, at, gradient, lever, spread });
+        let (clearance, spread) = (projection.clearance(point.p), uncertain.spread(&point));
+        into.push(Rough { point, at, gradient, lever, clearance, spread });
     }
 }
 

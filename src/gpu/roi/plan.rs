@@ -24,7 +24,7 @@ pub(in crate::gpu) struct RoiParams {
     pub highest: f32,
     pub margin: f32,
     pub bent: f32,
-    pub grazing: f32,
+    pub much: f32,
     pub slightly: f32,
     pub slight: f32,
     pub tail_steps: f32,
@@ -180,7 +180,7 @@ fn four(v: DVec3) -> [f32; 4] {
 }
 
 fn params(frame: &BoxFrame<'_>, by: [f64; 2], feature_count: u32) -> RoiParams {
-    use crate::features::roi::{BENT, GRAZING, MARGIN, SLIGHT, SLIGHTLY};
+    use crate::features::roi::{BENT, MARGIN, MUCH, SLIGHT, SLIGHTLY};
     let (image, level) = (&frame.image, &frame.level);
     let (width, height) = image.size();
     let mut sensor = [[0.0; 4]; 2 * KIND];
@@ -200,7 +200,7 @@ fn params(frame: &BoxFrame<'_>, by: [f64; 2], feature_count: u32) -> RoiParams {
         highest: level.highest as f32,
         margin: MARGIN as f32,
         bent: BENT as f32,
-        grazing: GRAZING as f32,
+        much: MUCH as f32,
         slightly: SLIGHTLY as f32,
         slight: SLIGHT as f32,
         tail_steps: crate::features::TAIL_STEPS as f32,
