@@ -18,7 +18,7 @@ mod stages;
 mod store;
 mod visible;
 
-pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters};
+pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters, preferred};
 pub use visible::{Asked, Proposal};
 
 use crate::error::{ErrorKind, Result};
