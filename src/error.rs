@@ -135,6 +135,11 @@ impl Error {
         self.0.place.as_deref()
     }
 
+    /// What is wrong, without file, place and remedy.
+    pub fn what(&self) -> &str {
+        &self.0.what
+    }
+
     /// What to do about it; may be empty.
     pub fn remedy(&self) -> &str {
         &self.0.remedy

@@ -210,6 +210,8 @@ fn statistics_and_explanation_say_what_it_cost() {
     for key in ["stages_ms", "counts", "left_out", "notices", "adapter", "outputs"] {
         assert!(stats.get(key).is_some(), "{key}");
     }
+    assert_eq!(stats["counts"]["polygons selected"], 1, "{}", stats["counts"]);
+    assert!(stats["counts"].as_object().unwrap().keys().all(|name| !name.contains('_')), "{}", stats["counts"]);
 }
 
 #[test]
@@ -595,4 +597,6 @@ fn doctor_lists_engines_and_says_which_is_used() {
         outcome.stdout
     );
     assert!(outcome.stdout.matches("right: ").count() >= 4 && !outcome.stdout.contains("WRONG"), "{}", outcome.stdout);
+    let looks_for_drivers = cfg!(all(feature = "gpu", target_os = "linux"));
+    assert_eq!(outcome.stdout.contains("VK_DRIVER_FILES=/nonexistent is set"), looks_for_drivers, "{}", outcome.stdout);
 }

@@ -17,8 +17,7 @@ use std::time::Instant;
 /// Edge pixels beyond this share fail, in scenes where rays and edges meet by chance only.
 fn most_edge_share(precision: Precision) -> f64 {
     match precision {
-        Precision::F64 => 1e-4,
-        Precision::F32 => 2e-3,
+        Precision::F64 | Precision::F32 => 1e-4,
         Precision::Snapped => 2e-2,
     }
 }

@@ -63,8 +63,7 @@ fn room(images: &Images, feature_id: &[u32]) -> [usize; 7] {
 }
 
 fn count(stats: &Stats, name: &str) -> u64 {
-    let same = |n: &str| n.replace('_', " ") == name;
-    stats.counts.iter().find(|(n, _)| same(n)).map_or(0, |(_, n)| *n)
+    stats.counts.iter().find(|(n, _)| n == name).map_or(0, |(_, n)| *n)
 }
 
 impl Case<'_> {

@@ -1,10 +1,11 @@
 //! `presight report` from outside: its files, what they say, and how it refuses.
 
 use assert_cmd::Command;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::Path;
 use std::process::Output;
+use std::time::Duration;
 
 const COLUMNS: &str = "scene,sensor,engine,variant,error_kind,error,bound,median_ms,p95_ms,pareto";
 
@@ -18,12 +19,20 @@ fn room() -> String {
 
 fn presight(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::cargo_bin("presight").unwrap();
-    command.current_dir(folder).arg("report").args(arguments);
+    command.current_dir(folder).args(arguments);
     // Vulkan that cannot be: the command must do the same everywhere.
     for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
         command.env(variable, "/nonexistent");
     }
     command.output().unwrap()
+}
+
+fn report(folder: &Path, arguments: &[&str]) -> Output {
+    presight(folder, &[&["report"], arguments].concat())
+}
+
+fn json_of(folder: &Path) -> serde_json::Value {
+    serde_json::from_str(&fs::read_to_string(folder.join("study/report.json")).unwrap()).unwrap()
 }
 
 /// Lines of a CSV whose names hold commas in quotes.
@@ -46,19 +55,79 @@ fn a_quick_study_writes_what_it_found() {
     fs::write(folder.path().join("scanner.toml"), SCANNER).unwrap();
     let room = room();
     let sensors = ["--sensor", "camera.toml", "--sensor", "scanner.toml"];
-    let done = presight(folder.path(), &[&[room.as_str(), "--out", "study", "--quick"][..], &sensors].concat());
+    let done = report(folder.path(), &[&[room.as_str(), "--out", "study", "--quick"][..], &sensors].concat());
     assert_eq!(String::from_utf8_lossy(&done.stderr), "");
     assert_eq!(done.status.code(), Some(0));
     let said = String::from_utf8(done.stdout).unwrap();
     assert_eq!(said.matches("on this machine take cpu, ").count(), 2, "{said}");
+    assert_eq!(said.matches(" of them.").count(), 2, "{said}");
     check_csv(&fs::read_to_string(folder.path().join("study/work_precision.csv")).unwrap());
     check_html(&fs::read_to_string(folder.path().join("study/index.html")).unwrap());
-    let json = fs::read_to_string(folder.path().join("study/report.json")).unwrap();
-    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let json = json_of(folder.path());
     assert_eq!(json["format"], 1);
     assert_eq!(json["findings"].as_array().unwrap().len(), 2);
     assert_eq!(json["machine"]["command"][1], "report");
-    assert!(json["findings"][0]["notes"][1]["stages_ms"].as_array().is_some_and(|s| s.len() >= 3), "{json}");
+    for finding in json["findings"].as_array().unwrap() {
+        check_notes(finding["notes"].as_array().unwrap());
+        assert!(finding["features"].as_u64() >= Some(10) && finding["seen_share"].as_f64() > Some(0.1), "{finding}");
+    }
+    check_ways(folder.path(), &json["findings"][0]["notes"]);
+}
+
+/// Times of stages with their spread, and one default of each family of paths: images, features, regions at three errors.
+fn check_notes(notes: &[serde_json::Value]) {
+    assert_eq!(notes.iter().filter(|n| n["default"] == true).count(), 5, "{notes:?}");
+    let one_thread = &notes[1];
+    assert_eq!(one_thread["variant"], "1 thread");
+    let stages = one_thread["stages"].as_array().unwrap();
+    let ms = |stage: &serde_json::Value, key: &str| stage[key].as_f64().unwrap();
+    assert!(stages.len() >= 3 && stages.iter().all(|s| ms(s, "p95_ms") >= ms(s, "median_ms")), "{one_thread}");
+}
+
+/// Flags that a study tells for its paths are flags that the command takes.
+fn check_ways(folder: &Path, notes: &serde_json::Value) {
+    let ways = notes.as_array().unwrap().iter().map(|n| n["how"].as_str().unwrap());
+    let flags: HashSet<&str> = ways.filter_map(|how| how.split(';').next().filter(|f| f.starts_with("--"))).collect();
+    assert!(flags.len() >= 7, "{flags:?}");
+    let room = room();
+    for line in flags {
+        let view = ["predict", room.as_str(), "--sensor", "camera.toml", "--pose", "0.3,0.35,1.65,0,12,38"];
+        let done = presight(folder, &[&view[..], &line.split_whitespace().collect::<Vec<_>>()].concat());
+        assert_eq!(done.status.code(), Some(0), "{line}: {}", String::from_utf8_lossy(&done.stderr));
+    }
+}
+
+/// The GPU engine's paths, regions of interest among them, where there is an adapter.
+#[cfg(feature = "gpu")]
+#[test]
+fn the_gpu_engine_is_studied_where_there_is_one() {
+    if presight::gpu::adapters().is_empty() {
+        assert!(std::env::var_os("CI").is_none(), "CI needs an adapter");
+        eprintln!("SKIPPED: no adapter");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("camera.toml"), CAMERA).unwrap();
+    let arguments = ["report", &room(), "--quick", "--out", "study", "--sensor", "camera.toml"];
+    let done = Command::cargo_bin("presight").unwrap().current_dir(folder.path()).args(arguments).output().unwrap();
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let json = json_of(folder.path());
+    let rows = json["findings"][0]["rows"].as_array().unwrap();
+    let error = |engine: &str, variant: &str, kind: &str| {
+        let of = |r: &&serde_json::Value| r["engine"] == engine && r["variant"] == variant && r["error_kind"] == kind;
+        let row = rows.iter().find(of).unwrap_or_else(|| panic!("no {engine}, {variant}, {kind}"));
+        row["error"].as_f64().unwrap()
+    };
+    for pose in ["1 cm 0.3 deg", "10 cm 3 deg", "20 cm 8 deg"] {
+        let variant = format!("roi as needed, pose {pose}");
+        let [gpu, cpu] = ["gpu", "cpu"].map(|engine| error(engine, &variant, "roi_missed"));
+        assert!((gpu - cpu).abs() < 2e-3, "{variant}: {gpu}, by the CPU {cpu}");
+    }
+    assert_eq!(
+        error("gpu", "features by images", "visible_fraction"),
+        error("cpu", "features by images", "visible_fraction")
+    );
+    assert_eq!(error("gpu", "32-bit keys", "fault_share"), 0.0);
 }
 
 fn check_csv(csv: &str) {
@@ -72,6 +141,7 @@ fn check_csv(csv: &str) {
         let number = |i: usize| row[i].parse::<f64>().unwrap_or_else(|e| panic!("{row:?}: {e}"));
         assert!(number(5) >= 0.0 && number(7) > 0.0 && number(8) >= number(7), "{row:?}");
         assert!(row[6].is_empty() || number(6) >= 0.0, "{row:?}");
+        assert!(row[4] != "range_m" || row[6].is_empty() || number(6) > 0.0, "a bound of nothing: {row:?}");
         let front: &mut usize = fronts.entry((row[1].clone(), row[4].clone())).or_default();
         *front += usize::from(row[9].parse::<bool>().unwrap());
         errors.insert((row[1].clone(), row[2].clone(), row[3].clone(), row[4].clone()), number(5));
@@ -130,15 +200,18 @@ fn check_html(html: &str) {
     for inside in ["<svg", "data:image/png;base64,", "prefers-color-scheme:dark", "@media print", "Pareto front"] {
         assert!(html.contains(inside), "{inside}");
     }
-    for told in ["adapter and driver", "Left out", "ray table", "--quick"] {
+    for told in ["adapter and driver", "Left out", "ray table", "--quick", "How to take them", "--index s3d"] {
         assert!(html.contains(told), "{told}");
     }
+    // There is no such flag here.
+    assert!(html.contains("presight doctor says what to install") && !html.contains("use --backend cpu"));
 }
 
 #[test]
 fn bad_input_is_refused_before_any_work() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("file"), "not a folder").unwrap();
+    fs::write(folder.path().join("empty.tum"), "# timestamp tx ty tz qx qy qz qw\n").unwrap();
     let room = room();
     for (arguments, status, told) in [
         (&["--out", "study"][..], 2, "no scene"),
@@ -146,11 +219,32 @@ fn bad_input_is_refused_before_any_work() {
         (&[room.as_str(), "--out", "study", "--sensor", "nothing"][..], 2, "nothing"),
         (&[room.as_str()][..], 2, "--out"),
         (&[room.as_str(), "--quick", "--out", "file/study"][..], 4, "file/study"),
+        (&["--stability", "--out", "file/study"][..], 4, "file/study"),
+        (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: there is no pose"),
     ] {
-        let done = presight(folder.path(), arguments);
+        let done = report(folder.path(), arguments);
         let message = String::from_utf8(done.stderr).unwrap();
         assert_eq!(done.status.code(), Some(status), "{arguments:?}: {message}");
         assert!(message.contains(told) && message.lines().count() == 1, "{arguments:?}: {message}");
         assert!(!folder.path().join("study").exists(), "{arguments:?}");
+    }
+}
+
+/// /proc is a folder that nobody can write into, root neither. What takes minutes must not begin.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_that_cannot_be_written_is_refused_before_any_work() {
+    let room = room();
+    for arguments in [
+        &["report", &room, "--out", "/proc"][..],
+        &["report", "--stability", "--out", "/proc"],
+        &["index", &room, "--out", "/proc"],
+    ] {
+        let mut command = Command::cargo_bin("presight").unwrap();
+        let done = command.args(arguments).timeout(Duration::from_secs(20)).output().unwrap();
+        let message = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(4), "{arguments:?}: {message}");
+        assert!(message.contains("/proc: cannot write into the folder"), "{arguments:?}: {message}");
+        assert!(done.stdout.is_empty(), "{arguments:?}");
     }
 }

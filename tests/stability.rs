@@ -47,6 +47,23 @@ fn no_engine_has_a_fault() {
     let json: serde_json::Value = serde_json::from_str(&to_json(&study, &rows, &about).unwrap()).unwrap();
     assert_eq!(json["rows"].as_array().unwrap().len(), rows.len());
     assert_eq!(json["faults"], 0);
+    check_left_out(&rows, &html, &json);
+}
+
+/// In f32 a plate met at 1e-9 rad is left out as edge-on, and what is behind it shown: every place has to say so.
+fn check_left_out(rows: &[Row], html: &str, json: &serde_json::Value) {
+    let Some(at) = rows.iter().position(|r| r.family == "grazing" && r.difficulty < 2e-9 && r.finding.engine == "gpu")
+    else {
+        return;
+    };
+    let found = &rows[at].finding;
+    assert!(found.other > 0 && found.edge_on > 0 && found.bound == f64::INFINITY && found.error > 0.5, "{found:?}");
+    assert!(found.note.contains("left out as edge-on"), "{found:?}");
+    assert_eq!(json["rows"][at]["other_pixels"], found.other);
+    assert_eq!(json["rows"][at]["edge_on_polygons"], found.edge_on);
+    assert!(html.contains("there is none from 1e-6 on for gpu and gpu-32-bit"), "no word of where there is no bound");
+    let exact = |r: &&Row| r.family == "grazing" && r.finding.engine == "cpu";
+    assert!(rows.iter().filter(exact).all(|r| r.finding.other == 0 && r.finding.edge_on == 0));
 }
 
 /// The CPU engine with something wrong.
@@ -65,10 +82,10 @@ impl Subject for Spoiled {
         Precision::F64
     }
 
-    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<()> {
-        self.cpu.draw(plan, images)?;
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
+        let edge_on = self.cpu.draw(plan, images)?;
         (self.images)(images);
-        Ok(())
+        Ok(edge_on)
     }
 
     fn boxes(&mut self, setting: &BoxSetting) -> Result<Option<FeaturePrediction>> {

@@ -1,13 +1,13 @@
 //! `presight index`: what the spatial indexes cost and how well they select.
 
-use super::{Verdict, load, print};
-use crate::error::{Error, ErrorKind, Result};
+use super::{Verdict, folder, load, print};
+use crate::error::{ErrorKind, Result};
 use crate::free_poses::free_poses;
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme};
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
-use crate::io::{load_sensor, preset, tum};
+use crate::io::{load_sensor, preset};
 use crate::predict::{Backend, Options};
 use crate::report::index_study::{self, Row, Study};
 use crate::sensor::PRESETS;
@@ -83,14 +83,15 @@ pub fn run(args: &Args) -> Result<Verdict> {
         }
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
-    let given = args.poses.as_deref().map(tum::read).transpose()?;
+    let given = args.poses.as_deref().map(folder::poses).transpose()?;
     let world = load::scene(&args.scene, &ImportOptions::default(), Scheme::default())?.world;
     let seed = given.is_none().then_some(args.seed);
     let poses: Vec<Pose> = match given {
-        Some(given) => given.into_iter().map(|s| s.pose).collect(),
+        Some(given) => given,
         None => free_poses(&world, args.count as usize, args.seed)?,
     };
     index_study::check_poses(&poses)?;
+    args.out.as_deref().map(folder::ready).transpose()?;
     let count = poses.len();
     let options = Options { backend: Backend::Cpu, threads: args.threads };
     let study = Study { poses, sensors, options, repeats: args.repeat as usize };
@@ -102,7 +103,6 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let rows = study.run(&world, &args.variants(), progress)?;
     print::data(&table(&rows, count, world.environment().slot_count(), args.sweep))?;
     if let Some(folder) = &args.out {
-        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "make the folder", e))?;
         let csv = index_study::to_csv(&rows, count, seed);
         write_atomically(&folder.join("index.csv"), |file| file.write_all(csv.as_bytes()))?;
         let title = format!("{}: {count} poses", args.scene.display());

@@ -5,6 +5,7 @@ mod doctor;
 #[cfg(feature = "store")]
 mod env;
 mod features;
+mod folder;
 mod index;
 mod inspect;
 mod layers;

@@ -1,12 +1,12 @@
 //! `presight report`: studies as pages.
 
-use super::{Verdict, load, print};
-use crate::error::{Error, ErrorKind, Result};
+use super::{Verdict, folder, load, print};
+use crate::error::{Error, Result};
 use crate::free_poses::free_poses;
 use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
-use crate::io::{load_sensor, preset, tum};
+use crate::io::{load_sensor, preset};
 use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
 use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
@@ -18,7 +18,9 @@ const EXAMPLES: &str = "Examples:
   presight report hall.glb --out study                     index.html, work_precision.csv, report.json
   presight report hall.glb --out study --quick             in well under a minute
   presight report hall.glb --sensor my-camera.toml --out study
-  presight report --stability --out study                  every engine against a hundred digits: stability.csv";
+  presight report --stability --out study                  every engine against a hundred digits: stability.csv
+
+Exit status: 1 if a path that is to be exact shows pixels that no rounding explains, or an error leaves its bound.";
 
 /// Measure error against run time, or where errors leave their bounds, and say what to take
 ///
@@ -67,7 +69,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
 }
 
 fn stability(args: &Args) -> Result<Verdict> {
-    std::fs::create_dir_all(&args.out).map_err(|e| refused(&args.out, e))?;
+    folder::ready(&args.out)?;
     let study = stability::Study::new(args.quick);
     let (mut engines, notes) = stability::subjects(0)?;
     notes.iter().for_each(|note| print::message(note));
@@ -96,8 +98,7 @@ fn stability(args: &Args) -> Result<Verdict> {
 
 fn work_precision(args: &Args) -> Result<Verdict> {
     let study = args.study()?;
-    // What cannot be written is better known before than after minutes of work.
-    std::fs::create_dir_all(&args.out).map_err(|e| refused(&args.out, e))?;
+    folder::ready(&args.out)?;
     let progress = bar(study.steps() as u64);
     let findings = study.run(|what| {
         progress.set_message(what.to_owned());
@@ -115,7 +116,7 @@ fn work_precision(args: &Args) -> Result<Verdict> {
         ],
     )?;
     print::data(&summary(&args.out, &findings))?;
-    Ok(Verdict::Done)
+    Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
 }
 
 fn write(folder: &Path, files: [(&str, String); 3]) -> Result<()> {
@@ -123,12 +124,6 @@ fn write(folder: &Path, files: [(&str, String); 3]) -> Result<()> {
         write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
     }
     Ok(())
-}
-
-/// A folder that cannot be made is the system's refusal, whatever it calls it.
-fn refused(folder: &Path, source: std::io::Error) -> Error {
-    let what = format!("cannot make the folder: {source}");
-    Error::new(ErrorKind::System, what, "give another --out").in_file(folder).caused_by(source)
 }
 
 /// On stderr, and only if that is a terminal.
@@ -152,12 +147,12 @@ impl Args {
             return Err(Error::usage("there is no scene to measure", remedy));
         }
         let sensors = self.sensors()?;
-        let given = self.poses.as_deref().map(tum::read).transpose()?;
+        let given = self.poses.as_deref().map(folder::poses).transpose()?;
         let mut scenes = Vec::new();
         for path in &self.scenes {
             let world = load::scene(path, &ImportOptions::default(), Scheme::default())?.world;
             let poses = match &given {
-                Some(given) => given.iter().map(|stamped| stamped.pose).collect(),
+                Some(given) => given.clone(),
                 None => {
                     free_poses(&world, if self.quick { 1 } else { POSES }, self.seed).map_err(|e| e.in_file(path))?
                 }

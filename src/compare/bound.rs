@@ -10,7 +10,7 @@
 //! 6 eps |M| |p_k - c| + eps^2 |M| |c|. n is rounded in the mesh, in N, in the product and when it is normalized:
 //! `off_n` = 6 eps |N| / |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own:
 //! `off_d` = 12 eps |M| min|p - c| (1 + |N| / |N n_mesh|) covers all of it: the term c2 min|v_k| / |d|. In f32 that is a
-//! thousandth of d where d is a thousandth of |v|, as over a large floor. So polygons flatter than [`SET_UP_FINELY`] around
+//! thousandth of d where d is a thousandth of |v|, as over a large floor. So polygons flatter than `SET_UP_FINELY` around
 //! the sensor are set up in f64 by every compute engine, and eps here is 2^-53 for them; n / d is then rounded once more on its way
 //! to f32, which is one of the 6 eps of the ray and the product below.
 //!

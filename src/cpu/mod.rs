@@ -18,7 +18,7 @@ mod setup;
 mod spans;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
+use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
 use batch::{Batch, Winners};
 use bounds::Bounds;
@@ -78,7 +78,7 @@ impl Engine {
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats);
             stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
-            stats.count("polygons_selected", 0);
+            stats.count("polygons selected", 0);
             return Ok(());
         }
         let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
@@ -90,8 +90,8 @@ impl Engine {
         // The whole frame on the pool: between two stages its threads stay awake.
         pool.install(|| {
             let used = draw_waves(plan, &bands, (batches, winners), canvas, images, stats);
-            stats.count("polygons_set_up", batches[..used].iter().map(|b| b.polygons.len()).sum());
-            stats.count("polygons_edge_on", batches[..used].iter().map(|b| b.edge_on).sum());
+            stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
         });
         plan.finish_noting(images, stats);
         Ok(())
@@ -168,9 +168,9 @@ fn draw_waves(
     }
     stats.stages_ms.push(("setup".to_owned(), if sifted { setting_up } else { hiding + setting_up }));
     stats.stages_ms.push(("rasterization".to_owned(), drawing));
-    stats.count("polygons_selected", plan.polygon_count);
-    stats.count("runs_selected", plan.runs.len());
-    stats.count("runs_hidden", hidden);
+    stats.count("polygons selected", plan.polygon_count);
+    stats.count("runs selected", plan.runs.len());
+    stats.count("runs hidden", hidden);
     used
 }
 

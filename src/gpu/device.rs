@@ -245,6 +245,11 @@ pub fn adapters() -> Vec<Adapter> {
     all().iter().map(describe).collect()
 }
 
+/// Which of [`adapters`] an engine takes, of all or of real GPUs only; whether it opens is another matter.
+pub fn preferred(hardware_only: bool) -> Option<usize> {
+    place(&all(), DeviceOptions { hardware_only, ..DeviceOptions::default() })
+}
+
 fn all() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
@@ -265,9 +270,8 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
     }
 }
 
-/// The most capable adapter: discrete before integrated before virtual before software.
-fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
-    let DeviceOptions { hardware_only, adapter, .. } = options;
+/// The place of the most capable adapter: discrete before integrated before virtual before software.
+fn place(all: &[wgpu::Adapter], options: DeviceOptions) -> Option<usize> {
     let rank = |a: &wgpu::Adapter| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,
@@ -279,10 +283,16 @@ fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
         let limits = a.limits();
         limits.max_storage_buffers_per_shader_stage >= 8 && limits.max_uniform_buffer_binding_size >= 1 << 16
     };
-    let wanted = |(i, _): &(usize, wgpu::Adapter)| adapter.is_none_or(|wanted| *i == wanted);
-    let found = all().into_iter().enumerate().filter(wanted).map(|(_, a)| a);
-    let found = found.filter(able).filter(|a| !hardware_only || rank(a) < 4).min_by_key(rank);
-    found.ok_or_else(|| {
+    let wanted = |i: usize| options.adapter.is_none_or(|wanted| i == wanted);
+    let found = all.iter().enumerate().filter(|(i, a)| wanted(*i) && able(a));
+    let found = found.filter(|(_, a)| !options.hardware_only || rank(a) < 4);
+    found.min_by_key(|(_, a)| rank(a)).map(|(i, _)| i)
+}
+
+fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
+    let DeviceOptions { hardware_only, adapter, .. } = options;
+    let mut all = all();
+    place(&all, options).map(|i| all.swap_remove(i)).ok_or_else(|| {
         if let Some(wanted) = adapter {
             let what = format!("adapter {wanted} is not there, or can bind too few buffers");
             return Error::new(ErrorKind::NoDevice, what, "take another one, or use --backend cpu");

@@ -18,11 +18,11 @@ mod stages;
 mod store;
 mod visible;
 
-pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters};
+pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters, preferred};
 pub use visible::{Asked, Proposal};
 
 use crate::error::{ErrorKind, Result};
-use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
+use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
 use crate::sensor::Sensor;
 use device::Gpu;
 use frame::Frame;
@@ -313,7 +313,7 @@ impl Engine {
         stats.count("polygons selected", self.frame.params.polygon_count as usize);
         stats.count("polygons in view", counters.survivors as usize);
         stats.count("polygons set up in f64", near.slots.len());
-        stats.count("polygons edge-on", (counters.edge_on + near.edge_on) as usize);
+        stats.count(EDGE_ON, (counters.edge_on + near.edge_on) as usize);
         stats.count("work items", counters.items as usize);
         stats.count("reruns for room", reruns);
         stats.count("internal errors: hits without id", counters.lost_ids as usize);

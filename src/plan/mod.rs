@@ -10,7 +10,7 @@ mod view;
 pub use images::Images;
 pub use polygons::PolygonsOfIds;
 pub use request::{IdScheme, Output, Outputs, Request};
-pub use stats::{StageRow, Stats, Taken, Work};
+pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
 use crate::environment::{Appearance, Environment, Material};

@@ -4,6 +4,9 @@ use super::LeftOut;
 use serde::Serialize;
 use std::time::Instant;
 
+/// The count of polygons that an engine left out because it could not prove on which side of them the sensor is.
+pub const EDGE_ON: &str = "polygons edge-on";
+
 /// What one prediction cost.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Stats {

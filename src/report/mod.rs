@@ -24,3 +24,12 @@ fn median(mut values: Vec<f64>) -> f64 {
     let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
     0.5 * (at(n.saturating_sub(1) / 2) + at(n / 2))
 }
+
+/// The least value that so large a share of them does not exceed (nearest rank), 0 of none.
+#[cfg(feature = "report")]
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let rank = (share * sorted.len() as f64).ceil().max(1.0) as usize;
+    sorted.get(rank - 1).copied().unwrap_or(0.0)
+}

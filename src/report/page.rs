@@ -113,7 +113,7 @@ fn table(table: &Table) -> Markup {
     html! {
         div.wide { table {
             caption { (table.caption) }
-            thead { tr { @for (c, name) in table.head.iter().enumerate() { th class=[class(c)] scope="col" { (name) } } } }
+            thead { tr { @for (c, name) in table.head.iter().enumerate() { th class=[class(c)] scope="col" { (heading(name)) } } } }
             tbody {
                 @for (i, row) in table.rows.iter().enumerate() {
                     tr class=[table.marked.contains(&i).then_some("marked")] {
@@ -123,6 +123,11 @@ fn table(table: &Table) -> Markup {
             }
         } }
     }
+}
+
+/// The heading of a column may break after each underscore.
+fn heading(name: &str) -> Markup {
+    html! { @for (i, piece) in name.split_inclusive('_').enumerate() { @if i > 0 { wbr; } (piece) } }
 }
 
 fn is_number(cell: &str) -> bool {

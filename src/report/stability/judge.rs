@@ -16,10 +16,13 @@ pub(super) struct Picture<'a> {
 /// What an engine's pixels come to.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Verdict {
-    /// Greatest relative error of the range; that of the first wrong pixel if there is one.
+    /// Greatest relative error of the range, where the polygon of the truth is shown or was left out as edge-on; that of the
+    /// first wrong pixel if there is one.
     pub error: f64,
     /// Greatest bound of all pixels, each of which is held to its own; infinite where one knows nothing of the range.
     pub bound: f64,
+    /// Pixels that show another polygon than the truth, or one of the two shows nothing, and that is within the bounds.
+    pub other: usize,
     /// Pixels that show something.
     pub hits: usize,
     /// Pixels at which the bound knows nothing.
@@ -28,8 +31,16 @@ pub(super) struct Verdict {
     pub fault: Option<String>,
 }
 
-/// A pixel that is right: relative error of the range, and its bound.
-struct Right(Option<(f64, f64)>);
+/// A pixel that is right, as far as the bounds tell.
+#[derive(Default)]
+struct Right {
+    /// It shows something.
+    hit: bool,
+    /// It shows something else than the truth.
+    other: bool,
+    /// Relative error of the range, and its bound, where they are of the truth's polygon.
+    range: Option<(f64, f64)>,
+}
 
 /// A pixel that is not: the error of its range, as far as it has one, the bound, and what is wrong.
 struct Wrong(f64, f64, String);
@@ -50,9 +61,10 @@ impl<'a> Picture<'a> {
         for (at, truth) in self.pixels.iter().enumerate() {
             let pixel = (at as u32 % self.plan.sensor.width(), at as u32 / self.plan.sensor.width());
             match self.pixel(pixel, truth, &Values::of(images, at), precision) {
-                Ok(Right(None)) => {}
-                Ok(Right(Some((error, bound)))) => {
-                    verdict.hits += 1;
+                Ok(Right { hit, other, range }) => {
+                    verdict.hits += usize::from(hit);
+                    verdict.other += usize::from(other);
+                    let Some((error, bound)) = range else { continue };
                     verdict.unbounded += usize::from(bound.is_infinite());
                     if verdict.fault.is_none() {
                         verdict.error = verdict.error.max(error);
@@ -76,8 +88,8 @@ impl<'a> Picture<'a> {
         let shares_nan = [shown.cos_incidence, shown.echo].into_iter().flatten().all(f32::is_nan);
         let no_ray = nothing && all(f32::is_nan) && shares_nan;
         let sights = match truth {
-            Truth::NoRay => return if no_ray { Ok(Right(None)) } else { Err(wrong("there is no ray here")) },
-            Truth::Either => return Ok(Right(None)),
+            Truth::NoRay => return if no_ray { Ok(Right::default()) } else { Err(wrong("there is no ray here")) },
+            Truth::Either => return Ok(Right::default()),
             Truth::Ray(sights) => sights,
         };
         if no_ray {
@@ -89,7 +101,7 @@ impl<'a> Picture<'a> {
             return match (miss, looked.surely_hit) {
                 (false, _) => Err(wrong("neither a hit nor a miss")),
                 (_, Some(k)) => Err(wrong(&format!("polygon {} is surely hit", self.oracle.faces[k].polygon_id))),
-                _ => Ok(Right(None)),
+                _ => Ok(looked.instead(f64::INFINITY)),
             };
         }
         let Some(k) = self.oracle.faces.iter().position(|f| Some(f.polygon_id) == shown.polygon_id) else {
@@ -98,7 +110,12 @@ impl<'a> Picture<'a> {
         if Some(self.oracle.faces[k].object_id) != shown.object_id {
             return Err(wrong("that polygon is another object's"));
         }
-        looked.shown(k, shown).map_err(|Wrong(e, b, what)| Wrong(e, b, format!("{shown}: {what}")))
+        let (error, bound) =
+            looked.shown(k, shown).map_err(|Wrong(e, b, what)| Wrong(e, b, format!("{shown}: {what}")))?;
+        Ok(match looked.truth {
+            Some(truth) if truth == k => Right { hit: true, other: false, range: Some((error, bound)) },
+            _ => Right { hit: true, ..looked.instead(f64::from(shown.range.unwrap_or(f32::NAN))) },
+        })
     }
 }
 
@@ -111,6 +128,8 @@ struct Looked<'a> {
     precision: Precision,
     /// By polygon, in units of the bound.
     inside: Vec<f64>,
+    /// The polygon that the ray meets first.
+    truth: Option<usize>,
     /// The nearest of what is surely hit is at most so far.
     wall: f64,
     surely_hit: Option<usize>,
@@ -122,8 +141,13 @@ impl<'a> Looked<'a> {
         let sensor = &picture.plan.sensor;
         let span = span(picture.plan, pixel.0, pixel.1, precision);
         let inside = faces.iter().zip(sights).map(|(face, sight)| face.inside(sight, precision, span)).collect();
+        let met = (0..faces.len()).filter(|k| faces[*k].is_met(&sights[*k]));
+        let truth = met.fold(None, |nearest: Option<usize>, k| match nearest {
+            Some(other) if sights[other].inverse_range >= sights[k].inverse_range => Some(other),
+            _ => Some(k),
+        });
         let mut looked =
-            Self { faces, sights, sensor, pixel, precision, inside, wall: f64::INFINITY, surely_hit: None };
+            Self { faces, sights, sensor, pixel, precision, inside, truth, wall: f64::INFINITY, surely_hit: None };
         for k in 0..faces.len() {
             // Sides are proven in f64 by every engine, whatever it draws in.
             let sure = looked.inside[k] >= 1.0 && !faces[k].bound(Precision::F64).may_be_edge_on;
@@ -150,8 +174,17 @@ impl<'a> Looked<'a> {
         [inverse + error, inverse - error].map(|i| if i > 0.0 { i.recip() } else { f64::INFINITY })
     }
 
-    /// Judges a hit.
-    fn shown(&self, k: usize, shown: &Values) -> Result<Right, Wrong> {
+    /// What the range comes to of a pixel that rightly does not show the truth's polygon. At an outline there is nothing to
+    /// compare; where that polygon may be left out as edge-on, what is behind it is shown at a range that no bound knows.
+    fn instead(&self, range: f64) -> Right {
+        let Some(truth) = self.truth else { return Right { other: range.is_finite(), ..Right::default() } };
+        let left_out = self.faces[truth].bound(self.precision).may_be_edge_on;
+        let off = (range * self.sights[truth].inverse_range - 1.0).abs();
+        Right { hit: false, other: true, range: left_out.then_some((off, f64::INFINITY)) }
+    }
+
+    /// Judges a hit: relative error of the range on the polygon that is shown, and its bound.
+    fn shown(&self, k: usize, shown: &Values) -> Result<(f64, f64), Wrong> {
         let sight = &self.sights[k];
         let ulps = |x: f64| self.precision.output_ulps() * ulp(x as f32);
         let true_range = sight.inverse_range.recip();
@@ -190,6 +223,6 @@ impl<'a> Looked<'a> {
         if shown.echo.is_some_and(|e| !e.is_finite()) {
             return wrong("echo is not a number".into());
         }
-        Ok(Right(Some((error, bound))))
+        Ok((error, bound))
     }
 }

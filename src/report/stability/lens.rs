@@ -1,6 +1,8 @@
-//! Lens models in a hundred digits: forward, the inverse near an approximate one, and where they fold over.
+//! Lens models in a hundred digits: forward, the inverse near an approximate one, and where they fold over (with tangential
+//! terms in [`super::fold`], to fewer digits).
 
 use super::big::{Big, Vector};
+use super::fold::Outline;
 use super::oracle::Truth;
 use crate::sensor::Distortion;
 use glam::DVec3;
@@ -10,9 +12,9 @@ use glam::DVec3;
 pub(super) const TOLERANCE: f64 = 1e-12;
 
 /// Steps in which the first fold is looked for: of the radius, or of the angle from the axis.
-const STEP: f64 = 1e-3;
+pub(super) const STEP: f64 = 1e-3;
 /// Lenses that do not fold up to this radius, 87 degrees from the axis, count as not folding.
-const FARTHEST: f64 = 20.0;
+pub(super) const FARTHEST: f64 = 20.0;
 
 /// A lens model, exact.
 #[derive(Clone, Debug)]
@@ -25,6 +27,8 @@ pub(super) struct Exact {
     tangential: [Big; 2],
     /// Image radius from which nothing is imaged; `None` if there is no such, or the model has tangential terms.
     pub fold: Option<Big>,
+    /// Where a model with tangential terms folds.
+    outline: Option<Outline>,
 }
 
 fn evaluate(polynomial: &[Big], x: &Big) -> Big {
@@ -48,9 +52,14 @@ impl Exact {
             }
             Distortion::Equidistant(k) => (true, with_one(k), with_one(&[]), [0.0; 2]),
         };
-        let mut lens = Self { fisheye, numerator: n, denominator: d, tangential: p.map(Big::new), fold: None };
+        let mut lens =
+            Self { fisheye, numerator: n, denominator: d, tangential: p.map(Big::new), fold: None, outline: None };
         if p == [0.0; 2] {
             lens.fold = lens.first_fold();
+        } else {
+            let padded = |all: &[Big]| std::array::from_fn(|i| all.get(i).map_or(0.0, Big::to_f64));
+            let (numerator, denominator) = (padded(&lens.numerator), padded(&lens.denominator));
+            lens.outline = Some(Outline { numerator, denominator, tangential: p });
         }
         lens
     }
@@ -106,45 +115,58 @@ impl Exact {
         [&(&stretch * x) + &(&s * px), &(&stretch * y) + &(&s * py)]
     }
 
-    /// The ray that is imaged at (xd, yd), from the product's f64 one; that there is none only where none is due.
+    /// How far an image point is beyond the fold, negative before it, and how well that is known; `None` if the lens does not
+    /// fold.
+    pub fn beyond_fold(&self, xd: &Big, yd: &Big) -> Option<(f64, f64)> {
+        if let Some(outline) = &self.outline {
+            return outline.beyond(xd.to_f64(), yd.to_f64());
+        }
+        let radius = (&(xd * xd) + &(yd * yd)).sqrt();
+        self.fold.as_ref().map(|fold| ((&radius - fold).to_f64(), TOLERANCE * radius.to_f64().max(1.0)))
+    }
+
+    /// The ray that is imaged at (xd, yd), begun at the product's f64 one; whether there is one the fold alone decides.
     ///
     /// # Errors
-    /// [`Truth::NoRay`] beyond the fold, [`Truth::Either`] within the tolerance of it; where a model with tangential terms
-    /// gave no ray it is believed.
+    /// [`Truth::NoRay`] beyond the fold, [`Truth::Either`] as near to it as it is known.
     pub fn inverse(&self, xd: &Big, yd: &Big, near: Option<DVec3>) -> Result<Vector, Truth> {
-        let radius = (&(xd * xd) + &(yd * yd)).sqrt();
-        if let Some(fold) = &self.fold {
-            let beyond = (&radius - fold).to_f64();
-            if beyond.abs() <= TOLERANCE * radius.to_f64().max(1.0) {
-                return Err(Truth::Either);
-            }
-            if beyond > 0.0 {
-                return Err(Truth::NoRay);
-            }
+        match self.beyond_fold(xd, yd) {
+            Some((beyond, tolerance)) if beyond.abs() <= tolerance => return Err(Truth::Either),
+            Some((beyond, _)) if beyond > 0.0 => return Err(Truth::NoRay),
+            _ => {}
         }
         // Without a ray from the product one begins on the axis: the pixel will be told to lack it.
-        let Some(near) = near.or(self.fold.is_some().then_some(DVec3::Z)) else {
-            return Err(Truth::NoRay);
-        };
+        let near = near.unwrap_or(DVec3::Z);
         if self.fisheye {
+            let radius = (&(xd * xd) + &(yd * yd)).sqrt();
             return Ok(self.inverse_fisheye(xd, yd, &radius, near));
         }
-        let mut x = [Big::new(near.x / near.z), Big::new(near.y / near.z)];
+        let mut found = self.inverse_from([near.x / near.z, near.y / near.z].map(Big::new), [xd, yd]);
+        let ([xx, xy, yy], zero) = (self.jacobian(&found), Big::new(0.0));
+        // Beyond the fold the same point is imaged again: a ray from there is none.
+        if !(xx > zero && &xx * &yy > &xy * &xy) {
+            found = self.inverse_from([zero.clone(), zero], [xd, yd]);
+        }
+        let [x, y] = found;
+        Ok(Vector([x, y, Big::new(1.0)]))
+    }
+
+    /// Newton's method.
+    fn inverse_from(&self, mut x: [Big; 2], target: [&Big; 2]) -> [Big; 2] {
         for _ in 0..60 {
-            let [u, v] = self.image(&x);
-            let miss = [&u - xd, &v - yd];
+            let image = self.image(&x);
+            let miss = [&image[0] - target[0], &image[1] - target[1]];
             let step = self.newton_step(&x, &miss);
             x = [&x[0] - &step[0], &x[1] - &step[1]];
             if step.iter().all(|s| s.abs().to_f64() < 1e-80) {
                 break;
             }
         }
-        let [x, y] = x;
-        Ok(Vector([x, y, Big::new(1.0)]))
+        x
     }
 
-    /// J^-1 miss, J symmetric (see `sensor::undistort`).
-    fn newton_step(&self, [x, y]: &[Big; 2], miss: &[Big; 2]) -> [Big; 2] {
+    /// J, symmetric (see `sensor::undistort`): xx, xy, yy.
+    fn jacobian(&self, [x, y]: &[Big; 2]) -> [Big; 3] {
         let two = Big::new(2.0);
         let (stretch, slope) = self.radial(&(&(x * x) + &(y * y)));
         let [px, py] = &self.tangential;
@@ -152,6 +174,12 @@ impl Exact {
         let cross = &(&(&(&(&slope * x) * y) + &(px * y)) + &(py * x)) * &two;
         let own = |c: &Big, p: &Big| &(&diagonal + &(&(&(&slope * c) * c) * &two)) + &(&(p * c) * &Big::new(4.0));
         let (xx, yy) = (own(x, px), own(y, py));
+        [xx, cross, yy]
+    }
+
+    /// J^-1 miss.
+    fn newton_step(&self, x: &[Big; 2], miss: &[Big; 2]) -> [Big; 2] {
+        let [xx, cross, yy] = self.jacobian(x);
         let determinant = &(&xx * &yy) - &(&cross * &cross);
         if determinant.is_zero() {
             return [Big::new(0.0), Big::new(0.0)];

@@ -6,6 +6,7 @@
 
 mod big;
 mod families;
+mod fold;
 mod judge;
 mod lens;
 mod oracle;

@@ -159,7 +159,16 @@ impl ExactFace {
     /// `span` is the part of a pixel that an engine's spans may be off by, radians.
     pub fn inside(&self, sight: &Sight, precision: Precision, span: f64) -> f64 {
         let bounds = &self.bound(precision).edges;
-        let share = |k: usize| if bounds[k].is_finite() { sight.margins[k] / (bounds[k] + span) } else { 0.0 };
+        self.least(|k| if bounds[k].is_finite() { sight.margins[k] / (bounds[k] + span) } else { 0.0 })
+    }
+
+    /// True if a ray meets the polygon.
+    pub fn is_met(&self, sight: &Sight) -> bool {
+        sight.inverse_range > 0.0 && self.least(|k| sight.margins[k]) >= 0.0
+    }
+
+    /// The least of a share of each edge.
+    fn least(&self, share: impl Fn(usize) -> f64) -> f64 {
         let n = self.edges.len();
         (0..n).fold(f64::INFINITY, |least, k| {
             // Beside a corner that turns inwards one of its two edges will do.

@@ -53,7 +53,7 @@ pub fn to_json(study: &Study, rows: &[Row], about: &About) -> Result<String> {
         let f = &r.finding;
         json!({
             "family": r.family, "difficulty": r.difficulty, "engine": f.engine, "error": f.error, "bound": f.bound,
-            "outcome": f.outcome, "note": f.note,
+            "outcome": f.outcome, "other_pixels": f.other, "edge_on_polygons": f.edge_on, "note": f.note,
         })
     };
     let all = json!({
@@ -113,17 +113,20 @@ fn summary(study: &Study, rows: &[Row], about: &About) -> Section {
         rows.len(),
         study.families.len()
     );
-    let head = ["family", "error stays below", "of its bound", "bound leaves 3 digits", "refused from", "faults"];
+    let head = [
+        "family",
+        "error stays below",
+        "of its bound",
+        "bound leaves 3 digits",
+        "refused from",
+        "pixels that show something else",
+        "left out as edge-on",
+        "faults",
+    ];
     let (mut table, mut marked) = (Vec::new(), Vec::new());
     for family in &study.families {
         let own: Vec<&Row> = rows.iter().filter(|r| r.family == family.name()).collect();
-        let mut engines: Vec<&str> = Vec::new();
-        for row in own.iter().filter(|r| r.finding.outcome != Outcome::Rejected) {
-            if !engines.contains(&row.finding.engine.as_str()) {
-                engines.push(&row.finding.engine);
-            }
-        }
-        for engine in engines {
+        for engine in engines(&own) {
             let of = Reach::of(&own, engine);
             if of.faults > 0 {
                 marked.push(table.len());
@@ -137,6 +140,8 @@ fn summary(study: &Study, rows: &[Row], about: &About) -> Section {
                 format!("{:.2}", of.share),
                 from,
                 refused,
+                of.other.to_string(),
+                of.edge_on.to_string(),
                 of.faults.to_string(),
             ]);
         }
@@ -153,7 +158,10 @@ fn summary(study: &Study, rows: &[Row], about: &About) -> Section {
         rows: about.machine.lines(),
         marked: Vec::new(),
     };
-    let mut parts = vec![Part::Advice(verdict), Part::Table(table)];
+    let counted = "Something else than the truth may be shown at an outline, or where a polygon was left out as edge-on: its \
+                   side could not be proven, and what is behind it is seen. Errors are of pixels that show the truth's \
+                   polygon, and of those where it was left out, at which there is no bound. Polygons are summed over images.";
+    let mut parts = vec![Part::Advice(verdict), Part::Table(table), Part::Text(counted.into())];
     parts.extend(about.notes.iter().map(|note| Part::Text(note.clone())));
     parts.push(Part::Table(machine));
     Section { title: "Summary".into(), parts }
@@ -166,6 +174,8 @@ struct Reach {
     share: f64,
     /// The last difficulty before the bound leaves fewer than three digits; `None` if it never does.
     vague_from: Option<f64>,
+    other: usize,
+    edge_on: usize,
     faults: usize,
 }
 
@@ -179,9 +189,22 @@ impl Reach {
             error: most(|r| r.finding.error),
             share: most(|r| if r.finding.error == 0.0 { 0.0 } else { r.finding.error / r.finding.bound }),
             vague_from: vague.filter(|_| !coverage).map(|k| own[k.saturating_sub(1)].difficulty),
+            other: own.iter().map(|r| r.finding.other).sum(),
+            edge_on: own.iter().map(|r| r.finding.edge_on).sum(),
             faults: own.iter().filter(|r| r.finding.outcome == Outcome::Fault).count(),
         }
     }
+}
+
+/// Engines in the order of the rows, without what was refused.
+fn engines<'a>(rows: &[&'a Row]) -> Vec<&'a str> {
+    let mut engines: Vec<&str> = Vec::new();
+    for row in rows.iter().filter(|r| r.finding.outcome != Outcome::Rejected) {
+        if !engines.contains(&row.finding.engine.as_str()) {
+            engines.push(&row.finding.engine);
+        }
+    }
+    engines
 }
 
 fn refused_from(rows: &[&Row]) -> Option<f64> {
@@ -193,15 +216,46 @@ fn advice(rows: &[&Row]) -> String {
     let faults = rows.iter().filter(|r| r.finding.outcome == Outcome::Fault).count();
     let refused: Vec<f64> =
         rows.iter().filter(|r| r.finding.outcome == Outcome::Rejected).map(|r| r.difficulty).collect();
-    let within = match faults {
-        0 => "Every error is within its bound".to_owned(),
-        n => format!("{n} cases are wrong"),
+    let unbounded = unbounded(rows);
+    let within = match (faults, unbounded.is_empty()) {
+        (0, true) => "Every error is within its bound".to_owned(),
+        (0, false) => format!("Every error that has a bound is within it; there is none {}", unbounded.join(", ")),
+        (n, _) => format!("{n} cases are wrong"),
     };
     match (refused.first(), refused.last()) {
         (Some(a), Some(b)) if a == b => format!("{within}; refused at {a:e}."),
         (Some(a), Some(b)) => format!("{within}; refused from {a:e} to {b:e}."),
         _ => format!("{within}; nothing is refused."),
     }
+}
+
+/// Where there is no bound, and for which engines: `from 1e-6 on for gpu and gpu-32-bit`.
+fn unbounded(rows: &[&Row]) -> Vec<String> {
+    let mut found: Vec<(String, Vec<&str>)> = Vec::new();
+    for engine in engines(rows) {
+        let own: Vec<&Row> = rows.iter().filter(|r| r.finding.engine == engine).copied().collect();
+        let without = |r: &&Row| r.finding.bound == f64::INFINITY;
+        let Some(first) = own.iter().position(without) else { continue };
+        let place = match own[first..].iter().all(without) {
+            _ if first + 1 == own.len() => format!("at {:e}", own[first].difficulty),
+            true => format!("from {:e} on", own[first].difficulty),
+            false => {
+                let all = own.iter().filter(|r| without(r)).map(|r| format!("{:e}", r.difficulty));
+                format!("at {}", all.collect::<Vec<_>>().join(" and "))
+            }
+        };
+        match found.iter_mut().find(|(other, _)| *other == place) {
+            Some((_, engines)) => engines.push(engine),
+            None => found.push((place, vec![engine])),
+        }
+    }
+    let all = engines(rows).len();
+    let names = |names: &[&str]| match names {
+        [first @ .., last] if names.len() < all && !first.is_empty() => format!("{} and {last}", first.join(", ")),
+        [one] if all > 1 => (*one).to_owned(),
+        _ => "any engine".to_owned(),
+    };
+    found.into_iter().map(|(place, engines)| format!("{place} for {}", names(&engines))).collect()
 }
 
 fn notes(rows: &[&Row]) -> Vec<Vec<String>> {
@@ -215,20 +269,14 @@ fn notes(rows: &[&Row]) -> Vec<Vec<String>> {
 
 /// Error and bound by difficulty, a colour an engine.
 fn chart(rows: &[&Row], axis: &str, error: &str, falling: bool) -> Chart {
-    let mut engines: Vec<&str> = Vec::new();
-    for row in rows.iter().filter(|r| r.finding.outcome != Outcome::Rejected) {
-        if !engines.contains(&row.finding.engine.as_str()) {
-            engines.push(&row.finding.engine);
-        }
-    }
     let mut series = Vec::new();
-    for (color, engine) in engines.iter().enumerate() {
+    for (color, engine) in engines(rows).into_iter().enumerate() {
         let of = |value: fn(&Row) -> f64| {
-            let own = rows.iter().filter(|r| r.finding.engine == *engine);
+            let own = rows.iter().filter(|r| r.finding.engine == engine);
             own.map(|r| (r.difficulty, value(r))).collect::<Vec<_>>()
         };
         let (errors, bounds) = (of(|r| r.finding.error), of(|r| r.finding.bound));
-        let name = (*engine).to_owned();
+        let name = engine.to_owned();
         series.push(Series {
             name: format!("{name}: bound"),
             points: bounds,

@@ -7,7 +7,7 @@ use crate::features::{BoxOptions, FeaturePrediction, PlacedFeature, add_boxes};
 use crate::geometry::Pose;
 #[cfg(feature = "gpu")]
 use crate::gpu;
-use crate::plan::{FramePlan, Images, Stats};
+use crate::plan::{EDGE_ON, FramePlan, Images, Stats};
 use crate::reference;
 use crate::sensor::Sensor;
 use crate::world::World;
@@ -37,11 +37,11 @@ pub trait Subject {
     /// Whose bounds it is held to.
     fn precision(&self) -> Precision;
 
-    /// Fills the asked images.
+    /// Fills the asked images; the answer is how many polygons it left out as edge-on.
     ///
     /// # Errors
     /// The engine's.
-    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<()>;
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize>;
 
     /// Gives the features of a setting their boxes; `None` for engines that have no part in that.
     ///
@@ -65,9 +65,14 @@ impl Subject for Reference {
         Precision::F64
     }
 
-    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<()> {
-        reference::render(plan, images).map(|_| ())
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
+        reference::render(plan, images).map(|counts| counts.edge_on)
     }
+}
+
+/// What an engine counted as edge-on.
+fn edge_on(stats: &Stats) -> usize {
+    stats.counts.iter().filter(|(name, _)| name == EDGE_ON).map(|(_, n)| *n as usize).sum()
 }
 
 /// The CPU engine.
@@ -92,8 +97,10 @@ impl Subject for Cpu {
         Precision::F64
     }
 
-    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<()> {
-        self.0.render(plan, images, &mut Stats::default())
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
+        let mut stats = Stats::default();
+        self.0.render(plan, images, &mut stats)?;
+        Ok(edge_on(&stats))
     }
 
     fn boxes(&mut self, setting: &BoxSetting) -> Result<Option<FeaturePrediction>> {
@@ -137,8 +144,10 @@ impl Subject for Gpu {
         Precision::F32
     }
 
-    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<()> {
-        self.0.render(plan, images, &mut Stats::default())
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
+        let mut stats = Stats::default();
+        self.0.render(plan, images, &mut stats)?;
+        Ok(edge_on(&stats))
     }
 
     fn boxes(&mut self, setting: &BoxSetting) -> Result<Option<FeaturePrediction>> {
@@ -165,7 +174,7 @@ pub fn subjects(threads: usize) -> Result<(Subjects, Vec<String>)> {
             notes.push(format!("gpu: {}", both[0].adapter()));
             both.into_iter().for_each(|g| all.push(Box::new(g)));
         }
-        Err(e) => notes.push(format!("SKIPPED: the GPU engine: {e}")),
+        Err(e) => notes.push(format!("SKIPPED: the GPU engine: {}; see presight doctor", e.what())),
     }
     #[cfg(not(feature = "gpu"))]
     notes.push("SKIPPED: the GPU engine: this build is without it".into());

@@ -1,5 +1,6 @@
 //! The oracle against rationals worked out by hand, and against parry in easy cases.
 
+use super::big::{Big, Vector};
 use super::judge::Picture;
 use super::lens::Exact;
 use super::oracle::{Oracle, Truth};
@@ -93,13 +94,74 @@ fn lenses_fold_where_they_do_by_hand() {
     let lens = Exact::new(&Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]));
     let fold = lens.fold.as_ref().unwrap();
     assert!((fold.to_f64() - 2.0 / 3.0 * (10f64 / 9.0).sqrt()).abs() < 1e-15);
-    let [u, v] = lens.forward(&super::big::Vector::new(DVec3::new(1.0, 0.0, 2.0)));
+    let [u, v] = lens.forward(&Vector::new(DVec3::new(1.0, 0.0, 2.0)));
     assert_eq!((u.to_f64(), v.to_f64()), (0.4625, 0.0));
     let fisheye = Exact::new(&Distortion::Equidistant([-0.1, 0.0, 0.0, 0.0]));
     // theta (1 - theta^2 / 10) turns at sqrt(10 / 3).
     let turn = (10f64 / 3.0).sqrt();
     assert!((fisheye.fold.unwrap().to_f64() - turn * 2.0 / 3.0).abs() < 1e-15);
     assert!(Exact::new(&Distortion::PlumbBob([0.1, 0.0, 0.0, 0.0, 0.0])).fold.is_none());
+}
+
+/// Along p = (p2, 0) the image radius is r + k1 r^3 + 3 p2 r^2 sideways: it turns where 1 + 6 p2 r + 3 k1 r^2 is 0.
+#[test]
+fn tangential_terms_fold_where_they_do_by_hand() {
+    let (k1, p2) = (-0.3, -0.02);
+    let lens = Exact::new(&Distortion::PlumbBob([k1, 0.0, 0.0, p2, 0.0]));
+    assert!(lens.fold.is_none());
+    for side in [1.0, -1.0] {
+        let p = side * p2;
+        let r = (-3.0 * p - (9.0 * p * p - 3.0 * k1).sqrt()) / (3.0 * k1);
+        let fold = r + k1 * r.powi(3) + 3.0 * p * r * r;
+        for off in [-0.1, -1e-7, 1e-7, 0.1] {
+            let (beyond, known) = lens.beyond_fold(&Big::new(side * (fold + off)), &Big::new(0.0)).unwrap();
+            assert!((beyond - off).abs() < 1e-12 && known == 1e-9, "{side} {off}: {beyond}");
+        }
+    }
+    // Without them it is the radial fold in every direction.
+    let [round, exact] = [1e-300, 0.0].map(|p1| Exact::new(&Distortion::PlumbBob([k1, 0.0, p1, 0.0, 0.0])));
+    let at = [0.5, -0.3].map(Big::new);
+    let [a, b] = [round, exact].map(|lens| lens.beyond_fold(&at[0], &at[1]).unwrap().0);
+    assert!((a - b).abs() < 1e-12, "{a} {b}");
+}
+
+/// What the product says of a ray is not believed: that there is none, or one from beyond the fold.
+#[test]
+fn a_lens_is_inverted_whatever_the_product_says() {
+    let lens = Exact::new(&Distortion::PlumbBob([-0.3, 0.0, 0.003, -0.002, 0.0]));
+    let ray = DVec3::new(0.5, 0.2, 1.0);
+    let inside = lens.forward(&Vector::new(ray));
+    let again = DVec3::new(1.3, 0.5, 1.0);
+    for near in [None, Some(ray), Some(again)] {
+        let found = lens.inverse(&inside[0], &inside[1], near).unwrap().to_f64();
+        assert!(found.distance(ray) < 1e-15, "{near:?}: {found}");
+    }
+    let beyond = [0.75, 0.2].map(Big::new);
+    assert!(matches!(lens.inverse(&beyond[0], &beyond[1], Some(ray)), Err(Truth::NoRay)));
+}
+
+/// A plate that rays meet at 1e-7 rad, left out as if it were edge-on: no fault in f32, but told; in f64 it is a fault.
+#[test]
+fn a_polygon_that_is_left_out_as_edge_on_is_told() {
+    let at = |dx: f32, y: f32| [10.0 + dx, y, 1e-7 * dx];
+    let plate = [[at(-1.0, -1.0), at(1.0, -1.0), at(1.0, 1.0)], [at(-1.0, -1.0), at(1.0, 1.0), at(-1.0, 1.0)]];
+    let wall = [[20.0, -90.0, -90.0], [20.0, 90.0, -90.0], [20.0, 0.0, 90.0]];
+    let [with, without] = [[wall, plate[0], plate[1]].as_slice(), &[wall]].map(|t| world(t, Pose::IDENTITY));
+    let sensor = || Geometry::Camera(Camera::pinhole(17, 9, 80.0, 4e8, 8.3, 4.1));
+    let (with, without) = (plan(&with, sensor(), &Pose::IDENTITY), plan(&without, sensor(), &Pose::IDENTITY));
+    let picture = Picture::new(&with);
+    let (mut right, mut behind) = (Images::default(), Images::default());
+    reference::render(&with, &mut right).unwrap();
+    reference::render(&without, &mut behind).unwrap();
+    let plates = right.polygon_id.iter().filter(|id| **id > 1).count();
+    assert!(plates > 10, "{plates}");
+    let verdict = picture.judge(&right, Precision::F32);
+    assert!(verdict.fault.is_none() && verdict.other == 0 && verdict.error < 1e-7, "{verdict:?}");
+    let verdict = picture.judge(&behind, Precision::F32);
+    assert!(verdict.fault.is_none() && verdict.other == plates && verdict.unbounded == plates, "{verdict:?}");
+    // The plate is 9 to 11 m away, the wall 20.
+    assert!((0.8..1.3).contains(&verdict.error) && verdict.bound == f64::INFINITY, "{verdict:?}");
+    assert!(picture.judge(&behind, Precision::F64).fault.is_some());
 }
 
 /// parry has a glam of its own.

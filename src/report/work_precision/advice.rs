@@ -1,69 +1,123 @@
 //! What to take, worked out from the rows.
+//!
+//! Times are noisy, so advice keeps to what a user gets anyway unless another path is *clearly faster*: its median is below
+//! nine tenths, and three quarters of its runs are faster than three quarters of the other's.
 
-use super::Row;
 use super::features::ROUNDING;
+use super::{FAULT_SHARE, Row};
 
-/// What is less exact must take at most this share of the time to be worth a word.
+/// What is clearly faster takes less than this share of the time.
 const WORTH: f64 = 0.9;
 
-/// A sentence or two for one scene and sensor.
-pub(super) fn of(scene: &str, sensor: &str, rows: &[Row]) -> String {
-    let error = |of: &Row, kind: &str| {
-        let same = |r: &&Row| r.engine == of.engine && r.variant == of.variant && r.error_kind == kind;
-        rows.iter().find(same).map(|r| r.error)
-    };
-    // Each path has one such row.
-    let paths = || rows.iter().filter(|r| r.error_kind == "id_mismatch");
-    let fastest = |a: &&Row, b: &&Row| a.median_ms.total_cmp(&b.median_ms);
-    let exact = |r: &&Row| error(r, "fault_share") == Some(0.0) && error(r, "missing_share").is_none();
-    let Some(best) = paths().filter(exact).min_by(fastest) else {
-        return format!("For {scene} and {sensor} no path agrees with the reference: see the faults below.");
-    };
-    let mut text = format!(
-        "For {scene} and {sensor} on this machine take {}, {}: exact to rounding ({}) in {} (95 % within {}).",
-        best.engine,
-        best.variant,
-        ids(best.error),
-        ms(best.median_ms),
-        ms(best.p95_ms),
-    );
-    let rough = |r: &&Row| !exact(r) && error(r, "missing_share").is_none() && r.median_ms < WORTH * best.median_ms;
-    match paths().filter(rough).min_by(|a, b| a.error.total_cmp(&b.error)) {
-        Some(rough) => {
-            let moved = error(rough, "silhouette_px").unwrap_or(0.0);
-            text += &format!(
-                " If {} and silhouettes off by {moved:.2} pixels on average will do, {}, {} takes {}.",
-                ids(rough.error),
-                rough.engine,
-                rough.variant,
-                ms(rough.median_ms),
-            );
-        }
-        None => text += " Nothing less exact is faster by a tenth.",
+/// Fewer features than these say too little.
+const FEW_FEATURES: usize = 10;
+
+/// A few sentences for one scene and sensor, of which a share of pixels shows something and so many features are in view.
+pub(super) fn of(scene: &str, sensor: &str, seen_share: f64, features: usize, rows: &[Row]) -> String {
+    let whose = format!("For {scene} and {sensor}");
+    if seen_share == 0.0 {
+        return format!("{whose} there is no advice: nothing is seen at these poses; give others with --poses.");
     }
-    text += &for_features(rows).unwrap_or_default();
-    let wrong: Vec<String> = paths()
-        .filter(|r| error(r, "fault_share").is_some_and(|share| share > 0.0))
-        .map(|r| format!("{}, {}", r.engine, r.variant))
-        .collect();
+    let all = Rows(rows);
+    let paths: Vec<&Row> = all.paths().collect();
+    let exact: Vec<&Row> = paths.iter().copied().filter(|r| all.is_exact(r)).collect();
+    let mut text = match take(&exact) {
+        None => format!("{whose} no path agrees with the reference: see the faults below."),
+        Some(best) => format!("{whose} on this machine {}{}", for_images(best, &exact), all.instead_of(best)),
+    };
+    text += &for_features(rows, features);
+    let wrong: Vec<String> = paths.iter().filter(|r| all.error(r, FAULT_SHARE) > Some(0.0)).map(|r| name(r)).collect();
     if !wrong.is_empty() {
         text += &format!(" Do not take {}: pixels that no rounding explains.", wrong.join(" or "));
     }
     text
 }
 
-/// The fastest way to features that is as exact as a ray to every sample, by its greatest error and by its mean.
-fn for_features(rows: &[Row]) -> Option<String> {
+/// The rule of advice.
+fn is_clearly_faster(a: &Row, b: &Row) -> bool {
+    a.median_ms < WORTH * b.median_ms && a.quartiles_ms[1] < b.quartiles_ms[0]
+}
+
+/// The default, or what is clearly faster: the first in the order of the tables that none of the others clearly beats in turn.
+fn take<'a>(paths: &[&'a Row]) -> Option<&'a Row> {
+    let start = paths.iter().find(|r| r.default).or(paths.first())?;
+    Some(paths.iter().fold(*start, |best, r| if is_clearly_faster(r, best) { r } else { best }))
+}
+
+/// The fastest that shows what the reference shows.
+fn for_images(best: &Row, exact: &[&Row]) -> String {
+    let (ids, time) = (ids(best.error), within(best));
+    if best.default {
+        return format!(
+            "take {}, which is the default: exact to rounding ({ids}) in {time}. No other exact path is clearly faster.",
+            name(best)
+        );
+    }
+    let default = match exact.iter().find(|r| r.default) {
+        Some(default) => format!("the default, {}, takes {}", name(default), within(default)),
+        None => "the default shows faults".into(),
+    };
+    format!("take {} ({}): exact to rounding ({ids}) in {time}; {default}.", name(best), best.how)
+}
+
+struct Rows<'a>(&'a [Row]);
+
+impl<'a> Rows<'a> {
+    /// Each path to an image, by a row of its own: its error is the share of other polygons.
+    fn paths(&self) -> impl Iterator<Item = &'a Row> {
+        self.0.iter().filter(|r| r.error_kind == "id_mismatch")
+    }
+
+    fn error(&self, of: &Row, kind: &str) -> Option<f64> {
+        let same = |r: &&Row| r.engine == of.engine && r.variant == of.variant && r.error_kind == kind;
+        self.0.iter().find(same).map(|r| r.error)
+    }
+
+    /// All of the image, and nothing that rounding does not explain.
+    fn is_exact(&self, r: &Row) -> bool {
+        self.error(r, FAULT_SHARE) == Some(0.0) && self.error(r, "missing_share").is_none()
+    }
+
+    /// What is less exact, and clearly faster: of these the one with the least error.
+    fn instead_of(&self, best: &Row) -> String {
+        let rough = |r: &&Row| self.error(r, FAULT_SHARE).is_none() && self.error(r, "missing_share").is_none();
+        let faster = self.paths().filter(rough).filter(|r| is_clearly_faster(r, best));
+        let Some(rough) = faster.min_by(|a, b| a.error.total_cmp(&b.error)) else {
+            return " Nothing less exact is clearly faster.".into();
+        };
+        let error = |kind| self.error(rough, kind).unwrap_or(0.0);
+        let (moved, off) = (error("silhouette_px"), error("range_m"));
+        let price = match (rough.error, moved) {
+            (0.0, 0.0) => format!("ranges off by up to {off:.1e} m, every polygon as in the reference,"),
+            (0.0, _) => format!("silhouettes off by {moved:.2} pixels on average"),
+            (share, _) => format!("{} and silhouettes off by {moved:.2} pixels on average", ids(share)),
+        };
+        format!(" If {price} will do, {} takes {} ({}).", name(rough), ms(rough.median_ms), rough.how)
+    }
+}
+
+/// What is as exact for features as a ray to every sample, by its greatest error and by its mean.
+fn for_features(rows: &[Row], features: usize) -> String {
     let of_kind = |kind: &'static str| rows.iter().filter(move |r: &&Row| r.error_kind == kind);
     let error = |of: &Row, kind: &'static str| {
         of_kind(kind).find(|r| r.engine == of.engine && r.variant == of.variant).map_or(f64::INFINITY, |r| r.error)
     };
     let kinds = ["visible_fraction", "visible_fraction_mean"];
-    let rays = of_kind(kinds[0]).find(|r| r.variant == "features by rays")?;
+    let Some(rays) = of_kind(kinds[0]).find(|r| r.variant == "features by rays") else { return String::new() };
+    if features < FEW_FEATURES {
+        return format!(" Features in view are too few for advice on them: {features}.");
+    }
     let as_exact = |r: &&Row| kinds.iter().all(|kind| error(r, kind) <= error(rays, kind) + ROUNDING);
-    let best = of_kind(kinds[0]).filter(as_exact).min_by(|a, b| a.median_ms.total_cmp(&b.median_ms))?;
+    let exact: Vec<&Row> = of_kind(kinds[0]).filter(as_exact).collect();
+    let Some(best) = take(&exact) else { return String::new() };
     let off = if best.error == 0.0 { "no error".into() } else { format!("at most {:.3} of one wrong", best.error) };
-    Some(format!(" For features take {}, {}: {off}, in {}.", best.engine, best.variant, ms(best.median_ms)))
+    let how = if best.default { ", which is the default".into() } else { format!(" ({})", best.how) };
+    let seen = format!("by {features} of them");
+    format!(" For features take {}{how}: {off}, in {}, {seen}.", name(best), ms(best.median_ms))
+}
+
+fn name(r: &Row) -> String {
+    format!("{}, {}", r.engine, r.variant)
 }
 
 fn ids(share: f64) -> String {
@@ -74,6 +128,10 @@ fn ids(share: f64) -> String {
     }
 }
 
+fn within(r: &Row) -> String {
+    format!("{} (95 % within {})", ms(r.median_ms), ms(r.p95_ms))
+}
+
 fn ms(ms: f64) -> String {
     if ms < 10.0 { format!("{ms:.2} ms") } else { format!("{ms:.0} ms") }
 }
@@ -82,6 +140,7 @@ fn ms(ms: f64) -> String {
 mod tests {
     use super::*;
 
+    /// Its quartiles are a twentieth off its median.
     fn row(variant: &str, error_kind: &'static str, error: f64, median_ms: f64) -> Row {
         Row {
             scene: "s".into(),
@@ -92,33 +151,62 @@ mod tests {
             error,
             bound: None,
             median_ms,
-            p95_ms: median_ms,
+            quartiles_ms: [0.95 * median_ms, 1.05 * median_ms],
+            p95_ms: 1.2 * median_ms,
             pareto: false,
             runs: 1,
+            default: variant == "default",
+            how: format!("--take {variant}"),
             family: String::new(),
             label: String::new(),
         }
     }
 
     fn path(variant: &str, ids: f64, faults: Option<f64>, ms: f64) -> Vec<Row> {
-        let mut rows = vec![row(variant, "id_mismatch", ids, ms), row(variant, "silhouette_px", 0.5, ms)];
-        rows.extend(faults.map(|f| row(variant, "fault_share", f, ms)));
+        let mut rows = vec![row(variant, "id_mismatch", ids, ms), row(variant, "silhouette_px", 10.0 * ids, ms)];
+        rows.push(row(variant, "range_m", 0.02, ms));
+        rows.extend(faults.map(|f| row(variant, FAULT_SHARE, f, ms)));
         rows
     }
 
+    fn advice(rows: &[Vec<Row>]) -> String {
+        of("hall", "camera", 0.5, 40, &rows.concat())
+    }
+
     #[test]
-    fn it_follows_the_rows() {
-        let slow = path("slow", 0.0, Some(0.0), 9.0);
-        let fast = path("fast", 0.0, Some(0.0), 2.0);
-        let half = path("half", 0.04, None, 1.0);
-        let all = [slow.clone(), fast, half.clone()].concat();
-        let text = of("hall", "camera", &all);
-        assert!(text.contains("take cpu, fast: exact") && text.contains("4.000 % other polygons"), "{text}");
-        assert!(text.contains("cpu, half takes 1.00 ms") && !text.contains("Do not take"), "{text}");
-        let text = of("hall", "camera", &[slow, path("fast", 0.0, Some(0.1), 2.0)].concat());
-        assert!(text.contains("take cpu, slow: exact") && text.contains("Do not take cpu, fast"), "{text}");
-        assert!(text.contains("Nothing less exact") || text.contains("If "), "{text}");
-        assert!(of("hall", "camera", &half).contains("no path agrees"));
+    fn the_default_stays_unless_another_is_clearly_faster() {
+        let exact = |variant, ms| path(variant, 0.0, Some(0.0), ms);
+        let text = advice(&[exact("slow", 9.0), exact("default", 2.0), exact("index", 1.85)]);
+        assert!(text.contains("take cpu, default, which is the default: exact to rounding"), "{text}");
+        assert!(text.contains("No other exact path is clearly faster. Nothing less exact"), "{text}");
+        let text = advice(&[exact("default", 2.0), exact("one", 1.0), exact("two", 0.99)]);
+        assert!(
+            text.contains("take cpu, one (--take one): exact") && text.contains("default, cpu, default, takes 2.00 ms")
+        );
+        // Half the time, but the runs of both lie within each other.
+        let mut noisy = exact("noisy", 1.0);
+        noisy.iter_mut().for_each(|r| r.quartiles_ms = [0.5, 1.95]);
+        let text = advice(&[exact("default", 2.0), noisy]);
+        assert!(text.contains("take cpu, default"), "{text}");
+        // A default that is wrong is not to be taken.
+        let text = advice(&[path("default", 0.0, Some(0.1), 1.0), exact("slow", 9.0)]);
+        assert!(text.contains("take cpu, slow") && text.contains("the default shows faults"), "{text}");
+        assert!(text.contains("Do not take cpu, default"), "{text}");
+        assert!(advice(&[path("half", 0.1, None, 1.0)]).contains("no path agrees"));
+    }
+
+    #[test]
+    fn what_is_less_exact_has_its_price_told() {
+        let default = || path("default", 0.0, Some(0.0), 9.0);
+        let text = advice(&[default(), path("half", 0.04, None, 1.0)]);
+        assert!(text.contains("If 4.000 % other polygons and silhouettes off by 0.40 pixels"), "{text}");
+        assert!(text.contains("cpu, half takes 1.00 ms (--take half)"), "{text}");
+        let text = advice(&[default(), path("half", 0.0, None, 1.0)]);
+        assert!(text.contains("If ranges off by up to 2.0e-2 m, every polygon as in the reference, will do"), "{text}");
+        let text = advice(&[default(), path("half", 0.0, None, 8.5)]);
+        assert!(text.contains("Nothing less exact is clearly faster"), "{text}");
+        let text = of("hall", "camera", 0.0, 0, &default());
+        assert!(text.contains("nothing is seen") && !text.contains("take"), "{text}");
     }
 
     #[test]
@@ -127,25 +215,25 @@ mod tests {
             [row(variant, "visible_fraction", worst, ms), row(variant, "visible_fraction_mean", mean, ms)]
         };
         let rays = path("features by rays", 0.02, 0.002, 50.0);
-        let fast = path("fast", 0.02, 0.002, 3.0);
+        let default = path("default", 0.02, 0.002, 3.0);
         // Half the samples may be lucky at the worst one.
         let lucky = path("lucky", 0.01, 0.004, 1.0);
-        let all = [rays.clone(), fast.clone(), lucky.clone(), path("finer", 0.01, 0.001, 4.0)].concat();
+        let all = [rays.clone(), default.clone(), lucky.clone(), path("finer", 0.01, 0.001, 2.9)].concat();
         assert_eq!(
-            for_features(&all).unwrap(),
-            " For features take cpu, fast: at most 0.020 of one wrong, in 3.00 ms."
+            for_features(&all, 40),
+            " For features take cpu, default, which is the default: at most 0.020 of one wrong, in 3.00 ms, by 40 of them."
         );
-        let text = for_features(&[rays, lucky].concat()).unwrap();
-        assert!(text.contains("features by rays"), "{text}");
-        assert_eq!(for_features(&fast), None);
+        assert!(for_features(&all, 9).contains("too few for advice on them: 9"));
+        let text = for_features(&[rays, lucky].concat(), 10);
+        assert!(text.contains("features by rays (--take features by rays)"), "{text}");
+        assert_eq!(for_features(&default, 40), "");
     }
 
     #[test]
     fn a_part_of_the_image_is_no_exact_answer() {
-        let mut rows = path("part", 0.0, Some(0.0), 1.0);
-        rows.push(row("part", "missing_share", 0.75, 1.0));
-        rows.extend(path("all", 0.0, Some(0.0), 4.0));
-        let text = of("hall", "camera", &rows);
-        assert!(text.contains("take cpu, all: exact") && text.contains("Nothing less exact"), "{text}");
+        let mut part = path("part", 0.0, Some(0.0), 1.0);
+        part.push(row("part", "missing_share", 0.75, 1.0));
+        let text = advice(&[part, path("default", 0.0, Some(0.0), 4.0)]);
+        assert!(text.contains("take cpu, default") && text.contains("Nothing less exact"), "{text}");
     }
 }

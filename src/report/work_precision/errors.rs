@@ -1,5 +1,6 @@
 //! How far images are from the truth.
 
+use super::FAULT_SHARE;
 use crate::compare::{self, Precision};
 use crate::error::Result;
 use crate::plan::{FramePlan, Images};
@@ -30,10 +31,15 @@ pub(super) struct ImageErrors {
     borders: usize,
     border_most: f64,
     /// Pixels of the sensor that the path leaves out.
-    pub missing_share: f64,
+    missing_share: f64,
 }
 
 impl ImageErrors {
+    /// Of a path that leaves out a share of the sensor's pixels; none yet.
+    pub fn of_all_but(missing_share: f64) -> Self {
+        Self { missing_share, ..Self::default() }
+    }
+
     /// Adds those of another pose.
     pub fn add(&mut self, other: &Self) {
         self.pixels += other.pixels;
@@ -60,14 +66,15 @@ impl ImageErrors {
         let mut kinds = vec![
             ("id_mismatch", share(self.other_id, self.pixels), None),
             ("range_ulp", f64::from(self.ulps), None),
-            ("range_m", self.range_m, exact.then_some(self.allowed_m)),
+            // Where nothing differs there is no such pixel.
+            ("range_m", self.range_m, (exact && self.range_m > 0.0).then_some(self.allowed_m)),
             ("range_mean_m", self.range_sum_m / self.both_see.max(1) as f64, None),
-            ("range_of_bound", self.of_bound, Some(1.0)),
+            ("range_of_bound", self.of_bound, exact.then_some(1.0)),
             ("silhouette_px", self.border_sum / self.borders.max(1) as f64, None),
             ("silhouette_most_px", self.border_most, None),
         ];
         if let Some(faults) = self.faults {
-            kinds.push(("fault_share", share(faults, self.pixels), Some(0.0)));
+            kinds.push((FAULT_SHARE, share(faults, self.pixels), Some(0.0)));
         }
         if self.missing_share > 0.0 {
             kinds.push(("missing_share", self.missing_share, None));
@@ -211,8 +218,9 @@ mod tests {
 
     #[test]
     fn the_truth_has_no_error() {
-        for (kind, error, _) in spoiled(|_| ()).kinds() {
+        for (kind, error, bound) in spoiled(|_| ()).kinds() {
             assert_eq!(error, 0.0, "{kind}");
+            assert!(kind != "range_m" || bound.is_none(), "{bound:?} m of what is nowhere");
         }
     }
 
@@ -224,6 +232,8 @@ mod tests {
             i.range[at] += 1e-3;
         });
         assert!(error(&farther, "range_m") > 0.9e-3 && error(&farther, "fault_share") > 0.0);
+        let bound = farther.kinds().into_iter().find(|k| k.0 == "range_m").unwrap().2;
+        assert!(bound.is_some_and(|b| b > 0.0 && b < 1e-3), "{bound:?}");
         assert!(error(&farther, "range_of_bound") > 1.0 && error(&farther, "range_ulp") > 100.0);
         assert_eq!(error(&farther, "id_mismatch"), 0.0);
         let by_an_ulp = spoiled(|i| {

@@ -7,14 +7,19 @@
 //! | a ray through space to every sample of every feature | visible fractions |
 //! | draws of the errors of pose and feature, projected one by one | how often a region of interest misses its feature |
 //!
-//! Which paths there are is in `paths`; how images are told apart in `errors`; features in `features`; times in `timing`.
+//! Which paths there are is in `paths`, how a user takes them in `how`; how images are told apart in `errors`; features are in
+//! `features`, regions of interest in `regions`; times, taken by turns, in `timing`; what to take of all that in `advice`.
 
 mod advice;
 mod errors;
 mod features;
+mod how;
+mod one;
 mod pareto;
 mod paths;
+mod regions;
 mod show;
+mod tables;
 mod timing;
 mod views;
 
@@ -23,21 +28,20 @@ pub use show::{to_csv, to_html, to_json};
 use crate::compare::Precision;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::io::png;
-use crate::plan::{FramePlan, Images, LeftOut, Output, Request};
-use crate::reference;
+use crate::plan::{LeftOut, Request};
 use crate::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use crate::world::World;
-use errors::ImageErrors;
+use one::One;
 use paths::{Engines, Path};
 use serde::Serialize;
 use std::time::Duration;
-use timing::Timing;
 
 /// How much is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
-    /// Each path is run at least so often at a pose, after one run that is not counted.
+    /// All paths take their turns so often, each with its share of runs.
+    pub rounds: usize,
+    /// Each path is run at least so often at a pose; runs that warm it up are not counted.
     pub least_runs: usize,
     /// And at most so often.
     pub most_runs: usize,
@@ -51,11 +55,23 @@ pub struct Effort {
 
 impl Effort {
     /// A study in well under a minute on two cores.
-    pub const QUICK: Self =
-        Self { least_runs: 2, most_runs: 21, patience: Duration::from_millis(250), features: 40, draws: 1_000 };
+    pub const QUICK: Self = Self {
+        rounds: 7,
+        least_runs: 2,
+        most_runs: 21,
+        patience: Duration::from_millis(250),
+        features: 40,
+        draws: 1_000,
+    };
     /// A study to rely on.
-    pub const FULL: Self =
-        Self { least_runs: 5, most_runs: 201, patience: Duration::from_secs(2), features: 200, draws: 10_000 };
+    pub const FULL: Self = Self {
+        rounds: 20,
+        least_runs: 5,
+        most_runs: 200,
+        patience: Duration::from_secs(2),
+        features: 200,
+        draws: 10_000,
+    };
 }
 
 /// A scene and the poses that sensors take in it.
@@ -95,16 +111,24 @@ pub struct Row {
     pub error_kind: &'static str,
     /// The error, in the unit of its kind; the worst over all poses.
     pub error: f64,
-    /// What it may be at most, where that is known.
+    /// What it may be at most, where that is known; of ranges at the pixel of the greatest error, and so of none where
+    /// nothing differs.
     pub bound: Option<f64>,
     /// Median time of the path, milliseconds.
     pub median_ms: f64,
+    /// A quarter and three quarters of the runs took at most so long, milliseconds.
+    pub quartiles_ms: [f64; 2],
     /// 95 of 100 runs took at most so long, milliseconds.
     pub p95_ms: f64,
     /// No other path to the same is both as fast and as exact.
     pub pareto: bool,
     /// Runs that were timed.
     pub runs: usize,
+    /// What a user gets who asks for nothing else.
+    pub default: bool,
+    /// How a user takes it.
+    #[serde(skip)]
+    how: String,
     /// In charts: whose mark it bears.
     #[serde(skip)]
     family: String,
@@ -113,15 +137,32 @@ pub struct Row {
     label: String,
 }
 
-/// Median milliseconds of a path's stages, and what it left out.
+/// Milliseconds of a stage.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageTime {
+    /// Its name.
+    pub stage: String,
+    /// The middle one.
+    pub median_ms: f64,
+    /// 95 of 100 runs took at most so long.
+    pub p95_ms: f64,
+}
+
+/// How to take a path, times of its stages, and what it left out.
 #[derive(Clone, Debug, Serialize)]
 pub struct PathNotes {
     /// `reference`, `cpu` or `gpu`.
     pub engine: String,
     /// Which path of this engine.
     pub variant: String,
-    /// Median milliseconds by stage, in order.
-    pub stages_ms: Vec<(String, f64)>,
+    /// Flags of `presight predict`, keys of the sensor's file, or the library.
+    pub how: String,
+    /// What a user gets who asks for nothing else.
+    pub default: bool,
+    /// Runs that were timed.
+    pub runs: usize,
+    /// Times by stage, in order.
+    pub stages: Vec<StageTime>,
     /// Counts of the last run.
     pub counts: Vec<(String, u64)>,
     /// What was not needed in the last run, and why.
@@ -137,7 +178,11 @@ pub struct Finding {
     pub sensor: String,
     /// Columns and rows.
     pub size: (u32, u32),
-    /// What to take, in a sentence or two made of the rows.
+    /// Share of the truth's pixels that show something.
+    pub seen_share: f64,
+    /// Features that errors of features are of, over all poses.
+    pub features: usize,
+    /// What to take, in a few sentences made of the rows.
     pub advice: String,
     /// Errors and times.
     pub rows: Vec<Row>,
@@ -157,6 +202,17 @@ pub struct Findings {
     pub adapter: String,
 }
 
+impl Findings {
+    /// Paths that are to be exact and show pixels that no rounding explains.
+    pub fn faults(&self) -> usize {
+        let rows = self.findings.iter().flat_map(|f| &f.rows);
+        rows.filter(|r| r.error_kind == FAULT_SHARE && r.error > 0.0).count()
+    }
+}
+
+/// The kind of error that only paths have that are to be exact.
+const FAULT_SHARE: &str = "fault_share";
+
 /// Images that every path makes.
 fn request() -> Request {
     Request::default()
@@ -175,7 +231,10 @@ pub fn fisheye() -> Result<Sensor> {
 impl Study {
     /// How often [`Study::run`] tells its progress, at most.
     pub fn steps(&self) -> usize {
-        self.scenes.len() * self.sensors.len() * (Path::all(true).len() + 2)
+        let measured = self.sensors.len() * self.scenes.len();
+        let poses: usize = self.sensors.len() * self.scenes.iter().map(|s| s.poses.len()).sum::<usize>();
+        // The truth and features; every path, and all of them by turns at each pose: images, features, regions of interest.
+        2 * measured + poses * (Path::all(true).len() + 3 * self.effort.rounds)
     }
 
     /// Measures everything. `progress` is told what comes next.
@@ -200,116 +259,48 @@ impl Study {
     }
 }
 
-/// The measurement of one scene and sensor.
-struct One<'a> {
-    scene: &'a Scene,
-    sensor: &'a Sensor,
-    effort: &'a Effort,
-    engines: &'a mut Engines,
-}
-
-/// What the reference says at one pose.
-struct Truth {
-    plan: FramePlan,
-    images: Images,
-}
-
-impl One<'_> {
-    fn run(&mut self, progress: &mut impl FnMut(&str)) -> Result<Finding> {
-        // Lines may be cut: what changes most comes first.
-        let place = format!("{}, {}", self.sensor.spec().name, self.scene.name);
-        progress(&format!("the truth: {place}"));
-        let truths = self.scene.poses.iter().map(|pose| self.truth(pose)).collect::<Result<Vec<_>>>()?;
-        let (mut rows, mut notes) = (Vec::new(), Vec::new());
-        for path in Path::all(self.engines.has_gpu()) {
-            progress(&format!("{}, {}: {place}", path.engine(), path.variant(self.engines)));
-            if let Some(view) = path.view.of(self.sensor)? {
-                self.image_rows(&path, &view, &truths, &mut rows, &mut notes)?;
-            }
-        }
-        progress(&format!("features: {place}"));
-        features::rows(self, &truths, &mut rows, &mut notes)?;
-        pareto::mark(&mut rows);
-        let preview = png::preview_png(&truths[0].images, self.sensor, Output::Range)?;
-        Ok(Finding {
-            scene: self.scene.name.clone(),
-            sensor: self.sensor.spec().name.clone(),
-            size: (self.sensor.width(), self.sensor.height()),
-            advice: advice::of(&self.scene.name, &self.sensor.spec().name, &rows),
-            rows,
-            notes,
-            preview,
-        })
-    }
-
-    fn truth(&self, pose: &Pose) -> Result<Truth> {
-        let plan = FramePlan::new(&self.scene.world, self.sensor, pose, &request());
-        let mut images = Images::default();
-        reference::render(&plan, &mut images)?;
-        Ok(Truth { plan, images })
-    }
-
-    /// Runs one path at all poses and compares its images with the truth.
-    fn image_rows(
-        &mut self,
-        path: &Path,
-        view: &views::Seen,
-        truths: &[Truth],
-        rows: &mut Vec<Row>,
-        notes: &mut Vec<PathNotes>,
-    ) -> Result<()> {
-        let world = path.index.map(|s| self.scene.world.reindexed(s, crate::index::Params::tuned(s)));
-        let world = world.as_ref().unwrap_or(&self.scene.world);
-        let (mut timing, mut errors) = (Timing::default(), ImageErrors::default());
-        for (pose, truth) in self.scene.poses.iter().zip(truths) {
-            let mut images = Images::default();
-            let drawer = self.engines.drawer(path.which)?;
-            timing.measure(self.effort, || drawer.draw(world, &view.sensor, pose, &mut images))?;
-            let (truth_images, shown) = view.beside(&truth.images, &images);
-            // A part of the image is judged by its own sensor: pixels have their places there.
-            let own = FramePlan::new(&self.scene.world, &view.judge, pose, &request());
-            let plan = if view.whole { &truth.plan } else { &own };
-            let exact = view.exact.then_some(path.precision());
-            errors.add(&errors::compare_images(&truth_images, &shown, plan, exact)?);
-        }
-        errors.missing_share = view.missing_share(self.sensor);
-        let (engine, variant) = (path.engine().to_owned(), path.variant(self.engines));
-        let template = Row {
-            family: path.family(self.engines),
-            label: path.view.label().to_owned(),
-            ..self.row(&engine, &variant, &timing)
-        };
-        rows.extend(errors.kinds().into_iter().map(|(error_kind, error, bound)| Row {
-            error_kind,
-            error,
-            bound,
-            ..template.clone()
-        }));
-        notes.push(timing.notes(engine, variant));
-        Ok(())
-    }
-
-    /// A row without its error.
-    fn row(&self, engine: &str, variant: &str, timing: &Timing) -> Row {
-        Row {
-            scene: self.scene.name.clone(),
-            sensor: self.sensor.spec().name.clone(),
-            engine: engine.to_owned(),
-            variant: variant.to_owned(),
-            error_kind: "",
-            error: 0.0,
-            bound: None,
-            median_ms: timing.median(),
-            p95_ms: timing.p95(),
-            pareto: false,
-            runs: timing.runs(),
-            family: String::new(),
-            label: String::new(),
-        }
-    }
-}
-
 /// The arithmetic by which an engine is judged.
 fn precision_of(gpu: bool) -> Precision {
     if gpu { Precision::F32 } else { Precision::F64 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_of_paths_that_are_to_be_exact() {
+        let row = |error_kind, error| Row {
+            scene: String::new(),
+            sensor: String::new(),
+            engine: "cpu".into(),
+            variant: String::new(),
+            error_kind,
+            error,
+            bound: None,
+            median_ms: 1.0,
+            quartiles_ms: [1.0; 2],
+            p95_ms: 1.0,
+            pareto: false,
+            runs: 1,
+            default: false,
+            how: String::new(),
+            family: String::new(),
+            label: String::new(),
+        };
+        let finding = |rows| Finding {
+            scene: String::new(),
+            sensor: String::new(),
+            size: (1, 1),
+            seen_share: 1.0,
+            features: 0,
+            advice: String::new(),
+            rows,
+            notes: Vec::new(),
+            preview: Vec::new(),
+        };
+        let faults = |rows| Findings { findings: vec![finding(rows)], adapter: String::new() }.faults();
+        assert_eq!(faults(vec![row(FAULT_SHARE, 0.0), row("id_mismatch", 0.3)]), 0);
+        assert_eq!(faults(vec![row(FAULT_SHARE, 1e-6), row(FAULT_SHARE, 0.0)]), 1);
+    }
 }

@@ -1,7 +1,7 @@
 //! Every path of the product from a scene to an image.
 
 use super::views::View;
-use super::{precision_of, request};
+use super::{how, precision_of, request};
 use crate::compare::Precision;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
@@ -26,6 +26,23 @@ pub(super) enum Which {
     Gpu,
     /// The GPU engine with keys of 32 bits, in two passes.
     GpuNarrow,
+}
+
+/// A path as tables, charts and advice name it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Named {
+    /// `reference`, `cpu` or `gpu`.
+    pub engine: &'static str,
+    /// What tells it from the engine's other paths.
+    pub variant: String,
+    /// How a user takes it.
+    pub how: String,
+    /// The one that a user gets who asks for nothing else.
+    pub default: bool,
+    /// In charts: whose mark it bears.
+    pub family: String,
+    /// In charts: the text beside it.
+    pub label: String,
 }
 
 /// One path.
@@ -63,16 +80,19 @@ impl Path {
         }
     }
 
-    /// What tells it from the engine's other paths.
-    pub fn variant(&self, engines: &Engines) -> String {
+    /// Its names for a sensor.
+    pub fn named(&self, engines: &Engines, sensor: &Sensor) -> Named {
+        let (engine, manner) = (self.engine(), engines.manner(self.which));
         let index = self.index.map(|s| format!(", index {}", s.name())).unwrap_or_default();
-        format!("{}{}{index}", engines.manner(self.which), self.view.name())
-    }
-
-    /// Whose mark it bears in charts.
-    pub fn family(&self, engines: &Engines) -> String {
-        let index = if self.index.is_some() { ", other indexes" } else { "" };
-        format!("{}, {}{index}", self.engine(), engines.manner(self.which))
+        let others = if self.index.is_some() { ", other indexes" } else { "" };
+        Named {
+            engine,
+            variant: format!("{manner}{}{index}", self.view.name()),
+            how: how::of_image(self, sensor),
+            default: self.which == engines.default() && self.view == View::Whole && self.index.is_none(),
+            family: format!("{engine}, {manner}{others}"),
+            label: self.view.label().to_owned(),
+        }
     }
 
     pub fn precision(&self) -> Precision {
@@ -87,6 +107,8 @@ pub(super) struct Engines {
     cpu_all: Drawer,
     gpu: Option<(Drawer, Drawer)>,
     gpu_keys: &'static str,
+    /// The adapter is a real GPU.
+    hardware: bool,
     adapter: String,
     threads: usize,
 }
@@ -96,9 +118,11 @@ impl Engines {
     pub fn open() -> Result<Self> {
         let cpu = |threads| Predictor::new(Options { backend: Backend::Cpu, threads }).map(Box::new);
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        let (gpu, gpu_keys, adapter) = match open_gpu() {
-            Ok((drawers, keys, adapter)) => (Some(drawers), keys, adapter),
-            Err(e) if e.kind() == ErrorKind::NoDevice => (None, "", format!("none: {e}")),
+        let (gpu, gpu_keys, hardware, adapter) = match open_gpu() {
+            Ok(gpu) => (Some(gpu.drawers), gpu.keys, gpu.hardware, gpu.adapter),
+            Err(e) if e.kind() == ErrorKind::NoDevice => {
+                (None, "", false, format!("none: {}; presight doctor says what to install", e.what()))
+            }
             Err(e) => return Err(e),
         };
         Ok(Self {
@@ -107,9 +131,15 @@ impl Engines {
             cpu_all: Drawer::Predictor(cpu(0)?),
             gpu,
             gpu_keys,
+            hardware,
             adapter,
             threads,
         })
+    }
+
+    /// Who draws where a user chooses nothing (`--backend auto`).
+    pub fn default(&self) -> Which {
+        if self.hardware { Which::Gpu } else { Which::CpuAll }
     }
 
     pub fn has_gpu(&self) -> bool {
@@ -143,27 +173,34 @@ impl Engines {
     }
 
     /// The predictor of an engine that a user gets: for features.
-    pub fn predictor(&mut self, which: Which) -> Option<&mut Predictor> {
-        match self.drawer(which) {
-            Ok(Drawer::Predictor(predictor)) => Some(predictor),
-            _ => None,
+    pub fn predictor(&mut self, which: Which) -> Result<&mut Predictor> {
+        match self.drawer(which)? {
+            Drawer::Predictor(predictor) => Ok(predictor),
+            _ => Err(Error::invalid("only predictors look at features", "take another path")),
         }
     }
 }
 
-/// Both ways to use a GPU, how the first keeps its nearest surfaces, and the adapter.
-type OpenedGpu = ((Drawer, Drawer), &'static str, String);
+/// A GPU, both ways to use it, and how the first keeps its nearest surfaces.
+struct OpenedGpu {
+    drawers: (Drawer, Drawer),
+    keys: &'static str,
+    hardware: bool,
+    adapter: String,
+}
 
 #[cfg(feature = "gpu")]
 fn open_gpu() -> Result<OpenedGpu> {
     use crate::gpu::{DeviceOptions, Engine};
     let engine = Engine::new(DeviceOptions::default())?;
-    let (wide, adapter) = (engine.abilities().int64_atomics, engine.adapter().to_string());
+    let (wide, hardware) = (engine.abilities().int64_atomics, engine.adapter().hardware);
+    let adapter = engine.adapter().to_string();
     drop(engine);
     let predictor = Predictor::new(Options { backend: Backend::Gpu, threads: 0 })?;
     let narrow = Engine::new(DeviceOptions { without_int64: true, ..DeviceOptions::default() })?;
     let keys = if wide { "64-bit keys" } else { "its 32-bit keys" };
-    Ok(((Drawer::Predictor(Box::new(predictor)), Drawer::Narrow(Box::new(narrow))), keys, adapter))
+    let drawers = (Drawer::Predictor(Box::new(predictor)), Drawer::Narrow(Box::new(narrow)));
+    Ok(OpenedGpu { drawers, keys, hardware, adapter })
 }
 
 #[cfg(not(feature = "gpu"))]

@@ -1,6 +1,6 @@
 //! Findings as CSV, JSON and a page.
 
-use super::{Finding, Findings, PathNotes, Row};
+use super::{Finding, Findings, Row, tables};
 use crate::error::{Error, Result};
 use crate::report::Machine;
 use crate::report::chart::{Chart, Series, Style};
@@ -23,9 +23,15 @@ const KINDS: [(&str, &str); 14] = [
         "range_ulp",
         "greatest difference of ranges where both show the same polygon, in units in the last place of an f32",
     ),
-    ("range_m", "the same in metres; its bound is what rounding allows at that pixel"),
+    (
+        "range_m",
+        "the same in metres; its bound is what rounding allows at that pixel, and is left empty where nothing differs",
+    ),
     ("range_mean_m", "mean difference of ranges over all pixels where both see something, metres"),
-    ("range_of_bound", "greatest share of what rounding allows at its pixel; 1 is the bound"),
+    (
+        "range_of_bound",
+        "greatest share of what rounding allows at its pixel; 1 is the bound of paths that are to be exact",
+    ),
     ("silhouette_px", "mean distance between the borders of objects in both images, pixels, both ways, at most 16"),
     ("silhouette_most_px", "the greatest such distance"),
     ("fault_share", "of paths that are to be exact: share of pixels that no rounding, edge or tie explains"),
@@ -110,11 +116,12 @@ fn answer(findings: &Findings) -> Section {
 fn about(findings: &Findings, machine: &Machine) -> Section {
     let mut rows = machine.lines();
     rows.push(vec!["adapter and driver".into(), findings.adapter.clone()]);
-    let head = vec!["what".into(), String::new()];
+    let head = ["what", "value"].map(String::from).to_vec();
     let missing = "Not in the product, and so not here: the GPU's render pipeline for cameras (measured in \
                    benches/render_pipeline), planar images resampled to curved ones (benches/resampling). A request names \
-                   no region of the image: a smaller sensor does, as the `roi` of a ROS camera_info file; it is measured \
-                   as \"middle part\". Features are sampled every half pixel unless it is said otherwise.";
+                   no region of the image: a smaller sensor does, as the roi of a ROS camera_info file; it is measured \
+                   as \"middle part\". Features are sampled every half pixel unless it is said otherwise. Where the adapter is a program that plays a \
+                   GPU, the GPU engine leaves regions of interest to the CPU.";
     let parts = vec![
         Part::Table(Table { caption: "How it was measured".into(), head, rows, marked: Vec::new() }),
         Part::Text(missing.into()),
@@ -125,11 +132,20 @@ fn about(findings: &Findings, machine: &Machine) -> Section {
 fn kinds() -> Section {
     let rows = KINDS.iter().map(|(kind, text)| vec![(*kind).to_owned(), (*text).to_owned()]).collect();
     let head = vec!["error_kind".into(), "what it is".into()];
-    let text = "Errors are the worst over all poses, shares and means are over all of them. Times are of all runs after one \
-                that is not counted; they include selection and all images in memory, with the GPU synchronised. Those of \
-                features include their image. A row is on the Pareto front if no other of its kind is as fast and as exact; paths that leave a part of the image out have no place on it. Regions of interest are compared at the same errors of the pose.";
-    let table = Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() };
-    Section { title: "How to read it".into(), parts: vec![Part::Text(text.into()), Part::Table(table)] }
+    let texts = [
+        "Errors are the worst over all poses, shares and means are over all of them. Times are of all runs but those that \
+         warm up; paths take turns, so that a machine that grows busier does so for all of them alike. Times include \
+         selection and all images in memory, with the GPU synchronised; those of features include their image. p95: 95 of \
+         100 runs took at most so long.",
+        "A row is on the Pareto front if no other of its kind is as fast and as exact; paths that leave a part of the image out \
+         have no place on it. Regions of interest are compared at the same errors of the pose.",
+        "Advice keeps to what a user gets anyway, unless another path is clearly faster: its median is below nine tenths, \
+         and three quarters of its runs are faster than three quarters of the other's. On features it rests on ten of them \
+         at least.",
+    ];
+    let mut parts: Vec<Part> = texts.map(|text| Part::Text(text.into())).to_vec();
+    parts.push(Part::Table(Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() }));
+    Section { title: "How to read it".into(), parts }
 }
 
 fn section(finding: &Finding) -> Result<Section> {
@@ -150,11 +166,14 @@ fn section(finding: &Finding) -> Result<Section> {
         }
     }
     parts.push(Part::Heading("Paths".into()));
-    parts.extend(tables(&finding.rows));
-    parts.push(Part::Heading("Stages".into()));
-    parts.push(Part::Table(stages(&finding.notes)));
-    parts.push(Part::Heading("Left out".into()));
-    parts.push(Part::Table(left_out(&finding.notes)));
+    parts.extend(tables::errors(&finding.rows).into_iter().map(Part::Table));
+    for (title, table) in [
+        ("How to take them", tables::how(&finding.notes)),
+        ("Stages", tables::stages(&finding.notes)),
+        ("Left out", tables::left_out(&finding.notes)),
+    ] {
+        parts.extend([Part::Heading(title.into()), Part::Table(table)]);
+    }
     Ok(Section { title: format!("{}, {} ({w} x {h})", finding.scene, finding.sensor), parts })
 }
 
@@ -199,107 +218,4 @@ fn fronts(rows: &[&Row]) -> Vec<(String, Vec<(f64, f64)>)> {
         front.0 = if i == 0 { "Pareto front".into() } else { String::new() };
     }
     fronts
-}
-
-/// One table for images, one for features, one for regions of interest: a row for each path, a column for each kind.
-fn tables(rows: &[Row]) -> Vec<Part> {
-    let families: [(&str, &[&str]); 3] = [
-        (
-            "Images",
-            &[
-                "id_mismatch",
-                "range_ulp",
-                "range_m",
-                "range_mean_m",
-                "range_of_bound",
-                "silhouette_px",
-                "silhouette_most_px",
-                "fault_share",
-                "missing_share",
-            ],
-        ),
-        ("Features", &["visible_fraction", "visible_fraction_mean"]),
-        ("Regions of interest: times of 100", &["roi_missed", "roi_missed_worst", "roi_area_share"]),
-    ];
-    families.iter().filter_map(|(caption, kinds)| table(rows, caption, kinds)).map(Part::Table).collect()
-}
-
-fn table(rows: &[Row], caption: &str, kinds: &[&str]) -> Option<Table> {
-    let firsts: Vec<&Row> = rows.iter().filter(|r| Some(&r.error_kind) == kinds.first()).collect();
-    if firsts.is_empty() {
-        return None;
-    }
-    let mut head: Vec<String> = ["engine", "variant", "median ms", "p95 ms", "runs"].map(String::from).to_vec();
-    head.extend(kinds.iter().map(|k| (*k).to_owned()));
-    let mut table = Table { caption: caption.to_owned(), head, ..Table::default() };
-    for (i, first) in firsts.into_iter().enumerate() {
-        let of_path = |kind: &&str| {
-            let same = |r: &&Row| r.engine == first.engine && r.variant == first.variant && r.error_kind == *kind;
-            rows.iter().find(same)
-        };
-        let cell = |kind: &&str| match of_path(kind) {
-            None => "-".into(),
-            Some(Row { error, bound: Some(bound), .. }) if *bound > 0.0 => {
-                format!("{} of {}", short(*error), short(*bound))
-            }
-            Some(row) => short(row.error),
-        };
-        if kinds.iter().any(|kind| of_path(kind).is_some_and(|r| r.pareto)) {
-            table.marked.push(i);
-        }
-        let times = [first.median_ms, first.p95_ms].map(|ms| format!("{ms:.3}"));
-        let [median, p95] = times;
-        let mut cells = vec![first.engine.clone(), first.variant.clone(), median, p95, first.runs.to_string()];
-        cells.extend(kinds.iter().map(cell));
-        table.rows.push(cells);
-    }
-    table.caption += "; bold: on the Pareto front of some kind";
-    Some(table)
-}
-
-fn short(value: f64) -> String {
-    match value {
-        0.0 => "0".into(),
-        v if (1e-3..1e5).contains(&v.abs()) => {
-            let digits = (2 - v.abs().log10().floor() as i32).clamp(0, 5) as usize;
-            format!("{v:.digits$}")
-        }
-        v => format!("{v:.1e}"),
-    }
-}
-
-/// Median milliseconds of stages, and counts.
-fn stages(notes: &[PathNotes]) -> Table {
-    let row = |n: &PathNotes| {
-        let stages: Vec<String> = n.stages_ms.iter().map(|(name, ms)| format!("{name} {}", short(*ms))).collect();
-        let counts: Vec<String> =
-            n.counts.iter().map(|(name, count)| format!("{} {count}", name.replace('_', " "))).collect();
-        vec![n.engine.clone(), n.variant.clone(), stages.join(", "), counts.join(", ")]
-    };
-    Table {
-        caption: "Medians in ms; counts of the last run".into(),
-        head: ["engine", "variant", "stages", "counts"].map(String::from).to_vec(),
-        rows: notes.iter().map(row).collect(),
-        marked: Vec::new(),
-    }
-}
-
-/// What was not needed, each with its reason and by which paths.
-fn left_out(notes: &[PathNotes]) -> Table {
-    let mut rows: Vec<Vec<String>> = Vec::new();
-    for n in notes {
-        let path = format!("{}, {}", n.engine, n.variant);
-        for left in &n.left_out {
-            match rows.iter_mut().find(|r| r[0] == left.what && r[1] == left.why) {
-                Some(row) => row[2] = format!("{}; {path}", row[2]),
-                None => rows.push(vec![left.what.clone(), left.why.clone(), path.clone()]),
-            }
-        }
-    }
-    Table {
-        caption: "What the predictions did not need, and why nothing is lost by that (last pose)".into(),
-        head: ["left out", "why", "by"].map(String::from).to_vec(),
-        rows,
-        marked: Vec::new(),
-    }
 }

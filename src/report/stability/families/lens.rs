@@ -49,8 +49,8 @@ impl Family for Fold {
 
     fn about(&self) -> &'static str {
         if self.side < 0.0 {
-            "Lenses of four models ever closer to where they fold over: rays (engine \"sensor\", by their image coordinates) \
-             and a wall seen along them."
+            "Lenses of four models ever closer to where they fold over (the radial part of one with tangential terms, whose own \
+             fold is known to 1e-9): rays (engine \"sensor\", by their image coordinates) and a wall seen along them."
         } else {
             "The same beyond the fold, where no pixel may have a ray."
         }
@@ -100,12 +100,9 @@ fn rays(share: f64) -> Finding {
             if let Some(ray) = found {
                 worst = worst.max(off(&Vector::new(ray)));
             }
-            // Of models with tangential terms the fold is not known here.
-            let Some(fold) = &exact.fold else { continue };
-            let distance = radius - fold.to_f64();
-            let unclear = distance.abs() <= TOLERANCE * radius.max(1.0);
-            if !unclear && found.is_some() != (distance < 0.0) {
-                wrong = Some(format!("{}: image radius {radius} with its fold at {fold:?}", model.model()));
+            let Some((beyond, known)) = exact.beyond_fold(&target[0], &target[1]) else { continue };
+            if beyond.abs() > known && found.is_some() != (beyond < 0.0) {
+                wrong = Some(format!("{}: image radius {radius} is {beyond:e} beyond its fold", model.model()));
             }
         }
     }

@@ -48,7 +48,12 @@ pub struct Finding {
     pub bound: f64,
     /// How it ended.
     pub outcome: Outcome,
-    /// The fault or the error's text; empty if there is none.
+    /// Pixels that show another polygon than the truth, or nothing where it shows one, and may: at an outline, or where the
+    /// truth's polygon was left out as edge-on.
+    pub other: usize,
+    /// Polygons that the engine left out as edge-on, summed over images.
+    pub edge_on: usize,
+    /// The fault or the error's text, or what else there is to say; may be empty.
     pub note: String,
 }
 
@@ -56,7 +61,8 @@ impl Finding {
     /// Of what was refused.
     pub fn rejected(error: &crate::Error) -> Self {
         let note = error.to_string();
-        Self { engine: "all".into(), error: f64::NAN, bound: f64::NAN, outcome: Outcome::Rejected, note }
+        let (engine, outcome) = ("all".into(), Outcome::Rejected);
+        Self { engine, error: f64::NAN, bound: f64::NAN, outcome, other: 0, edge_on: 0, note }
     }
 
     /// Of an error and its bound.
@@ -64,7 +70,7 @@ impl Finding {
         let ok = error <= bound;
         let note = if ok { String::new() } else { format!("off by {error:e}, the bound is {bound:e}") };
         let outcome = if ok { Outcome::Ok } else { Outcome::Fault };
-        Self { engine: engine.into(), error, bound, outcome, note }
+        Self { engine: engine.into(), error, bound, outcome, other: 0, edge_on: 0, note }
     }
 }
 

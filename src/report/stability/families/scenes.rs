@@ -142,15 +142,15 @@ impl Family for SceneFamily {
 
 /// The findings of all engines on some cases together: the first fault, else the greatest error and bound.
 pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>> {
-    let mut verdicts = vec![Verdict::default(); subjects.len()];
+    let mut verdicts = vec![(Verdict::default(), 0); subjects.len()];
     for case in cases {
         let outputs = if case.sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
         let request = Request { outputs, ids: IdScheme::Model };
         let plan = FramePlan::new(&case.world, &case.sensor, &case.pose, &request);
         let picture = Picture::new(&plan);
-        for (subject, all) in subjects.iter_mut().zip(&mut verdicts) {
+        for (subject, (all, edge_on)) in subjects.iter_mut().zip(&mut verdicts) {
             let mut images = Images::default();
-            subject.draw(&plan, &mut images).map_err(|e| e.at(subject.name()))?;
+            *edge_on += subject.draw(&plan, &mut images).map_err(|e| e.at(subject.name()))?;
             let one = picture.judge(&images, subject.precision());
             let fault = one.fault.map(|what| format!("{}: {what}", case.sensor.spec().name));
             match (&all.fault, fault) {
@@ -159,18 +159,24 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Resu
                 (None, fault) => (all.error, all.bound, all.fault) = (one.error, one.bound, fault),
             }
             all.hits += one.hits;
+            all.other += one.other;
             all.unbounded += one.unbounded;
         }
     }
-    Ok(subjects.iter().zip(verdicts).map(|(subject, verdict)| finding(subject.name(), verdict)).collect())
+    Ok(subjects.iter().zip(verdicts).map(|(subject, (v, edge_on))| finding(subject.name(), v, edge_on)).collect())
 }
 
-fn finding(engine: String, verdict: Verdict) -> Finding {
-    let Verdict { error, bound, hits, unbounded, fault } = verdict;
+fn finding(engine: String, verdict: Verdict, edge_on: usize) -> Finding {
+    let Verdict { error, bound, other, hits, unbounded, fault } = verdict;
     let outcome = if fault.is_some() { Outcome::Fault } else { Outcome::Ok };
-    let unknown = format!("the bound knows nothing of the range at {unbounded} of {hits} pixels");
-    let note = fault.unwrap_or_else(|| if unbounded > 0 { unknown } else { String::new() });
-    Finding { engine, error, bound, outcome, note }
+    let told = [
+        (unbounded, format!("the bound knows nothing of the range at {unbounded} of {hits} pixels")),
+        (other, format!("{other} pixels show something else than the truth, as bounds of sides and outlines allow")),
+        (edge_on, format!("left out as edge-on: {edge_on} polygons, summed over images")),
+    ];
+    let told = told.into_iter().filter(|(n, _)| *n > 0).map(|(_, text)| text);
+    let note = fault.into_iter().chain(told).collect::<Vec<_>>().join("; ");
+    Finding { engine, error, bound, outcome, other, edge_on, note }
 }
 
 fn grazing(angle: f64) -> Result<Vec<Case>> {

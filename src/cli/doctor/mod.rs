@@ -1,18 +1,23 @@
 //! `presight doctor`: which engine will be used here, whether each draws what it should, and what to install.
 
+#[cfg(feature = "gpu")]
+mod advice;
+
 use super::{Verdict, print};
 use crate::cpu;
 use crate::error::Result;
 #[cfg(feature = "gpu")]
-use crate::gpu::{DeviceOptions, Engine, adapters};
+use crate::gpu::{DeviceOptions, Engine, adapters, preferred};
 use crate::plan::{FramePlan, Images, Outputs, Stats};
 use crate::probe::{Probe, Task};
+#[cfg(feature = "gpu")]
+use advice::{Machine, State, Tried};
 use std::fmt::Write;
 
 const EXAMPLES: &str = "Examples:
   presight doctor
 
-Exit status: 0 every engine draws what it should, 1 one does not.";
+Exit status: 0 every engine draws what it should, 1 one does not, or an adapter that would be used cannot be opened.";
 
 /// Check the engines of this machine
 ///
@@ -80,31 +85,34 @@ fn gpus(_: &Probe, text: &mut String) -> bool {
 
 #[cfg(feature = "gpu")]
 fn gpus(probe: &Probe, text: &mut String) -> bool {
-    let found = adapters();
-    let mut sound = true;
-    for (i, adapter) in found.iter().enumerate() {
+    let mut tried = Vec::new();
+    for (i, adapter) in adapters().iter().enumerate() {
         let kind = if adapter.hardware { "a GPU" } else { "a program that plays a GPU on the CPU" };
         let _ = writeln!(text, "\n{adapter}: {kind}");
         let open = |without_int64| {
             let all_on_device = true;
             Engine::new(DeviceOptions { adapter: Some(i), without_int64, all_on_device, ..DeviceOptions::default() })
         };
-        sound &= device(probe, text, open);
+        tried.push(Tried { hardware: adapter.hardware, state: device(probe, text, open) });
     }
-    let _ = writeln!(text, "\n{}", advice(found.iter().map(|a| a.hardware), sound));
-    sound
+    // The loader's own variables; the newer one comes first.
+    let set = |name: &'static str| std::env::var(name).ok().map(|value| format!("{name}={value}"));
+    let drivers = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].into_iter().find_map(set);
+    let machine = Machine { tried, auto: preferred(true), any: preferred(false), drivers };
+    let _ = writeln!(text, "\n{}", machine.advice());
+    machine.is_sound()
 }
 
 /// The paths of one device: with 64-bit atomics, if it has them, and without.
 #[cfg(feature = "gpu")]
-fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine>) -> bool {
+fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine>) -> State {
     let mut sound = true;
     for without_int64 in [false, true] {
         let mut engine = match open(without_int64) {
             Ok(engine) => engine,
             Err(e) => {
                 let _ = writeln!(text, "  not usable: {e}");
-                return sound;
+                return State::Unusable;
             }
         };
         let can = engine.abilities();
@@ -128,7 +136,7 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine
             break;
         }
     }
-    sound
+    if sound { State::Right } else { State::Wrong }
 }
 
 /// One line a task: what the device says of features, which no image shows.
@@ -166,29 +174,6 @@ fn features_of(probe: &Probe, text: &mut String, engine: &mut Engine) -> bool {
 #[cfg(feature = "gpu")]
 fn yes(able: bool) -> &'static str {
     if able { "yes" } else { "no" }
-}
-
-/// Which engine `--backend auto` takes, and what would help.
-#[cfg(feature = "gpu")]
-fn advice(hardware: impl ExactSizeIterator<Item = bool>, sound: bool) -> String {
-    let (count, mut hardware) = (hardware.len(), hardware);
-    let any = hardware.any(|h| h);
-    let choice = match (any, sound) {
-        (true, true) => "--backend auto takes the GPU.",
-        (true, false) => "--backend auto takes the GPU, unless it draws wrong what is asked of it.",
-        (false, _) => "--backend auto takes the CPU engine: no hardware GPU was found.",
-    };
-    let remedy = match (count, any) {
-        _ if !sound => "Update the driver of what is wrong above, or use --backend cpu, and please report it.",
-        (0, _) if cfg!(target_os = "linux") => {
-            "--backend gpu finds nothing. For a GPU install its Vulkan driver (mesa-vulkan-drivers and libvulkan1 on \
-             Debian and Ubuntu, or NVIDIA's); the former bring lavapipe, too, which runs on the CPU."
-        }
-        (0, _) => "--backend gpu finds nothing. Install the GPU's driver.",
-        (_, false) => "--backend gpu takes the program above: slower than the CPU engine, good for tests.",
-        (_, true) => "Nothing needs to be installed.",
-    };
-    format!("{choice}\n{remedy}")
 }
 
 #[cfg(test)]

@@ -1,17 +1,21 @@
 //! Charts of points and lines as SVG that follows the colours of the page around it.
 
+mod axis;
+mod rect;
+
 use crate::error::{Error, ErrorKind, Result};
-use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
+use axis::Axis;
 use plotters::prelude::*;
+use rect::Rect;
 
 /// Width and height of a chart, pixels.
-const SIZE: (u32, u32) = (920, 460);
+const SIZE: (u32, u32) = (980, 500);
 /// Width of the legend, pixels.
-const LEGEND: u32 = 250;
+const LEGEND: u32 = 290;
+/// Heights of texts as plotters counts them, a quarter more than they come out: title, axes and legend, beside marks.
+const TEXT: [i32; 3] = [21, 18, 15];
 /// Names in the legend longer than this are cut.
 const LONGEST_NAME: usize = 36;
-/// Ticks on an axis, at most.
-const MOST_TICKS: i32 = 9;
 
 /// How many colours there are; series take them in turn.
 pub const COLORS: usize = 8;
@@ -30,7 +34,7 @@ pub enum Style {
     Points,
     /// A line through the points, with marks.
     LinePoints,
-    /// A dashed line without marks: a bound.
+    /// A dashed line without marks: a bound. Where it is infinite there is none, which has a line of its own above all others.
     Bound,
     /// Rings around points and a thin line through them, in the text's colour: the Pareto front.
     Front,
@@ -41,7 +45,7 @@ pub enum Style {
 pub struct Series {
     /// In the legend; without one it is not in it.
     pub name: String,
-    /// x and y in the units of the axes; points that are not finite are left out.
+    /// x and y in the units of the axes; points that are not finite are left out, and lines break there.
     pub points: Vec<(f64, f64)>,
     /// A short text beside each point; empty for none.
     pub labels: Vec<String>,
@@ -54,7 +58,7 @@ pub struct Series {
 /// A chart with axes, series and a legend.
 ///
 /// On a logarithmic axis a value of 0 (an exact result) stands on a line of its own below all others, labelled 0;
-/// negative values are left out.
+/// negative values are left out. An infinite bound stands above all others, labelled "no bound".
 ///
 /// ```
 /// use presight::report::chart::{Chart, Series};
@@ -91,9 +95,12 @@ impl Chart {
     pub fn svg(&self) -> Result<String> {
         let x = Axis::over(self.series.iter().flat_map(|s| &s.points).map(|p| p.0), self.x_log);
         let y = Axis::over(self.series.iter().flat_map(|s| &s.points).map(|p| p.1), self.y_log);
-        let (Some(x), Some(y)) = (x, y) else {
+        let (Some(x), Some(mut y)) = (x, y) else {
             return Err(Error::invalid(format!("the chart {:?} has no point", self.title), "give it one"));
         };
+        if self.series.iter().any(|s| s.points.iter().any(|p| s.lacks_bound(*p))) {
+            y.add_top();
+        }
         let mut svg = String::new();
         self.draw(&x, &y, &mut svg)
             .map_err(|e| Error::new(ErrorKind::Invalid, format!("cannot draw the chart {:?}: {e}", self.title), ""))?;
@@ -102,15 +109,15 @@ impl Chart {
 
     fn draw(&self, x: &Axis, y: &Axis, svg: &mut String) -> Drawn<()> {
         let area = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-        let area = area.titled(&self.title, ("sans-serif", 18).into_font().color(&INK))?;
+        let area = area.titled(&self.title, ("sans-serif", TEXT[0]).into_font().color(&INK))?;
         let (plot, legend) = area.split_horizontally(SIZE.0 - LEGEND);
         let mut chart = ChartBuilder::on(&plot)
             .margin(8)
             .margin_right(20)
-            .x_label_area_size(44)
-            .y_label_area_size(70)
+            .x_label_area_size(54)
+            .y_label_area_size(96)
             .build_cartesian_2d(x.clone(), y.clone())?;
-        let text = ("sans-serif", 13).into_font().color(&INK);
+        let text = ("sans-serif", TEXT[1]).into_font().color(&INK);
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
@@ -123,42 +130,68 @@ impl Chart {
             .x_labels(x.ticks.len())
             .y_labels(y.ticks.len())
             .draw()?;
+        let (left, top) = area.get_base_pixel();
+        let pixel = |px: f64, py: f64| {
+            let (cx, cy) = chart.backend_coord(&(px, py));
+            (cx - left, cy - top)
+        };
+        let place = |point: &(f64, f64)| Some(pixel(x.place(point.0)?, y.place(point.1)?));
+        let mut without_bound = 0;
         for series in &self.series {
-            let mut at = Vec::new();
-            for (i, point) in series.points.iter().enumerate() {
-                if let (Some(px), Some(py)) = (x.place(point.0), y.place(point.1)) {
-                    let (cx, cy) = chart.backend_coord(&(px, py));
-                    at.push((cx, cy));
-                    if let Some(label) = series.labels.get(i) {
-                        area_text(&area, label, (cx + 7, cy - 14), 11)?;
-                    }
-                }
+            for stretch in series.points.split(|point| place(point).is_none()).filter(|s| !s.is_empty()) {
+                draw_series(&area, series, &stretch.iter().filter_map(place).collect::<Vec<_>>())?;
             }
-            let (left, top) = area.get_base_pixel();
-            let at: Vec<(i32, i32)> = at.into_iter().map(|(cx, cy)| (cx - left, cy - top)).collect();
-            draw_series(&area, series, &at)?;
+            let lacking = series.points.iter().filter(|p| series.lacks_bound(**p));
+            let at: Vec<_> = lacking.filter_map(|p| Some(pixel(x.place(p.0)?, y.top?))).collect();
+            // Side by side, that none hides another.
+            at.iter().try_for_each(|(cx, cy)| draw_arrow(&area, series.color, (cx + 12 * without_bound, *cy)))?;
+            without_bound += i32::from(!at.is_empty());
+        }
+        let mut told: Vec<(&str, (i32, i32))> = Vec::new();
+        let mut taken: Vec<Rect> =
+            self.series.iter().flat_map(|s| &s.points).filter_map(place).map(Rect::of_mark).collect();
+        for series in &self.series {
+            for (point, label) in series.points.iter().zip(&series.labels).filter(|(_, label)| !label.is_empty()) {
+                let Some(at) = place(point) else { continue };
+                // Marks in one place need one label.
+                if told.iter().any(|(other, by)| other == label && at.0.abs_diff(by.0).max(at.1.abs_diff(by.1)) < 10) {
+                    continue;
+                }
+                told.push((label, at));
+                let room = Rect::beside(at, label, &taken);
+                let style = ("sans-serif", TEXT[2]).into_font().color(&INK);
+                area.draw(&Text::new(label.clone(), (room.left, room.top), style))?;
+                taken.push(room);
+            }
         }
         for (i, series) in self.series.iter().filter(|s| !s.name.is_empty()).enumerate() {
-            let y = 20 + 20 * i as i32;
+            let y = 20 + 24 * i as i32;
             let ends = match series.style {
                 Style::Points | Style::Front => vec![(22, y)],
                 _ => vec![(10, y), (34, y)],
             };
             draw_series(&legend, series, &ends)?;
             let name: String = series.name.chars().take(LONGEST_NAME).collect();
-            legend.draw(&Text::new(name, (44, y - 7), ("sans-serif", 13).into_font().color(&INK)))?;
+            legend.draw(&Text::new(name, (44, y - 9), ("sans-serif", TEXT[1]).into_font().color(&INK)))?;
         }
         area.present()?;
         Ok(())
     }
 }
 
+impl Series {
+    /// True at a point at which this is a bound, and there is none.
+    fn lacks_bound(&self, (x, y): (f64, f64)) -> bool {
+        self.style == Style::Bound && x.is_finite() && y == f64::INFINITY
+    }
+}
+
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-/// A text at a pixel of the whole picture.
-fn area_text(area: &Area<'_>, text: &str, at: (i32, i32), size: i32) -> Drawn<()> {
-    let (left, top) = area.get_base_pixel();
-    area.draw(&Text::new(text.to_owned(), (at.0 - left, at.1 - top), ("sans-serif", size).into_font().color(&INK)))?;
+/// An arrow to beyond the axis.
+fn draw_arrow(area: &Area<'_>, index: usize, (x, y): (i32, i32)) -> Drawn<()> {
+    let corners = vec![(x - 5, y + 4), (x, y - 6), (x + 5, y + 4), (x - 5, y + 4)];
+    area.draw(&PathElement::new(corners, color(index).stroke_width(2)))?;
     Ok(())
 }
 
@@ -222,7 +255,7 @@ fn color(index: usize) -> RGBColor {
 }
 
 /// Okabe and Ito's colours, told apart by everybody: for a light page, for a dark one.
-pub(super) const PALETTE: [(&str, &str); COLORS] = [
+pub(in crate::report) const PALETTE: [(&str, &str); COLORS] = [
     ("#0072b2", "#56b4e9"),
     ("#d55e00", "#ff8c42"),
     ("#009e73", "#2fd6a3"),
@@ -251,127 +284,6 @@ fn themed(svg: &str, title: &str) -> String {
     svg.replacen("<svg ", &format!("<svg role=\"img\" aria-label=\"{name}\" "), 1)
 }
 
-/// One axis: where values go, and where its ticks are. Plotters sees drawn units only.
-#[derive(Clone)]
-struct Axis {
-    log: bool,
-    /// Ends in drawn units: decades if logarithmic.
-    low: f64,
-    high: f64,
-    /// Where 0 stands on a logarithmic axis; `None` if nothing is 0.
-    zero: Option<f64>,
-    ticks: Vec<f64>,
-}
-
-impl Axis {
-    /// Around values; `None` if none can be shown.
-    fn over(values: impl Iterator<Item = f64> + Clone, log: bool) -> Option<Self> {
-        let shown =
-            values.clone().filter(|v| v.is_finite() && (!log || *v > 0.0)).map(|v| if log { v.log10() } else { v });
-        let (low, high) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
-        let zero = log && values.clone().any(|v| v == 0.0);
-        if low > high && !zero {
-            return None;
-        }
-        let (low, high) = if low > high { (0.0, 0.0) } else { (low, high) };
-        if !log {
-            let margin = if high > low { 0.06 * (high - low) } else { high.abs().max(1.0) * 0.5 };
-            let (low, high) = (low - margin, high + margin);
-            return Some(Self { log, low, high, zero: None, ticks: Vec::new() }.with_round_ticks());
-        }
-        let margin = (0.07 * (high - low)).max(0.4);
-        let (first, last) = ((low - margin).floor() as i32, (high + margin).ceil() as i32);
-        // Short axes get 2 and 5 as well.
-        let (low, high) =
-            if last - first <= 3 { (low - margin, high + margin) } else { (f64::from(first), f64::from(last)) };
-        let step = (last - first).div_euclid(MOST_TICKS) + 1;
-        let mut ticks: Vec<f64> = (first..=last).filter(|k| k.rem_euclid(step) == 0).map(f64::from).collect();
-        if last - first <= 3 {
-            let between = |k: i32| [2f64, 5.0].map(|m| f64::from(k) + m.log10());
-            ticks.extend((first..last).flat_map(between));
-            ticks.sort_by(f64::total_cmp);
-        }
-        ticks.retain(|t| (low..=high).contains(t));
-        let gap = (0.1 * (high - low)).max(0.3);
-        let zero = zero.then_some(low - gap);
-        ticks.extend(zero);
-        Some(Self { log, low: zero.map_or(low, |z| z - 0.4 * gap), high, zero, ticks })
-    }
-
-    /// Ticks at 1, 2 or 5 times a power of ten.
-    fn with_round_ticks(mut self) -> Self {
-        let raw = (self.high - self.low) / f64::from(MOST_TICKS);
-        let power = 10f64.powf(raw.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= raw).unwrap_or(raw);
-        let first = (self.low / step).ceil();
-        // Each tick is rounded on its own: sums of steps drift.
-        self.ticks = (0..=MOST_TICKS).map(|k| (first + f64::from(k)) * step).filter(|t| *t <= self.high).collect();
-        self
-    }
-
-    /// Where a value stands; `None` if it cannot be shown.
-    fn place(&self, value: f64) -> Option<f64> {
-        match (self.log, value) {
-            (_, v) if !v.is_finite() => None,
-            (false, v) => Some(v),
-            (true, 0.0) => self.zero,
-            (true, v) => (v > 0.0).then(|| v.log10()),
-        }
-    }
-
-    fn label(&self, at: f64) -> String {
-        match (self.log, self.zero) {
-            (false, _) => number(at),
-            (true, Some(zero)) if at == zero => "0".into(),
-            (true, _) => number(10f64.powf(at)),
-        }
-    }
-}
-
-impl Ranged for Axis {
-    type FormatOption = NoDefaultFormatting;
-    type ValueType = f64;
-
-    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
-        let share = (value - self.low) / (self.high - self.low);
-        limit.0 + (share * f64::from(limit.1 - limit.0)).round() as i32
-    }
-
-    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
-        // The mesh asks for light lines, too; there are none.
-        if hint.weight().allow_light_points() { Vec::new() } else { self.ticks.clone() }
-    }
-
-    fn range(&self) -> std::ops::Range<f64> {
-        self.low..self.high
-    }
-}
-
-impl ValueFormatter<f64> for Axis {
-    fn format(value: &f64) -> String {
-        number(*value)
-    }
-
-    fn format_ext(&self, value: &f64) -> String {
-        self.label(*value)
-    }
-}
-
-/// Short: `0.02`, `500`, `1e-7`.
-fn number(value: f64) -> String {
-    let size = value.abs();
-    if size < 1e-12 && size == 0.0 {
-        "0".into()
-    } else if (1e-3..1e5).contains(&size) {
-        let digits = (2 - size.log10().floor() as i32).clamp(0, 6) as usize;
-        let text = format!("{value:.digits$}");
-        let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-        text.to_owned()
-    } else {
-        format!("{:.0e}", value)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -398,31 +310,35 @@ mod tests {
         assert!(svg.contains("t &lt;&amp;"));
     }
 
+    /// A line in two parts, and between them an arrow at the top.
     #[test]
-    fn zero_has_a_place_below_all_others() {
-        let axis = Axis::over([1e-7, 0.0, 1e-3].into_iter(), true).unwrap();
-        let zero = axis.place(0.0).unwrap();
-        assert!(zero < axis.place(1e-7).unwrap() && axis.low < zero);
-        assert_eq!(axis.label(zero), "0");
-        assert_eq!(axis.label(-3.0), "0.001");
-        assert_eq!(axis.label(-7.0), "1e-7");
-        assert_eq!(axis.place(-1.0), None);
-        assert_eq!(axis.place(f64::INFINITY), None);
-        assert_eq!(Axis::over([1.0, 2.0].into_iter(), true).unwrap().zero, None);
-    }
-
-    #[test]
-    fn ticks_are_round_and_few() {
-        for (low, high) in [(0.0, 1.0), (-3.0, 977.0), (1e-9, 3e-9), (5.0, 5.0), (1e-9, 1e9)] {
-            for log in [false, true] {
-                let axis = Axis::over([low, high].into_iter(), log).unwrap();
-                assert!((2..=12).contains(&axis.ticks.len()), "{low} {high} {log}: {:?}", axis.ticks);
-                assert!(axis.ticks.iter().all(|t| (axis.low..=axis.high).contains(t)));
-            }
-        }
-        assert_eq!(number(0.02), "0.02");
-        assert_eq!(number(500.0), "500");
-        assert_eq!(number(-0.25), "-0.25");
+    fn lines_break_where_there_is_no_bound() {
+        let points = vec![(1e-3, 1e-5), (1e-2, 1e-4), (1e-1, f64::INFINITY), (1.0, 1e-6), (10.0, 1e-5)];
+        let drawn = |style, points: Vec<(f64, f64)>| {
+            let series = vec![Series { points, style, ..Series::default() }];
+            Chart { x_log: true, y_log: true, series, ..Chart::default() }.svg().unwrap()
+        };
+        // Dashes and arrows are polylines in the series' colour.
+        let lines = |svg: &str| {
+            let all = svg.split("<polyline").skip(1).filter(|line| line.contains("var(--s0,"));
+            all.map(|line| line.split("points=\"").nth(1).unwrap().split('"').next().unwrap().to_owned()).collect()
+        };
+        let ends = |line: &str| {
+            let mut x = line.split_whitespace().map(|p| p.split(',').next().unwrap().parse::<i32>().unwrap());
+            let first = x.next().unwrap();
+            (first, x.next_back().unwrap())
+        };
+        let svg = drawn(Style::LinePoints, points.clone());
+        let whole: Vec<String> = lines(&svg);
+        let [a, b] = whole.as_slice() else { panic!("{whole:?}") };
+        assert!(ends(a).1 < ends(b).0 && !svg.contains("no bound"), "{whole:?}");
+        let svg = drawn(Style::Bound, points.clone());
+        let dashes: Vec<String> = lines(&svg);
+        let inside = |l: &&String| ends(l).0 > ends(a).1 + 1 && ends(l).1 < ends(b).0 - 1;
+        assert_eq!(dashes.iter().filter(inside).count(), 1, "the arrow alone: {dashes:?}");
+        assert!(svg.contains("no bound"));
+        let finite: Vec<(f64, f64)> = points.into_iter().filter(|p| p.1.is_finite()).collect();
+        assert!(!drawn(Style::Bound, finite).contains("no bound"));
     }
 
     #[test]

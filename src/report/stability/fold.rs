@@ -1,0 +1,82 @@
+//! Where a lens with tangential terms folds over: elsewhere in each direction. Worked out from the formula of the model in
+//! f64, from nothing of the product.
+//!
+//! Rays are those of the plane z = 1. Along each of its directions the model is used from the axis as far as its Jacobian
+//! stays positive definite; the images of where it no longer is are the outline beyond which nothing is imaged.
+
+use super::lens::{FARTHEST, STEP};
+
+/// How well the outline is known, relative to the image radius (1 if that is less). At it the Jacobian is singular across
+/// the outline, so that the radius's own error counts by its square.
+const TOLERANCE: f64 = 1e-9;
+
+/// An outline that is followed in no more steps than these is not found at all.
+const MOST_STEPS: usize = 60;
+
+/// The model's numbers.
+#[derive(Clone, Debug)]
+pub(super) struct Outline {
+    /// 1, k1, k2, k3 and 1, k4, k5, k6 in powers of the squared radius.
+    pub numerator: [f64; 4],
+    pub denominator: [f64; 4],
+    /// (p2, p1).
+    pub tangential: [f64; 2],
+}
+
+/// Value and derivative.
+fn evaluate(polynomial: &[f64; 4], s: f64) -> (f64, f64) {
+    let [a, b, c, d] = *polynomial;
+    (a + s * (b + s * (c + s * d)), b + s * (2.0 * c + 3.0 * s * d))
+}
+
+impl Outline {
+    /// How far an image point is beyond the outline, negative inside, and how well that is known; `None` if the lens does
+    /// not fold in this direction.
+    pub fn beyond(&self, xd: f64, yd: f64) -> Option<(f64, f64)> {
+        let radius = xd.hypot(yd);
+        let wanted = yd.atan2(xd);
+        // Tangential terms turn directions by little: what the image is off by is taken off the ray's direction.
+        let mut direction = wanted;
+        for _ in 0..MOST_STEPS {
+            let [u, v] = self.fold_towards(direction)?;
+            let off = (v * wanted.cos() - u * wanted.sin()).atan2(u * wanted.cos() + v * wanted.sin());
+            if off.abs() < 1e-14 {
+                return Some((radius - u.hypot(v), TOLERANCE * radius.max(1.0)));
+            }
+            direction -= off;
+        }
+        Some((0.0, f64::INFINITY))
+    }
+
+    /// The image of the first point in a direction at which the model folds over.
+    fn fold_towards(&self, direction: f64) -> Option<[f64; 2]> {
+        let (sin, cos) = direction.sin_cos();
+        let at = |r: f64| [r * cos, r * sin];
+        let first = (1..=(FARTHEST / STEP) as u32).find(|k| !self.is_one_to_one(at(f64::from(*k) * STEP)))?;
+        let (mut low, mut high) = (f64::from(first - 1) * STEP, f64::from(first) * STEP);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if self.is_one_to_one(at(middle)) { low = middle } else { high = middle }
+        }
+        Some(self.image(at(low)))
+    }
+
+    /// x R + 2 x (p . x) + s p, with R the radial stretch at s = |x|^2.
+    fn image(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let ([px, py], s) = (self.tangential, x * x + y * y);
+        let stretch = evaluate(&self.numerator, s).0 / evaluate(&self.denominator, s).0 + 2.0 * (px * x + py * y);
+        [x * stretch + s * px, y * stretch + s * py]
+    }
+
+    /// True if the Jacobian is positive definite.
+    fn is_one_to_one(&self, [x, y]: [f64; 2]) -> bool {
+        let ([px, py], s) = (self.tangential, x * x + y * y);
+        let ((n, dn), (d, dd)) = (evaluate(&self.numerator, s), evaluate(&self.denominator, s));
+        let slope = 2.0 * (dn * d - n * dd) / (d * d);
+        let stretch = n / d + 2.0 * (px * x + py * y);
+        let xx = stretch + slope * x * x + 4.0 * px * x;
+        let yy = stretch + slope * y * y + 4.0 * py * y;
+        let xy = slope * x * y + 2.0 * (px * y + py * x);
+        d > 0.0 && xx > 0.0 && xx * yy > xy * xy
+    }
+}
