@@ -17,6 +17,7 @@ pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
 pub(crate) use normal::{TAIL_STEPS, Tails};
 pub use place::place;
+pub(crate) use place::lies_on;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub(crate) use visible::Prepared;

@@ -133,8 +133,12 @@ fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> S
         n => format!(", {n} more invisible to the class"),
     };
     lines.push(format!("looked at    {} polygons{invisible}; {} lines", counts.polygons, counts.candidates));
+    let off = match counts.off {
+        0 => String::new(),
+        n => format!("; {n} features that joining brought off the surface"),
+    };
     lines.push(format!(
-        "left out     {} lines under {} m, {} smooth or flush, {} inside matter",
+        "left out     {} lines under {} m, {} smooth or flush, {} inside matter{off}",
         counts.short, options.min_length, counts.flat, counts.buried
     ));
     lines.join("\n") + "\n"
