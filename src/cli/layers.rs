@@ -5,7 +5,9 @@ use super::pose::GivenPose;
 use super::pose_cov;
 use super::print;
 use crate::error::{Error, Result};
-use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, place};
+use crate::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, place, predict_features, sides_seen_in_part,
+};
 use crate::geometry::Pose;
 use crate::io::{layer, prediction_json};
 use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
@@ -181,6 +183,21 @@ impl LayerArgs {
 }
 
 impl Layers {
+    /// What the sensor sees of the outlines of patches that it sees in part, for pictures.
+    pub fn sides(
+        &self,
+        predictor: &mut Predictor,
+        scene: &Scene,
+        prediction: &Prediction,
+        seen: &FeaturePrediction,
+    ) -> Result<Vec<SeenFeature>> {
+        let sides = sides_seen_in_part(&self.placed, seen);
+        let (world, options) = (&scene.world, FeatureOptions { feature_id: false, ..self.options });
+        let Prediction { sensor, world_from_sensor, images, .. } = prediction;
+        let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &options);
+        Ok(predictor.on_threads(predict)??.features)
+    }
+
     /// Predicts them from images just made, notes what it cost, and puts `feature_id` among the images.
     pub fn predict(
         &self,
