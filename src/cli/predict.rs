@@ -271,6 +271,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let scene = load::scene(&args.scene, &job.import, args.index)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
     let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.scheme(), args.asked())?;
+    if layers.is_some() {
+        sensor.check_projection().map_err(|e| e.in_file(&args.sensor))?;
+    }
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
@@ -314,7 +317,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if args.explain {
         print::data(&statistics.explanation())?;
     } else if !args.writes_something() {
-        print::data(&summary(&scene, &prediction, &statistics))?;
+        print::data(&summary(&scene, &prediction, features.as_ref(), &statistics))?;
     }
     Ok(Verdict::Done)
 }
@@ -397,7 +400,12 @@ fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr
 }
 
 /// One line: what was predicted, what is in it, what it took.
-fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> String {
+fn summary(
+    scene: &Scene,
+    prediction: &Prediction,
+    features: Option<&FeaturePrediction>,
+    statistics: &Statistics,
+) -> String {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
     let percent = |n: usize| 100.0 * n as f64 / images.pixels() as f64;
@@ -414,6 +422,10 @@ fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> S
         ids.sort_unstable();
         ids.dedup();
         parts.push(format!("{} of {} objects seen", ids.len(), scene.world.environment().objects().len()));
+    }
+    if let Some(FeaturePrediction { features, .. }) = features {
+        let seen = features.iter().filter(|f| !f.visible.is_empty()).count();
+        parts.push(format!("{seen} of {} features seen", features.len()));
     }
     parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
     parts.join(", ") + "\n"
