@@ -1,5 +1,6 @@
 //! `presight features`: layers generated from the CAD model.
 
+mod near;
 mod pick;
 
 use super::load;
@@ -9,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use crate::io::layer;
+use clap::builder::NonEmptyStringValueParser;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -40,7 +42,7 @@ pub struct Args {
     scene: Option<PathBuf>,
 
     /// The sensor class the features are for
-    #[arg(long, value_name = "CLASS", required = true)]
+    #[arg(long, value_name = "CLASS", required = true, value_parser = NonEmptyStringValueParser::new())]
     class: Option<String>,
 
     /// Write the layer
