@@ -170,8 +170,33 @@ impl fmt::Display for Error {
     }
 }
 
+/// A number for messages: in full where that is short, with a power of ten where it would take many digits.
+pub(crate) fn short(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() || (1e-5..1e15).contains(&x.abs()) { x.to_string() } else { format!("{x:e}") }
+}
+
+/// [`short`] of the coordinates of a point.
+pub(crate) fn short_point(p: impl Into<[f64; 3]>) -> String {
+    format!("[{}]", p.into().map(short).join(", "))
+}
+
 impl StdError for Error {
     fn source(&self) -> Option<&(dyn StdError + 'static)> {
         self.0.source.as_deref().map(|e| e as _)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_messages_are_short_and_read_back() {
+        for (x, text) in [(0.0, "0"), (0.001, "0.001"), (-1e12, "-1000000000000"), (1e308, "1e308"), (5e-324, "5e-324")]
+        {
+            assert_eq!(short(x), text);
+            assert_eq!(short(x).parse::<f64>().unwrap(), x);
+        }
+        assert_eq!(short_point([1.5, f64::NAN, -1e300]), "[1.5, NaN, -1e300]");
     }
 }

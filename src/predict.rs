@@ -256,6 +256,7 @@ impl Predictor {
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
+        self.tell_of_software("features on the device", stats);
         let prediction = self.on_threads(|| prepared.finish(told.as_deref()))?;
         stats.stage("features", start);
         for (name, n) in prediction.stats.counts() {
@@ -306,9 +307,20 @@ impl Predictor {
                 Err(e) => return Err(e),
             }
         }
+        self.tell_of_software("regions of interest on the device", stats);
         self.on_threads(|| add_boxes(prediction, placed, world, sensor, world_from_sensor, options))??;
         stats.stage("regions of interest", start);
         Ok(())
+    }
+
+    /// Says that a stage stays on the CPU because the adapter is no hardware.
+    fn tell_of_software(&self, stage: &str, stats: &mut Stats) {
+        #[cfg(not(feature = "gpu"))]
+        let _ = (stage, stats);
+        #[cfg(feature = "gpu")]
+        if matches!(&self.engine, Engine::Gpu(engine, _) if !engine.proposes()) {
+            stats.leave_out(stage, "done on the CPU: the adapter is a program on its own cores");
+        }
     }
 
     /// Does something on the predictor's own threads.

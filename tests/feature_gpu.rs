@@ -209,3 +209,26 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
     assert!(first.pipelines > before.pipelines && first.buffers > before.buffers);
     assert_eq!(round(&mut predictor), first);
 }
+
+/// On an adapter that is a program the CPU does features and regions, and that is said.
+#[test]
+fn what_stays_on_the_cpu_is_said() {
+    use presight::features::BoxOptions;
+    let Ok(mut predictor) = Predictor::new(Options { backend: Backend::Gpu, threads: 2 }) else {
+        eprintln!("SKIPPED: no adapter");
+        return;
+    };
+    let (world, sensor) = (scenes::room_world(1, 6), scenes::camera(64, 48));
+    let placed = features(&world, 20, &mut Random(5));
+    let pose = Pose::IDENTITY;
+    let seen = predictor.predict(&world, &sensor, &pose, &request()).unwrap();
+    let software = seen.stats.left_out.iter().any(|l| l.what == "resolve on the device");
+    let (options, mut stats) = (FeatureOptions::default(), seen.stats);
+    let mut found =
+        predictor.predict_features(&world, &sensor, &pose, &seen.images, &placed, &options, &mut stats).unwrap();
+    predictor.add_boxes(&mut found, &placed, &world, &sensor, &pose, &BoxOptions::default(), &mut stats).unwrap();
+    for stage in ["features on the device", "regions of interest on the device"] {
+        let said = stats.left_out.iter().find(|l| l.what == stage).map(|l| l.why.contains("done on the CPU"));
+        assert_eq!(said == Some(true), software, "{stage}: {:?}", stats.left_out);
+    }
+}

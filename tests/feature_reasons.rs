@@ -138,6 +138,35 @@ fn what_looks_away_is_not_seen() {
     assert_eq!(one(&world, &camera, edge).visible_fraction, 1.0);
 }
 
+/// A polygon that is warped by nearly as much as the sensor is off its plane covers what is beyond it, but how near it is
+/// cannot be told.
+#[test]
+fn what_a_polygon_of_unknown_range_covers_is_undecided() {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("paint")).unwrap();
+    // 3.5 micrometres below the sensor, corners lifted and lowered by one in turn.
+    let corners =
+        [[1.0, -1.0, -2.5e-6], [2.0, -1.0, -4.5e-6], [2.0, 1.0, -2.5e-6], [1.0, 1.0, -4.5e-6]].map(Vec3::from);
+    let mesh =
+        Mesh::new("shelf", corners.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Given).unwrap();
+    environment.insert(NewObject::new("shelf", Pose::IDENTITY, Arc::new(mesh))).unwrap();
+    let (world, camera) = (World::new(environment), scenes::camera(100, 80));
+    let at = |z: f64| one(&world, &camera, placed(1, point([4.0, 0.0, z]), &[]));
+    // The ray to it passes the shelf's plane at x = 1.5.
+    let covered = at(-9.3e-6);
+    assert_eq!((covered.visible_fraction, reasons(&covered)), (0.0, vec![Reason::Undecided]));
+    assert!(covered.hidden[0].by.is_none());
+    assert_eq!(at(1e-3).visible_fraction, 1.0, "above the shelf nothing is in between");
+    let images = common::reference(&common::plan(&world, &camera, &Pose::IDENTITY));
+    let both = [
+        placed(1, point([4.0, 0.0, -9.3e-6]), &[]),
+        placed(2, segment([4.0, -0.1, -9.3e-6], [4.0, 0.1, -9.3e-6]), &[]),
+    ];
+    let seen = predict_features(&world, &camera, &Pose::IDENTITY, &images, &both, &FeatureOptions::default()).unwrap();
+    assert!(seen.features.iter().all(|f| reasons(f) == [Reason::Undecided]), "{seen:?}");
+    assert!(seen.stats.undecided > 1 && seen.stats.visible == 0, "{:?}", seen.stats);
+}
+
 #[test]
 fn flat_angles_are_oblique() {
     let mut spec = scenes::camera(100, 80).spec().clone();

@@ -5,8 +5,13 @@ use super::pose::GivenPose;
 use super::pose_cov;
 use super::print;
 use crate::error::{Error, Result};
-use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, place};
+use crate::features::roi::PoseCovariance;
+use crate::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, place, predict_features,
+    sides_seen_in_part,
+};
 use crate::geometry::Pose;
+use crate::io::layer::LayerFile;
 use crate::io::{layer, prediction_json};
 use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
 use crate::predict::{Prediction, Predictor};
@@ -35,9 +40,9 @@ pub struct LayerArgs {
     #[arg(long, value_name = "S|FILE.json")]
     pose_cov: Option<String>,
 
-    /// Probability with which features are in their regions of interest
-    #[arg(long, value_name = "P", default_value_t = BoxOptions::default().confidence)]
-    confidence: f64,
+    /// Probability with which features are in their regions of interest [default: 0.99]
+    #[arg(long, value_name = "P")]
+    confidence: Option<f64>,
 
     /// Write the numbers of features into the preview
     #[arg(long)]
@@ -80,15 +85,23 @@ impl LayerArgs {
         if let Some(time) = self.time.filter(|t| !t.is_finite()) {
             return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
         }
-        if !(0.5..1.0).contains(&self.confidence) {
-            let what = format!("--confidence {}", self.confidence);
+        if let Some(confidence) = self.confidence.filter(|p| !(0.5..1.0).contains(p)) {
+            let what = format!("--confidence {confidence}");
             return Err(Error::usage(what, "give a probability from 0.5 to below 1"));
         }
-        if !self.is_asked(asked) && (self.time.is_some() || self.pose_cov.is_some() || self.feature_numbers) {
-            let what = "--time, --pose-cov and --feature-numbers are of features, and none are asked for";
-            return Err(Error::usage(what, "give a --layer, or --features OUT.json for the scene's own"));
+        let of_features = [
+            ("time", self.time.is_some()),
+            ("pose-cov", self.pose_cov.is_some()),
+            ("confidence", self.confidence.is_some()),
+            ("feature-numbers", self.feature_numbers),
+        ];
+        match of_features.iter().find(|(_, given)| *given && !self.is_asked(asked)) {
+            None => Ok(()),
+            Some((flag, _)) => {
+                let what = format!("--{flag} is of features, and none are asked for");
+                Err(Error::usage(what, "give a --layer, or --features OUT.json for the scene's own"))
+            }
         }
-        Ok(())
     }
 
     /// True if features are to be predicted.
@@ -136,22 +149,22 @@ impl LayerArgs {
         }
         let mut loaded = layer::load(own, &self.layers, class)?;
         if let Some(v) = asked.virtual_sensor.filter(|v| v.needs_features()) {
-            loaded.layer.features.retain(|f| v.wants(&f.shape));
+            loaded.layers.iter_mut().for_each(|l| l.layer.features.retain(|f| v.wants(&f.shape)));
         }
         if loaded.other_classes > 0 {
             let n = loaded.other_classes;
             print::message(&format!("note: {n} features are for other classes than {class:?} and left out"));
         }
-        let placed = place(&scene.world, &loaded.layer)?;
+        let (placed, objects) = place_all(scene, &loaded.layers)?;
         let feature_id = asked.feature_id();
         let options = FeatureOptions { time: self.time, ids, feature_id, ..FeatureOptions::default() };
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
-        let of_object = |(path, c): &(String, _)| Ok((scene.world.environment().index_of(path)?, *c));
+        let default = BoxOptions::default();
         let boxes = BoxOptions {
             sensor: pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf),
-            objects: loaded.layer.pose_covariances.iter().map(of_object).collect::<Result<_>>()?,
-            confidence: self.confidence,
-            ..BoxOptions::default()
+            objects,
+            confidence: self.confidence.unwrap_or(default.confidence),
+            ..default
         };
         // An image of numbers and the answer of a virtual sensor are made without boxes.
         let only_without = (feature_id || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
@@ -180,7 +193,40 @@ impl LayerArgs {
     }
 }
 
+/// Covariances of objects' poses, by index.
+type ObjectPoses = Vec<(u32, PoseCovariance)>;
+
+/// Finds where the features of each layer lie, by that layer's tolerance, and what is known of objects' poses. Errors name
+/// the layer's file; of the scene's own layer that is the scene's.
+fn place_all(scene: &Scene, layers: &[LayerFile]) -> Result<(Vec<PlacedFeature>, ObjectPoses)> {
+    let (mut placed, mut objects) = (Vec::new(), ObjectPoses::new());
+    for LayerFile { layer, path, .. } in layers {
+        let in_file = |e: Error| e.in_file(path.as_ref().unwrap_or(&scene.path));
+        placed.extend(place(&scene.world, layer).map_err(in_file)?);
+        for (object, covariance) in &layer.pose_covariances {
+            objects.push((scene.world.environment().index_of(object).map_err(in_file)?, *covariance));
+        }
+    }
+    placed.sort_by_key(|p| p.feature.id);
+    Ok((placed, objects))
+}
+
 impl Layers {
+    /// What the sensor sees of the outlines of patches that it sees in part, for pictures.
+    pub fn sides(
+        &self,
+        predictor: &mut Predictor,
+        scene: &Scene,
+        prediction: &Prediction,
+        seen: &FeaturePrediction,
+    ) -> Result<Vec<SeenFeature>> {
+        let sides = sides_seen_in_part(&self.placed, seen);
+        let (world, options) = (&scene.world, FeatureOptions { feature_id: false, ..self.options });
+        let Prediction { sensor, world_from_sensor, images, .. } = prediction;
+        let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &options);
+        Ok(predictor.on_threads(predict)??.features)
+    }
+
     /// Predicts them from images just made, notes what it cost, and puts `feature_id` among the images.
     pub fn predict(
         &self,

@@ -12,10 +12,12 @@ use crate::io::gltf::{ImportOptions, import};
 use crate::io::materials::Sidecar;
 use crate::world::World;
 use glam::DVec3;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A scene as commands use it.
 pub struct Scene {
+    /// Where it was read.
+    pub path: PathBuf,
     /// The world it becomes.
     pub world: World,
     /// Turns the file's frame (y up) into the world's, the sidecar's `world_from_scene` included.
@@ -39,6 +41,7 @@ pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Sce
     };
     let z_up_from_y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
     Ok(Scene {
+        path: path.to_owned(),
         world: World::with_index(imported.environment, scheme, Params::tuned(scheme)),
         world_from_gltf: world_from_scene.then(&z_up_from_y_up),
         report: imported.report,
@@ -78,7 +81,8 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
             report.polygons_stored += polygons;
         }
     }
-    Ok(Scene { world, world_from_gltf: Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0), report })
+    let world_from_gltf = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
+    Ok(Scene { path: path.to_owned(), world, world_from_gltf, report })
 }
 
 #[cfg(not(feature = "store"))]

@@ -7,7 +7,7 @@ use super::statistics::{Statistics, Subject};
 use super::virtual_sensor::VirtualArgs;
 use super::{Verdict, print};
 use crate::error::{Error, Result};
-use crate::features::FeaturePrediction;
+use crate::features::{FeaturePrediction, SeenFeature};
 use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
@@ -271,6 +271,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let scene = load::scene(&args.scene, &job.import, args.index)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
     let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.scheme(), args.asked())?;
+    if layers.is_some() {
+        sensor.check_projection().map_err(|e| e.in_file(&args.sensor))?;
+    }
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
@@ -300,7 +303,12 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let statistics = Statistics::of(subject, &times_ms, &runs);
     let reading = args.virtual_sensor.read(&scene, &prediction, args.scheme(), features.as_ref(), &settings)?;
     let seen = layers.as_ref().zip(features.as_ref());
-    write_files(args, job.points_format, &scene, &prediction, seen, reading.as_ref())?;
+    let sides = match seen.filter(|_| args.png.is_some()) {
+        Some((layers, seen)) => layers.sides(&mut predictor, &scene, &prediction, seen)?,
+        None => Vec::new(),
+    };
+    let seen = seen.map(|(layers, features)| Seen { layers, features, sides: &sides });
+    write_files(args, job.points_format, &scene, &prediction, seen.as_ref(), reading.as_ref())?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
             .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
@@ -309,9 +317,17 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if args.explain {
         print::data(&statistics.explanation())?;
     } else if !args.writes_something() {
-        print::data(&summary(&scene, &prediction, &statistics))?;
+        print::data(&summary(&scene, &prediction, features.as_ref(), &statistics))?;
     }
     Ok(Verdict::Done)
+}
+
+/// Features as they are written.
+struct Seen<'a> {
+    layers: &'a Layers,
+    features: &'a FeaturePrediction,
+    /// Of patches that are seen in part.
+    sides: &'a [SeenFeature],
 }
 
 /// What is seen of the features of layers, if there are layers.
@@ -333,7 +349,7 @@ fn write_files(
     points_format: Option<PointsFormat>,
     scene: &Scene,
     prediction: &Prediction,
-    features: Option<(&Layers, &FeaturePrediction)>,
+    seen: Option<&Seen<'_>>,
     reading: Option<&VirtualReading>,
 ) -> Result<()> {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
@@ -342,8 +358,9 @@ fn write_files(
         exr::write(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &args.png {
-        let overlay = features.map(|(_, features)| png::Overlay {
-            features,
+        let overlay = seen.map(|seen| png::Overlay {
+            features: seen.features,
+            sides: seen.sides,
             sensor,
             world_from_sensor: &prediction.world_from_sensor,
             numbers: args.layers.numbers(),
@@ -351,7 +368,7 @@ fn write_files(
         let mark = reading.and_then(VirtualReading::mask);
         png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref(), mark)?;
     }
-    args.layers.write(scene, prediction, features, reading)?;
+    args.layers.write(scene, prediction, seen.map(|seen| (seen.layers, seen.features)), reading)?;
     args.virtual_sensor.tell(reading, args.layers.writes_something())?;
     if let Some(path) = &args.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
@@ -383,7 +400,12 @@ fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr
 }
 
 /// One line: what was predicted, what is in it, what it took.
-fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> String {
+fn summary(
+    scene: &Scene,
+    prediction: &Prediction,
+    features: Option<&FeaturePrediction>,
+    statistics: &Statistics,
+) -> String {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
     let percent = |n: usize| 100.0 * n as f64 / images.pixels() as f64;
@@ -400,6 +422,10 @@ fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> S
         ids.sort_unstable();
         ids.dedup();
         parts.push(format!("{} of {} objects seen", ids.len(), scene.world.environment().objects().len()));
+    }
+    if let Some(FeaturePrediction { features, .. }) = features {
+        let seen = features.iter().filter(|f| !f.visible.is_empty()).count();
+        parts.push(format!("{seen} of {} features seen", features.len()));
     }
     parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
     parts.join(", ") + "\n"

@@ -1,7 +1,7 @@
 //! What must hold of features before anything is computed from them.
 
 use super::{Feature, FeatureLayer, FeatureShape};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, plane_of_polygon};
 use crate::limits;
 use glam::{DMat3, DVec3};
@@ -72,7 +72,7 @@ impl FeatureLayer {
         }
         if !(self.tolerance > 0.0 && self.tolerance <= limits::MAX_COORDINATE) {
             return Err(Error::invalid(
-                format!("the tolerance {} is no length in metres", self.tolerance),
+                format!("the tolerance {} is no length in metres", short(self.tolerance)),
                 "give a small one above 0, such as 0.001",
             ));
         }
@@ -99,7 +99,7 @@ impl Feature {
         let sound = |p: &DVec3| p.is_finite() && p.abs().max_element() <= limits::MAX_COORDINATE;
         if let Some((k, p)) = self.shape.points().iter().enumerate().find(|(_, p)| !sound(p)) {
             return Err(Error::invalid(
-                format!("point {k} is {p}, not a finite position"),
+                format!("point {k} is {}, not a finite position", short_point(*p)),
                 format!("give metres, at most {:e}", limits::MAX_COORDINATE),
             ));
         }
@@ -206,8 +206,12 @@ fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
         let remedy = if n < 3 { "give at least 3" } else { "split the patch" };
         return Err(Error::invalid(format!("a patch of {n} corners"), remedy));
     }
-    let plane = plane_of_polygon(corners)
-        .ok_or_else(|| Error::invalid("the patch has no area", "give corners that are not on one line"))?;
+    let crossing = || Error::invalid("the outline crosses itself", "list each corner once, in order around the patch");
+    let plane = plane_of_polygon(corners).ok_or_else(|| match crosses_itself(corners) {
+        // Such as a bow-tie of two equal halves.
+        true => crossing(),
+        false => Error::invalid("the patch has no area", "give corners that are not on one line"),
+    })?;
     let size = Aabb::of(corners.iter().copied()).size();
     let dent = CONVEX * size;
     // About the first corner: at world coordinates the plane's offset would be rounded.
@@ -228,10 +232,11 @@ fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
         }
         let turn = before.cross(after).dot(plane.normal);
         if turn < -dent * before.length().max(after.length()) {
-            return Err(Error::invalid(
-                format!("corner {k} turns inwards: the patch is not convex"),
-                "split it into convex ones",
-            ));
+            let dented = || {
+                let what = format!("corner {k} turns inwards: the patch is not convex");
+                Error::invalid(what, "split it into convex ones")
+            };
+            return Err(if crosses_itself(corners) { crossing() } else { dented() });
         }
         turned += turn.atan2(before.dot(after));
     }
@@ -239,6 +244,23 @@ fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
         return Err(Error::invalid("the outline winds more than once", "list each corner once, in order"));
     }
     Ok(())
+}
+
+/// True if two sides cross, seen along the normal of the largest triangle at the first corner.
+fn crosses_itself(corners: &[DVec3]) -> bool {
+    let from_first = |k: usize| corners[k] - corners[0];
+    let normals = (1..corners.len() - 1).map(|k| from_first(k).cross(from_first(k + 1)));
+    let normal = normals.max_by(|a, b| a.length().total_cmp(&b.length())).unwrap_or(DVec3::ZERO);
+    let side = |k: usize| [corners[k], corners[(k + 1) % corners.len()]];
+    // On both sides of a side's line, clear of rounding.
+    let parts = |[a, b]: [DVec3; 2], [c, d]: [DVec3; 2]| {
+        let [left, right] = [c, d].map(|p| normal.dot((b - a).cross(p - a)));
+        let rounding =
+            64.0 * f64::EPSILON * normal.length() * (b - a).length() * (c - a).length().max((d - a).length());
+        left.min(right) < -rounding && left.max(right) > rounding
+    };
+    let crosses = |i: usize, j: usize| parts(side(i), side(j)) && parts(side(j), side(i));
+    (0..corners.len()).any(|i| (0..i).any(|j| crosses(i, j)))
 }
 
 fn check_fiducial(corners: &[DVec3; 4]) -> Result<()> {
@@ -255,7 +277,7 @@ fn check_fiducial(corners: &[DVec3; 4]) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(
-        format!("the corners {a}, {b}, {c}, {d} are no square"),
+        format!("the corners {} are no square", corners.map(short_point).join(", ")),
         "give the marker's four corners clockwise from the top left, seen from the front",
     ))
 }
@@ -304,10 +326,10 @@ pub(crate) fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Re
     let wrong = |what: String| Err(Error::invalid(what, "give a covariance: symmetric, no eigenvalue below 0"));
     let most = limits::MAX_COORDINATE * limits::MAX_COORDINATE;
     if let Some(x) = covariance.as_flattened().iter().find(|x| !(x.abs() <= most)) {
-        return wrong(format!("the covariance holds {x}, which is not finite or too large"));
+        return wrong(format!("the covariance holds {}, which is not finite or too large", short(*x)));
     }
     if let Some(i) = (0..N).find(|&i| covariance[i][i] < 0.0) {
-        return wrong(format!("the variance at [{i}][{i}] is negative: {}", covariance[i][i]));
+        return wrong(format!("the variance at [{i}][{i}] is negative: {}", short(covariance[i][i])));
     }
     let sigma: [f64; N] = std::array::from_fn(|i| covariance[i][i].sqrt());
     let mut scaled = [[0.0; N]; N];

@@ -6,6 +6,7 @@ mod place;
 mod prediction;
 pub mod roi;
 mod sample;
+mod sides;
 mod straight;
 mod visible;
 
@@ -16,9 +17,11 @@ pub use boxes::{BoxMethod, BoxOptions, add_boxes, sensor_covariance};
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
 pub(crate) use normal::{TAIL_STEPS, Tails};
+pub(crate) use place::lies_on;
 pub use place::place;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
+pub use sides::sides_seen_in_part;
 pub(crate) use visible::Prepared;
 pub use visible::{FeatureOptions, Visibility, predict_features};
 

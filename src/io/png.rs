@@ -1,9 +1,11 @@
 //! PNG pictures: previews for people, and 16-bit depth images for programs.
 
+mod above;
 mod canvas;
 mod color;
 mod font;
 mod overlay;
+mod pen;
 mod polar;
 mod scale;
 mod view;
@@ -38,7 +40,7 @@ pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Outp
 }
 
 /// [`write_preview`] with features drawn over it: what is seen of them solid, what is hidden dashed, their regions of
-/// interest as boxes; and with marked pixels tinted.
+/// interest as boxes (over the seam of a turn in two parts), from above as arcs; and with marked pixels tinted.
 ///
 /// # Errors
 /// As [`write_preview`].

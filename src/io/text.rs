@@ -23,6 +23,10 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
         return Err(Error::invalid("the file is too large", format!("give at most {} bytes", limits::MAX_FILE_BYTES))
             .in_file(path));
     }
+    // Editors on Windows put a byte order mark before the text; it says nothing that UTF-8 would need.
+    if bytes.starts_with("\u{feff}".as_bytes()) {
+        bytes.drain(..3);
+    }
     String::from_utf8(bytes).map_err(|e| {
         Error::invalid(format!("byte {} is not UTF-8", e.utf8_error().valid_up_to()), "save the file as UTF-8 text")
             .in_file(path)
@@ -67,6 +71,18 @@ pub(crate) fn check_format(text: &str) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_byte_order_mark_is_no_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.toml");
+        for (bytes, text) in
+            [("\u{feff}format = 1", "format = 1"), ("a\u{feff}", "a\u{feff}"), ("\u{feff}\u{feff}", "\u{feff}")]
+        {
+            std::fs::write(&path, bytes).unwrap();
+            assert_eq!(read_text(&path).unwrap(), text);
+        }
+    }
 
     #[test]
     fn lines_are_counted_from_one() {

@@ -127,7 +127,8 @@ pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor
     let mut regions: Vec<FloorRegion> =
         mask.regions(!straight).iter().map(|region| project(region, &floor, &view)).collect();
     regions.sort_by(|a, b| b.area.total_cmp(&a.area));
-    let area = regions.iter().map(|r| r.area).sum();
+    // Adding 0 makes the sum of nothing, which is -0, plain.
+    let area = regions.iter().map(|r| r.area).sum::<f64>() + 0.0;
     Ok(FreeFloor { floor_z_world, area, pixels: mask.count(), pixels_over_horizon, regions, mask })
 }
 

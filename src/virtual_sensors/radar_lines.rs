@@ -46,7 +46,7 @@ pub struct RadarLine {
 
 impl RadarLines {
     pub(super) fn summary(&self) -> String {
-        let total: f64 = self.lines.iter().map(|l| l.length).sum();
+        let total = self.lines.iter().map(|l| l.length).sum::<f64>() + 0.0;
         format!("{} line segments of {total:.3} m together, {} single beams", self.lines.len(), self.single_beams)
     }
 }

@@ -224,6 +224,24 @@ fn features_are_in_the_frame_of_their_object_after_scale_and_mirror() {
     assert_eq!(counts(&steep)[..2], [1, 6]);
 }
 
+/// What is joined must still lie on what it is joined of: placing the layer would refuse it.
+#[test]
+fn patches_are_not_joined_over_a_notch() {
+    let plate = |corners: &[[f32; 2]]| -> Loop { (corners.iter().map(|c| Vec3::new(c[0], c[1], 0.0)).collect(), 0) };
+    let left = || plate(&[[0.0, 0.0], [10.0, 0.0], [10.0, 1.0], [0.0, 1.0]]);
+    // Its corner at the seam is cut off by so much: the hull of both has hardly more area than they have.
+    let right = |cut: f32| plate(&[[10.0 + cut, 0.0], [20.0, 0.0], [20.0, 1.0], [10.0, 1.0], [10.0, cut]]);
+    let patches = |cut: f32| {
+        let environment = of(&[left(), right(cut)]);
+        let generated = generate(&environment, "video", &GenerateOptions::default()).unwrap();
+        let placed = presight::features::place(&presight::World::new(environment), &generated.layer);
+        assert!(placed.is_ok(), "cut by {cut}: {}", placed.unwrap_err());
+        (generated.counts.of(Kind::Horizontal), generated.counts.off)
+    };
+    assert_eq!(patches(1e-4), (1, 0));
+    assert_eq!(patches(0.012), (2, 0));
+}
+
 #[test]
 fn options_are_checked_and_kinds_kept_to() {
     let environment = of(&cuboid(Vec3::ZERO, Vec3::ONE));
@@ -235,6 +253,11 @@ fn options_are_checked_and_kinds_kept_to() {
     ] {
         assert_eq!(generate(&environment, "video", &wrong).unwrap_err().kind(), presight::ErrorKind::Usage);
     }
+    let nameless = generate(&environment, "", &default()).unwrap_err();
+    assert_eq!(nameless.kind(), presight::ErrorKind::Usage);
+    // As people give angles.
+    let steep = GenerateOptions { crease: 200f64.to_radians(), ..default() };
+    assert!(steep.check().unwrap_err().to_string().contains("200 degrees is out of its range"));
     for kind in Kind::ALL {
         let only = generate(&environment, "video", &GenerateOptions { kinds: vec![kind], ..default() }).unwrap();
         assert_eq!(only.counts.of(kind), BOX[kind as usize], "{kind:?}");

@@ -80,6 +80,17 @@ fn every_virtual_sensor_answers_in_a_line_and_in_a_file() {
     assert_eq!(json(&folder, "docking.json")["virtual"]["freedom"], serde_json::json!(["x", "y", "yaw"]));
 }
 
+/// Nothing is 0, in words and in the file, and not -0.
+#[test]
+fn no_floor_is_no_area() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = format!("--virtual free-floor --sensor video-camera {POSE} --floor-z -5");
+    let (_, stdout, _) = predict(&folder, &line);
+    assert!(stdout.starts_with("free-floor: 0.000 m2 of floor"), "{stdout}");
+    predict(&folder, &format!("{line} --features f.json"));
+    assert!(json(&folder, "f.json")["virtual"]["area"].as_f64().unwrap().is_sign_positive());
+}
+
 #[test]
 fn wrong_usage_has_a_remedy() {
     let folder = tempfile::tempdir().unwrap();

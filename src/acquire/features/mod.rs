@@ -10,9 +10,13 @@
 //! whose facets are shorter than the least length give nothing. Where materials of one plane overlap, the border of
 //! either counts. An edge through another's middle gives a corner only where one of them ends. Patches are not cut where
 //! something stands on them.
+//!
+//! Every feature is held to what placing it asks ([`crate::features::place`]): what joining brought off the surface by more
+//! than the layer's tolerance is taken apart again, or left out and counted.
 
 mod candidates;
 mod corners;
+mod drafts;
 mod lines;
 mod patches;
 mod solids;
@@ -20,9 +24,10 @@ mod soup;
 mod wings;
 
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use crate::error::{Error, Result};
-use crate::geometry::{Aabb, Pose};
-use glam::{DMat3, DVec3};
+use crate::error::{Error, Result, short};
+use crate::geometry::Aabb;
+use drafts::{Draft, by_place, ordered};
+use glam::DMat3;
 use rayon::prelude::*;
 use wings::{Judge, Line, Scratch, Verdict};
 
@@ -132,6 +137,8 @@ pub struct Counts {
     pub flat: usize,
     /// Lines that lie wholly inside matter.
     pub buried: usize,
+    /// Features that joining brought off the surface, and that could not be taken apart.
+    pub off: usize,
 }
 
 impl Counts {
@@ -174,9 +181,12 @@ pub struct Generated {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range.
+/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty.
 pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
     options.check()?;
+    if class.is_empty() {
+        return Err(Error::usage("the sensor class is empty", "name one, such as \"video\""));
+    }
     let touch = options.touch();
     let near = options.region.map(|r| soup::grown(&r, 10.0 * touch));
     let soup = soup::Soup::new(environment, class, near.as_ref());
@@ -197,8 +207,9 @@ pub fn generate(environment: &Environment, class: &str, options: &GenerateOption
         let wanted = patches.into_iter().filter(|p| {
             wants(&[p.kind]) && near.is_none_or(|n| candidates::meet(&n, &Aabb::of(p.corners.iter().copied())))
         });
-        drafts.extend(wanted.map(|p| Draft { normal: Some(p.normal), ..Draft::new(p.kind, p.object, p.corners) }));
+        drafts.extend(wanted.map(Draft::from));
     }
+    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off);
     Ok(Generated { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
 }
 
@@ -209,19 +220,19 @@ impl GenerateOptions {
     /// [`crate::ErrorKind::Usage`] naming the one that is not finite or out of its range.
     pub fn check(&self) -> Result<()> {
         let quarter = std::f64::consts::FRAC_PI_2;
+        // People give angles in degrees: a millionth of one is told apart.
+        let degrees = |angle: f64| format!("{} degrees", (angle.to_degrees() * 1e6).round() / 1e6);
         let checks = [
-            ("the least length", self.min_length, 1e-4..=1e6, "give 0.0001 m .. 1000 km"),
-            ("the least area", self.min_area, 0.0..=1e12, "give square metres from 0"),
-            ("the crease angle", self.crease, 0.01..=quarter, "give 0.6 to 90 degrees"),
-            ("the tilt", self.tilt, 0.0..=0.5, "give 0 to 28 degrees"),
-            ("the standard deviation", self.sigma, 0.0..=1e6, "give metres from 0"),
+            ("the least length", self.min_length, 1e-4..=1e6, short(self.min_length), "give 0.0001 m .. 1000 km"),
+            ("the least area", self.min_area, 0.0..=1e12, short(self.min_area), "give square metres from 0"),
+            ("the crease angle", self.crease, 0.01..=quarter, degrees(self.crease), "give 0.6 to 90 degrees"),
+            ("the tilt", self.tilt, 0.0..=0.5, degrees(self.tilt), "give 0 to 28 degrees"),
+            ("the standard deviation", self.sigma, 0.0..=1e6, short(self.sigma), "give metres from 0"),
         ];
-        for (what, value, range, remedy) in checks {
-            if !range.contains(&value) {
-                return Err(Error::usage(format!("{what} {value} is out of its range"), remedy));
-            }
-        }
-        Ok(())
+        let wrong = checks.into_iter().find(|(_, value, range, ..)| !range.contains(value));
+        wrong.map_or(Ok(()), |(what, _, _, shown, remedy)| {
+            Err(Error::usage(format!("{what} of {shown} is out of its range"), remedy))
+        })
     }
 
     /// How far apart things that touch may be, metres: half a millimetre, less if short edges are asked for.
@@ -275,38 +286,6 @@ fn edges(
     edges.retain(|l| l.length() >= options.min_length);
     edges.sort_by_key(|l| (l.kind == Kind::Intersection, l.object));
     lines::once(&edges, touch, options.min_length)
-}
-
-/// A feature without its number, in the world.
-struct Draft {
-    kind: Kind,
-    object: u32,
-    points: Vec<DVec3>,
-    normal: Option<DVec3>,
-}
-
-impl Draft {
-    fn new(kind: Kind, object: u32, points: Vec<DVec3>) -> Self {
-        Self { kind, object, points, normal: None }
-    }
-
-    /// Into the frame of its object, with a key that orders by place.
-    fn placed(mut self, world_from_object: &Pose) -> Self {
-        let turn = world_from_object.rotation_matrix().transpose();
-        for p in &mut self.points {
-            *p = turn * (*p - world_from_object.translation);
-        }
-        self.normal = self.normal.map(|n| (turn * n).normalize());
-        self
-    }
-}
-
-fn ordered(a: DVec3, b: DVec3) -> Vec<DVec3> {
-    if by_place(&a, &b).is_gt() { vec![b, a] } else { vec![a, b] }
-}
-
-fn by_place(a: &DVec3, b: &DVec3) -> std::cmp::Ordering {
-    a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z))
 }
 
 fn layer_of(

@@ -1,8 +1,10 @@
 //! Vertical and horizontal plane patches: coplanar polygons of an object, joined where their union is convex.
 
 use super::Kind;
+use super::drafts::Draft;
 use super::soup::Soup;
-use crate::geometry::Plane;
+use crate::geometry::{Aabb, Plane, plane_of_polygon};
+use crate::index::Found;
 use crate::limits;
 use glam::{DVec2, DVec3};
 use std::collections::BTreeMap;
@@ -15,6 +17,9 @@ pub(super) struct Patch {
     pub kind: Kind,
     pub normal: DVec3,
 }
+
+/// How far the corners of a patch's part may be off its plane, metres.
+const PART: f64 = 1e-3;
 
 /// A convex piece of one plane, counter-clockwise in the plane's coordinates.
 #[derive(Clone, Debug)]
@@ -39,20 +44,42 @@ pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64) -> Vec<Pat
     let mut all = Vec::new();
     for ((object, horizontal), faces) in planes {
         let kind = if horizontal { Kind::Horizontal } else { Kind::Vertical };
-        for group in coplanar(soup, faces, touch) {
-            let plane = group.0;
-            let (u, v) = plane.normal.any_orthonormal_pair();
-            let origin = soup.corners(group.1[0])[0];
-            let flat = |p: DVec3| DVec2::new((p - origin).dot(u), (p - origin).dot(v));
-            let pieces =
-                group.1.iter().filter_map(|&f| Piece::around(soup.corners(f).iter().map(|p| flat(*p)).collect()));
-            for piece in joined(pieces.collect(), touch).into_iter().filter(|p| p.area >= least) {
-                let corners: Vec<DVec3> = piece.corners.iter().map(|c| origin + u * c.x + v * c.y).collect();
-                all.push(Patch { corners, object, kind, normal: plane.normal });
-            }
+        for (plane, faces) in coplanar(soup, faces, touch) {
+            let patch = |corners| Patch { corners, object, kind, normal: plane.normal };
+            all.extend(of_plane(soup, plane.normal, &faces, touch, least).into_iter().map(patch));
         }
     }
     all
+}
+
+/// Corners of the patches that faces of one plane make together.
+fn of_plane(soup: &Soup, normal: DVec3, faces: &[u32], touch: f64, least: f64) -> Vec<Vec<DVec3>> {
+    let Some(first) = faces.first() else { return Vec::new() };
+    let (u, v) = normal.any_orthonormal_pair();
+    let origin = soup.corners(*first)[0];
+    let flat = |p: DVec3| DVec2::new((p - origin).dot(u), (p - origin).dot(v));
+    let pieces = faces.iter().filter_map(|&f| Piece::around(soup.corners(f).iter().map(|p| flat(*p)).collect()));
+    let large = joined(pieces.collect(), touch).into_iter().filter(|p| p.area >= least);
+    large.map(|piece| piece.corners.iter().map(|c| origin + u * c.x + v * c.y).collect()).collect()
+}
+
+/// The patches that a patch is joined of, joined again only where hardly anything is between them.
+pub(super) fn parts(soup: &Soup, whole: &Draft, least: f64, found: &mut Found) -> Vec<Patch> {
+    let (Some(plane), Some(normal)) = (plane_of_polygon(&whole.points), whole.normal) else { return Vec::new() };
+    let bounds = Aabb::of(whole.points.iter().copied());
+    let inside = |p: DVec3| {
+        let sides = super::soup::sides(&whole.points, plane.normal);
+        sides.into_iter().all(|(corner, inward)| inward.dot(p - corner) >= 0.0)
+    };
+    let belongs = |face: &u32| {
+        let corners = soup.corners(*face);
+        let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
+        let flat = |c: &DVec3| plane.normal.dot(*c - whole.points[0]).abs() <= PART;
+        soup.faces[*face as usize].object == whole.object && corners.iter().all(flat) && inside(middle)
+    };
+    let faces: Vec<u32> = soup.near(&bounds, found).iter().copied().filter(belongs).collect();
+    let patch = |corners| Patch { corners, object: whole.object, kind: whole.kind, normal };
+    of_plane(soup, normal, &faces, 0.0, least).into_iter().map(patch).collect()
 }
 
 /// Faces by plane, whichever way they are wound; the plane of the first is the group's.

@@ -1,5 +1,6 @@
 //! `presight features`: layers generated from the CAD model.
 
+mod near;
 mod pick;
 
 use super::load;
@@ -9,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use crate::io::layer;
+use clap::builder::NonEmptyStringValueParser;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -40,7 +42,7 @@ pub struct Args {
     scene: Option<PathBuf>,
 
     /// The sensor class the features are for
-    #[arg(long, value_name = "CLASS", required = true)]
+    #[arg(long, value_name = "CLASS", required = true, value_parser = NonEmptyStringValueParser::new())]
     class: Option<String>,
 
     /// Write the layer
@@ -133,8 +135,12 @@ fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> S
         n => format!(", {n} more invisible to the class"),
     };
     lines.push(format!("looked at    {} polygons{invisible}; {} lines", counts.polygons, counts.candidates));
+    let off = match counts.off {
+        0 => String::new(),
+        n => format!("; {n} features that joining brought off the surface"),
+    };
     lines.push(format!(
-        "left out     {} lines under {} m, {} smooth or flush, {} inside matter",
+        "left out     {} lines under {} m, {} smooth or flush, {} inside matter{off}",
         counts.short, options.min_length, counts.flat, counts.buried
     ));
     lines.join("\n") + "\n"

@@ -4,20 +4,21 @@ use super::super::load::{self, Scene};
 use super::super::pose::PoseArgs;
 use super::super::{Verdict, print};
 use super::OptionArgs;
+use super::near::{Eye, Near};
 use crate::acquire::features::{GenerateOptions, generate};
 use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::{Error, Result};
-use crate::geometry::{Aabb, plane_of_polygon};
+use crate::geometry::{Aabb, Pose, plane_of_polygon};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use crate::io::{layer, load_sensor};
-use crate::plan::{Output, Outputs, Request};
+use crate::plan::{Images, Output, Outputs, Request};
 use crate::predict::{Backend, Options, Predictor};
 use crate::sensor::Sensor;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use std::path::PathBuf;
 
-/// Show what a pixel sees: polygon, point, edges nearby, and a layer entry to paste
+/// Show what a pixel sees: polygon, point, edges beside it, and a layer entry to paste
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
@@ -82,34 +83,53 @@ pub fn run(args: &Args) -> Result<Verdict> {
     }
     let scene = load::scene(&args.scene, &ImportOptions::default(), Scheme::default())?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
-    let Some(hit) = cast(&scene, &sensor, &world_from_sensor, args.pixel)? else {
+    let sight = Sight::new(&scene, &sensor, world_from_sensor)?;
+    let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {
         print::data(&format!("pixel {column},{row} sees nothing\n"))?;
         return Ok(Verdict::Found);
     };
     options.region = Some(Aabb { min: hit.p_in_world - args.reach, max: hit.p_in_world + args.reach });
-    print::data(&describe(&scene, &sensor, &hit, args, &options)?)?;
+    print::data(&describe(&scene, &sensor, &sight, &hit, args, &options)?)?;
     Ok(Verdict::Done)
 }
 
-fn cast(scene: &Scene, sensor: &Sensor, pose: &crate::Pose, (column, row): (u32, u32)) -> Result<Option<Hit>> {
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, ..Options::default() })?;
-    let request = Request { outputs: Outputs::of(&[Output::Range, Output::PolygonId]), ..Request::default() };
-    let images = predictor.predict(&scene.world, sensor, pose, &request)?.images;
-    let at = row as usize * images.width as usize + column as usize;
-    let environment = scene.world.environment();
-    let slot = images.polygon_id[at].checked_sub(1);
-    let found = slot.and_then(|slot| Some((slot, environment.locate(slot)?, environment.polygon_in_world(slot)?)));
-    let Some((slot, (object, polygon), corners)) = found else { return Ok(None) };
-    let Some((plane, ray)) = plane_of_polygon(&corners).zip(sensor.ray(column, row)) else { return Ok(None) };
-    let direction = pose.rotation * (sensor.body_from_image() * ray);
-    // On the polygon's plane in f64 rather than at the range, which is f32.
-    let range = (plane.offset - plane.normal.dot(pose.translation)) / plane.normal.dot(direction);
-    let toward = if plane.normal.dot(direction) > 0.0 { -plane.normal } else { plane.normal };
-    let p_in_world = pose.translation + direction * range;
-    Ok(p_in_world.is_finite().then_some(Hit { slot, object, polygon, p_in_world, normal: toward, range }))
+/// What the sensor sees.
+struct Sight {
+    world_from_sensor: Pose,
+    images: Images,
 }
 
-fn describe(scene: &Scene, sensor: &Sensor, hit: &Hit, args: &Args, options: &GenerateOptions) -> Result<String> {
+impl Sight {
+    fn new(scene: &Scene, sensor: &Sensor, world_from_sensor: Pose) -> Result<Self> {
+        let mut predictor = Predictor::new(Options { backend: Backend::Cpu, ..Options::default() })?;
+        let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
+        let images = predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?.images;
+        Ok(Self { world_from_sensor, images })
+    }
+
+    fn hit(&self, scene: &Scene, sensor: &Sensor, (column, row): (u32, u32)) -> Option<Hit> {
+        let (pose, environment) = (&self.world_from_sensor, scene.world.environment());
+        let slot =
+            self.images.polygon_id[row as usize * self.images.width as usize + column as usize].checked_sub(1)?;
+        let (object, polygon) = environment.locate(slot)?;
+        let plane = plane_of_polygon(&environment.polygon_in_world(slot)?)?;
+        let direction = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row)?);
+        // On the polygon's plane in f64 rather than at the range, which is f32.
+        let range = (plane.offset - plane.normal.dot(pose.translation)) / plane.normal.dot(direction);
+        let normal = if plane.normal.dot(direction) > 0.0 { -plane.normal } else { plane.normal };
+        let p_in_world = pose.translation + direction * range;
+        p_in_world.is_finite().then_some(Hit { slot, object, polygon, p_in_world, normal, range })
+    }
+}
+
+fn describe(
+    scene: &Scene,
+    sensor: &Sensor,
+    sight: &Sight,
+    hit: &Hit,
+    args: &Args,
+    options: &GenerateOptions,
+) -> Result<String> {
     let environment = scene.world.environment();
     let object = &environment.objects()[hit.object as usize];
     let object_from_world = object.world_from_object.inverse();
@@ -129,33 +149,39 @@ fn describe(scene: &Scene, sensor: &Sensor, hit: &Hit, args: &Args, options: &Ge
         format!("normal in object {}", vector(normal_in_object)),
     ];
     let layer = generate(environment, class, options)?.layer;
-    let mut near: Vec<(f64, &Feature)> =
-        layer.features.iter().filter_map(|f| distance(scene, f, hit.p_in_world).map(|d| (d, f))).collect();
-    near.retain(|(d, _)| *d <= args.reach);
-    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.id.cmp(&b.1.id)));
+    let eye = Eye { world: &scene.world, sensor, pose: &sight.world_from_sensor, images: &sight.images };
+    let pixel = DVec2::new(f64::from(args.pixel.0), f64::from(args.pixel.1));
+    let near = eye.near(layer, hit.p_in_world, pixel, args.reach)?;
+    let (seen, hidden): (Vec<Near>, Vec<Near>) = near.into_iter().partition(|n| n.pixels.is_some());
     lines.push(format!(
-        "\nedges and corners within {} m of it, nearest first (distance, kind, points in the object, object)",
+        "\nedges and corners seen within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
         args.reach
     ));
-    if near.is_empty() {
-        lines.push("  none".into());
-    }
-    for (d, f) in &near {
-        let points: Vec<String> = f.shape.points().iter().map(|p| vector(*p)).collect();
-        let (name, object) = (f.name.as_deref().unwrap_or_default(), f.object.as_deref().unwrap_or_default());
-        lines.push(format!("  {d:.4} m  {name:<12}  {}  {object}", points.join(" to ")));
-    }
-    // What is nearest may be meant, or the point itself.
-    let entry = near
-        .first()
-        .map_or_else(|| point_at(hit, &object.name, p_in_object, normal_in_object, options), |(_, f)| (*f).clone());
+    lines.extend(listed(&seen));
+    lines.push("\nothers as near that cannot be seen from here, nearest first".into());
+    lines.extend(listed(&hidden));
+    let point = point_at(hit, &object.name, p_in_object, normal_in_object, options);
     lines.push("\nan entry for a layer; give it an id that the layer never used".into());
-    lines.push(layer::entry(&entry)?);
-    if !near.is_empty() {
-        lines.push("\nor the point itself".into());
-        lines.push(layer::entry(&point_at(hit, &object.name, p_in_object, normal_in_object, options))?);
+    // What is seen beside the pixel may be meant, or the point itself.
+    match seen.first() {
+        Some(nearest) => {
+            lines.push(layer::entry(&nearest.feature)?);
+            lines.push("\nor the point itself".into());
+            lines.push(layer::entry(&point)?);
+        }
+        None => lines.push(layer::entry(&point)?),
     }
     Ok(lines.join("\n") + "\n")
+}
+
+fn listed(near: &[Near]) -> Vec<String> {
+    let line = |n: &Near| {
+        let points: Vec<String> = n.feature.shape.points().iter().map(|p| vector(*p)).collect();
+        let pixels = n.pixels.map_or("-".into(), |p| format!("{p:.1} px"));
+        let (name, object) = (n.feature.name.as_deref(), n.feature.object.as_deref().unwrap_or_default());
+        format!("  {pixels:>9}  {:.4} m  {:<12}  {}  {object}", n.metres, name.unwrap_or_default(), points.join(" to "))
+    };
+    if near.is_empty() { vec!["  none".into()] } else { near.iter().map(line).collect() }
 }
 
 fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &GenerateOptions) -> Feature {
@@ -166,20 +192,6 @@ fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &Generat
         shape: FeatureShape::Point { at, covariance: DMat3::IDENTITY * (options.sigma * options.sigma) },
         existence: Existence::default(),
         properties: Properties { normal: Some(normal.normalize()), ..Properties::default() },
-    }
-}
-
-/// Metres from a point to a point or segment; `None` for patches.
-fn distance(scene: &Scene, feature: &Feature, p_in_world: DVec3) -> Option<f64> {
-    let object = scene.world.environment().object(feature.object.as_deref()?)?;
-    let p = object.world_from_object.inverse().transform_point(p_in_world);
-    match &feature.shape {
-        FeatureShape::Point { at, .. } => Some(at.distance(p)),
-        FeatureShape::Segment { ends: [a, b], .. } => {
-            let t = ((p - *a).dot(*b - *a) / (*b - *a).length_squared()).clamp(0.0, 1.0);
-            Some(a.lerp(*b, t).distance(p))
-        }
-        _ => None,
     }
 }
 

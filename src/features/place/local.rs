@@ -1,5 +1,6 @@
 //! A polygon in the frame of a feature, and what is near it.
 
+use super::plane::cut;
 use crate::geometry::plane_of_polygon;
 use glam::DVec3;
 
@@ -10,6 +11,8 @@ pub(super) struct Local {
     /// `None` where roundings swallow the area: what counts then are its sides.
     pub normal: Option<DVec3>,
     offset: f64,
+    /// How far its corners are off its plane, metres.
+    pub warp: f64,
     /// How near counts as on it, metres: the tolerance and the roundings.
     pub reach: f64,
 }
@@ -17,7 +20,9 @@ pub(super) struct Local {
 impl Local {
     pub fn new(slot: u32, corners: Vec<DVec3>, reach: f64) -> Self {
         let plane = plane_of_polygon(&corners);
-        Self { slot, normal: plane.map(|p| p.normal), offset: plane.map_or(0.0, |p| p.offset), corners, reach }
+        let (normal, offset) = (plane.map(|p| p.normal), plane.map_or(0.0, |p| p.offset));
+        let off = |n: DVec3| corners.iter().map(|c| (n.dot(*c) - offset).abs()).fold(0.0, f64::max);
+        Self { slot, normal, offset, warp: normal.map_or(0.0, off), corners, reach }
     }
 
     fn sides(&self) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
@@ -45,37 +50,33 @@ impl Local {
         self.distance(p) <= self.reach
     }
 
+    /// Where the segment from `a` along `d` (t in 0..=1) is straight over or under it, within the tolerance.
+    pub fn over(&self, a: DVec3, d: DVec3) -> Option<(f64, f64)> {
+        let normal = self.normal?;
+        let mut t = (0.0, 1.0);
+        let (height, rise) = (self.height(normal, a), normal.dot(d));
+        cut(&mut t, self.reach - height, -rise);
+        cut(&mut t, self.reach + height, rise);
+        for (u, v) in self.sides() {
+            let inward = normal.cross(v - u);
+            cut(&mut t, inward.dot(a - u), inward.dot(d));
+        }
+        (t.0 <= t.1).then_some(t)
+    }
+
     /// Where the segment from `a` along `d` (t in 0..=1) is on it, within the tolerance.
     ///
     /// All points within a distance of a convex polygon are a convex body, made of the polygon's prism, a cylinder
     /// around each side and a ball around each corner; the interval is the hull of those inside each part.
     pub fn stretch(&self, a: DVec3, d: DVec3) -> Option<(f64, f64)> {
         let r = self.reach;
-        let prism = self.normal.and_then(|normal| {
-            let mut t = (0.0, 1.0);
-            let (height, rise) = (self.height(normal, a), normal.dot(d));
-            cut(&mut t, r - height, -rise);
-            cut(&mut t, r + height, rise);
-            for (u, v) in self.sides() {
-                let inward = normal.cross(v - u);
-                cut(&mut t, inward.dot(a - u), inward.dot(d));
-            }
-            (t.0 <= t.1).then_some(t)
-        });
+        let prism = self.over(a, d);
+        if prism == Some((0.0, 1.0)) {
+            return prism;
+        }
         let rounds = self.sides().flat_map(|(u, v)| [in_ball(a - u, d, r), in_cylinder(a - u, d, v - u, r)]);
         let parts = prism.into_iter().chain(rounds.flatten());
         parts.reduce(|x, y| (x.0.min(y.0), x.1.max(y.1)))
-    }
-}
-
-/// Keeps of an interval where `at_0 + t slope >= 0`.
-fn cut(t: &mut (f64, f64), at_0: f64, slope: f64) {
-    if slope > 0.0 {
-        t.0 = t.0.max(-at_0 / slope);
-    } else if slope < 0.0 {
-        t.1 = t.1.min(at_0 / -slope);
-    } else if at_0 < 0.0 {
-        t.1 = f64::NEG_INFINITY;
     }
 }
 

@@ -4,20 +4,23 @@
 //! A polygon counts for a feature if it runs along it: a point lies on every polygon within the layer's tolerance, a
 //! segment on every polygon that holds a stretch of it (both faces of a crease, each of several polygons in line), a
 //! patch or fiducial on the coplanar polygons that it overlaps. A polygon that a segment or a patch only passes through
-//! or touches is none it lies on. A feature must lie on its polygons all along, within the tolerance.
+//! or touches is none it lies on. A feature must lie on its polygons all along: one that is refused is somewhere farther from
+//! them than the tolerance, one that is taken nowhere, and inside a patch nowhere by more than a sixteenth ([`cover`]).
 //!
 //! Everything is computed in the frame of the feature's object, about its first point: at 5,000,000 m from the origin
 //! no digit is lost.
 
+mod cover;
 mod local;
 mod patch;
+mod plane;
 mod segment;
 #[cfg(test)]
 mod tests;
 
 use super::PlacedFeature;
 use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Object};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose};
 use crate::index::{Found, Region};
 use crate::world::World;
@@ -141,12 +144,7 @@ impl<'a> Finder<'a> {
         let boxes = boxes_around(&frame, &feature.shape);
         let near = self.near(&frame, &boxes);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
-        let lie = match &feature.shape {
-            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => on_point(&near),
-            FeatureShape::Segment { .. } => segment::lie(&near, about[1]),
-            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => patch::lie(&near, &about)?,
-        };
-        match lie {
+        match lie(&near, &about)? {
             Lie::On(mut slots) => {
                 slots.sort_unstable();
                 Ok(PlacedFeature { feature: feature.clone(), object, slots })
@@ -186,12 +184,11 @@ impl<'a> Finder<'a> {
         match self.distance(frame, at) {
             Some(distance) => Error::invalid(
                 format!(
-                    "the {} is {distance:.6} m off its polygons at ({}, {}, {}) {whose}, {} m is allowed",
+                    "the {} is {} m off its polygons at {} {whose}, {} m is allowed",
                     feature.shape.kind(),
-                    p.x,
-                    p.y,
-                    p.z,
-                    self.tolerance
+                    if distance < 1e-3 { format!("{distance:.3e}") } else { format!("{distance:.6}") },
+                    short_point(p),
+                    short(self.tolerance)
                 ),
                 remedy,
             ),
@@ -235,7 +232,30 @@ fn boxes_around(frame: &Frame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
     (0..count).map(|k| Aabb::of([at(k), at(k + 1)])).collect()
 }
 
+/// A point, the ends of a segment or the corners of a patch, the first of them the origin.
+fn lie(near: &[Local], points: &[DVec3]) -> Result<Lie> {
+    match points {
+        [_] => Ok(on_point(near)),
+        [_, end] => Ok(segment::lie(near, *end)),
+        corners => patch::lie(near, corners),
+    }
+}
+
 fn on_point(near: &[Local]) -> Lie {
     let on: Vec<u32> = near.iter().filter(|l| l.holds(DVec3::ZERO)).map(|l| l.slot).collect();
     if on.is_empty() { Lie::Off(DVec3::ZERO) } else { Lie::On(on) }
+}
+
+/// True if a point, the ends of a segment or the corners of a patch lie on polygons, all of it, within a tolerance; both in
+/// one frame, metres. More polygons than those never make it false.
+pub(crate) fn lies_on<C: AsRef<[DVec3]>>(points: &[DVec3], polygons: impl Iterator<Item = C>, tolerance: f64) -> bool {
+    let anchor = points[0];
+    let local = |corners: C| {
+        let corners: Vec<DVec3> = corners.as_ref().iter().map(|c| *c - anchor).collect();
+        let reach = corners.iter().map(|c| c.length()).fold(anchor.length(), f64::max);
+        Local::new(0, corners, tolerance + 64.0 * f64::EPSILON * reach)
+    };
+    let near: Vec<Local> = polygons.map(local).collect();
+    let about: Vec<DVec3> = points.iter().map(|p| *p - anchor).collect();
+    lie(&near, &about).is_ok_and(|lie| matches!(lie, Lie::On(_)))
 }

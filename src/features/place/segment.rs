@@ -28,7 +28,7 @@ pub(super) fn lie(near: &[Local], end: DVec3) -> Lie {
 }
 
 /// The widest part of 0..=1 that no interval covers.
-fn widest_gap(covered: &mut [(f64, f64)]) -> Option<(f64, f64)> {
+pub(super) fn widest_gap(covered: &mut [(f64, f64)]) -> Option<(f64, f64)> {
     covered.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut gap = (0.0, 0.0);
     let mut reached = 0.0;

@@ -1,8 +1,10 @@
 //! The keys of a layer file as serde reads and writes them; what they mean together is checked after.
 
-use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Error as _, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
+use std::marker::PhantomData;
 
 /// A whole file.
 #[derive(Deserialize)]
@@ -10,19 +12,20 @@ use std::fmt;
 pub(super) struct LayerFields {
     #[serde(rename = "$schema")]
     _schema: Option<String>,
-    #[serde(rename = "format")]
-    _format: i64,
+    #[serde(rename = "format", deserialize_with = "whole")]
+    _format: u32,
     pub class: String,
     pub tolerance: Option<f64>,
     #[serde(default)]
     pub pose_covariances: PoseCovariances,
-    pub features: Vec<FeatureFields>,
+    pub features: Vec<Keyed<FeatureFields>>,
 }
 
 /// A feature of any kind, or the removal of one.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FeatureFields {
+    #[serde(deserialize_with = "whole")]
     pub id: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<Kind>,
@@ -46,7 +49,7 @@ pub(crate) struct FeatureFields {
     pub confirmed: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "keyed", skip_serializing_if = "Option::is_none")]
     pub properties: Option<PropertyFields>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remove: Option<bool>,
@@ -73,8 +76,72 @@ pub(crate) struct PropertyFields {
     pub normal: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub family: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "some_whole", skip_serializing_if = "Option::is_none")]
     pub code: Option<u32>,
+}
+
+/// An object with its keys. Serde would take a list of the values in order for one, too; the schema does not.
+pub(super) struct Keyed<T>(pub T);
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Keyed<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Keys<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Keys<T> {
+            type Value = Keyed<T>;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object, {\"key\": value, ..}")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Keyed<T>, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map)).map(Keyed)
+            }
+        }
+        deserializer.deserialize_map(Keys(PhantomData))
+    }
+}
+
+fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+    Option::<Keyed<T>>::deserialize(deserializer).map(|given| given.map(|Keyed(fields)| fields))
+}
+
+/// A whole number, however it is written: to JSON, and to the schema, 1.0 is 1.
+#[derive(Clone, Copy)]
+pub(super) struct Whole(pub u32);
+
+impl<'de> Deserialize<'de> for Whole {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Number;
+        impl Visitor<'_> for Number {
+            type Value = Whole;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a whole number from 0 to 4294967295")
+            }
+
+            fn visit_u64<E: serde::de::Error>(self, v: u64) -> Result<Whole, E> {
+                u32::try_from(v).map(Whole).map_err(|_| E::invalid_value(Unexpected::Unsigned(v), &self))
+            }
+
+            fn visit_i64<E: serde::de::Error>(self, v: i64) -> Result<Whole, E> {
+                u32::try_from(v).map(Whole).map_err(|_| E::invalid_value(Unexpected::Signed(v), &self))
+            }
+
+            fn visit_f64<E: serde::de::Error>(self, v: f64) -> Result<Whole, E> {
+                let fits = (0.0..=f64::from(u32::MAX)).contains(&v) && v.fract() == 0.0;
+                if fits { Ok(Whole(v as u32)) } else { Err(E::invalid_value(Unexpected::Float(v), &self)) }
+            }
+        }
+        deserializer.deserialize_any(Number)
+    }
+}
+
+fn whole<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    Whole::deserialize(deserializer).map(|Whole(n)| n)
+}
+
+fn some_whole<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u32>, D::Error> {
+    Option::<Whole>::deserialize(deserializer).map(|given| given.map(|Whole(n)| n))
 }
 
 /// One standard deviation, or three; kept as three. An untagged enum would lose the line of errors.

@@ -3,20 +3,20 @@
 use super::read::{LayerFile, read};
 use crate::environment::FeatureLayer;
 use crate::error::{Error, Result};
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Layers for one sensor class, merged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Loaded {
-    /// All features for the class.
-    pub layer: FeatureLayer,
+    /// What is left of each, in the order they were read: see [`merge`].
+    pub layers: Vec<LayerFile>,
     /// Features for other classes, which are in no way used.
     pub other_classes: usize,
 }
 
-/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if it has one; the
-/// features of other classes in the files are counted.
+/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if it has one (it comes
+/// first, and has no path); the features of other classes in the files are counted.
 ///
 /// # Errors
 /// Those of [`read`] and [`merge`], for all files alike.
@@ -32,48 +32,35 @@ pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str
             other_classes += file.layer.features.len();
         }
     }
-    let mut layer = merge(files)?;
-    layer.class = class.to_owned();
-    Ok(Loaded { layer, other_classes })
+    Ok(Loaded { layers: merge(files)?, other_classes })
 }
 
-/// One layer of several: later features win by id, removals drop what came before and may be followed by the same id
-/// again. A removal of what is not there does nothing: the layer below may have been made anew without it. Covariances
-/// of poses: later ones win by object. The tolerance is the largest.
+/// What is left of each of several layers: later features win by id, removals drop what came before and may be followed by
+/// the same id again. A removal of what is not there does nothing: the layer below may have been made anew without it.
+/// Covariances of poses: later ones win by object, and hold for all. A layer's tolerance stays that of its own features.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming the file if classes differ.
-pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<FeatureLayer> {
-    let mut merged: Option<FeatureLayer> = None;
-    let mut features = BTreeMap::new();
-    for file in files {
-        let LayerFile { layer, removed, path } = file;
-        let merged =
-            merged.get_or_insert_with(|| FeatureLayer { class: layer.class.clone(), ..FeatureLayer::default() });
-        if merged.class != layer.class {
-            let what = format!("a layer for class {:?} among layers for class {:?}", layer.class, merged.class);
-            let wrong = Error::invalid(what, "merge layers of one class");
-            return Err(match path {
-                Some(path) => wrong.in_file(path),
-                None => wrong,
-            });
-        }
-        for id in removed {
-            features.remove(&id);
-        }
-        features.extend(layer.features.into_iter().map(|f| (f.id, f)));
-        merged.tolerance = merged.tolerance.max(layer.tolerance);
-        for (object, covariance) in layer.pose_covariances {
-            match merged.pose_covariances.iter_mut().find(|(path, _)| *path == object) {
-                Some((_, earlier)) => *earlier = covariance,
-                None => merged.pose_covariances.push((object, covariance)),
-            }
-        }
+pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<Vec<LayerFile>> {
+    let mut files: Vec<LayerFile> = files.into_iter().collect();
+    if let Some(other) = files.iter().find(|f| f.layer.class != files[0].layer.class) {
+        let (class, first) = (&other.layer.class, &files[0].layer.class);
+        let what = format!("a layer for class {class:?} among layers for class {first:?}");
+        let wrong = Error::invalid(what, "merge layers of one class");
+        return Err(match &other.path {
+            Some(path) => wrong.in_file(path),
+            None => wrong,
+        });
     }
-    let mut merged = merged.unwrap_or_else(|| FeatureLayer {
-        tolerance: crate::environment::DEFAULT_TOLERANCE,
-        ..FeatureLayer::default()
-    });
-    merged.features = features.into_values().collect();
-    Ok(merged)
+    // Which file the last word on an id, or on an object's pose, is in.
+    let (mut of_id, mut of_object) = (HashMap::new(), HashMap::new());
+    for (i, LayerFile { layer, removed, .. }) in files.iter().enumerate() {
+        of_id.extend(removed.iter().copied().chain(layer.features.iter().map(|f| f.id)).map(|id| (id, i)));
+        of_object.extend(layer.pose_covariances.iter().map(|(object, _)| (object.clone(), i)));
+    }
+    for (i, LayerFile { layer, .. }) in files.iter_mut().enumerate() {
+        layer.features.retain(|f| of_id[&f.id] == i);
+        layer.pose_covariances.retain(|(object, _)| of_object[object] == i);
+    }
+    Ok(files)
 }

@@ -34,8 +34,8 @@
 //! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit, of the surface), `family` and `code` of a fiducial |
 //! | `remove` | `true`: of layers read before, the feature of this id is dropped; nothing else is given then |
 //!
-//! Absent covariances are zero. `tolerance` (metres, default 0.001) is how far a feature may be off the polygons it lies
-//! on; they are found by geometry when the layer is used ([`crate::features::place`]). `pose_covariances` are 6 x 6,
+//! Absent covariances are zero. `tolerance` (metres, default 0.001) is how far a feature of this file may be off the polygons
+//! it lies on; they are found by geometry when the layer is used ([`crate::features::place`]). `pose_covariances` are 6 x 6,
 //! row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A `$schema` key is allowed, for
 //! editors; [`schema`] is what it should point to.
 //!
@@ -45,10 +45,10 @@
 //!     {"id": 1, "kind": "point", "points": [[1, 2, 3]], "sigma": 0.01},
 //!     {"id": 2, "kind": "point", "points": [[4, 5, 6]]}]}"#;
 //! let later = r#"{"format": 1, "class": "video", "features": [{"id": 2, "remove": true}]}"#;
-//! let merged = layer::merge([layer::parse(base)?, layer::parse(later)?])?;
-//! assert_eq!(merged.features.len(), 1);
+//! let left = layer::merge([layer::parse(base)?, layer::parse(later)?])?;
+//! assert_eq!(left[0].layer.features.len(), 1);
 //! // What is written reads back with the same bits.
-//! assert_eq!(layer::parse(&layer::to_string(&merged)?)?.layer, merged);
+//! assert_eq!(layer::parse(&layer::to_string(&left[0].layer)?)?.layer, left[0].layer);
 //! # Ok::<(), presight::Error>(())
 //! ```
 
@@ -72,4 +72,4 @@ pub(crate) use write::fields as to_fields;
 pub use write::{entry, to_string, write};
 
 /// The newest version that this build reads; there is no older one.
-const FORMAT: i64 = 1;
+const FORMAT: u32 = 1;

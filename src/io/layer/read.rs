@@ -1,9 +1,9 @@
 //! From text to features.
 
 use super::FORMAT;
-use super::fields::{FeatureFields, Kind, LayerFields, PropertyFields};
+use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Whole};
 use crate::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, ErrorKind, Result, short};
 use crate::io::text::read_text;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -38,7 +38,7 @@ pub fn read(path: &Path) -> Result<LayerFile> {
 /// As [`read`], without the file.
 pub fn parse(text: &str) -> Result<LayerFile> {
     check_format(text)?;
-    let fields: LayerFields = from_json(text)?;
+    let Keyed(fields) = from_json::<Keyed<LayerFields>>(text)?;
     let mut layer = FeatureLayer {
         class: fields.class,
         tolerance: fields.tolerance.unwrap_or(DEFAULT_TOLERANCE),
@@ -48,7 +48,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
     layer.check_header()?;
     let mut removed = Vec::new();
     let mut first_use: HashMap<u32, usize> = HashMap::with_capacity(fields.features.len());
-    for (i, entry) in fields.features.into_iter().enumerate() {
+    for (i, Keyed(entry)) in fields.features.into_iter().enumerate() {
         let id = entry.id;
         let place = || format!("features[{i}] (id {id})");
         if let Some(first) = first_use.insert(id, i) {
@@ -79,9 +79,9 @@ fn from_json<T: DeserializeOwned>(text: &str) -> Result<T> {
 fn check_format(text: &str) -> Result<()> {
     #[derive(Deserialize)]
     struct Header {
-        format: Option<i64>,
+        format: Option<Whole>,
     }
-    match from_json::<Header>(text)?.format {
+    match from_json::<Keyed<Header>>(text)?.0.format.map(|Whole(format)| format) {
         Some(FORMAT) => Ok(()),
         Some(newer) if newer > FORMAT => Err(Error::new(
             ErrorKind::Unsupported,
@@ -177,7 +177,7 @@ impl FeatureFields {
             (None, None, _) => Ok(DMat3::ZERO),
             (Some(sigma), None, None) => {
                 if let Some(s) = sigma.0.iter().find(|s| !(**s >= 0.0)) {
-                    return Err(Error::invalid(format!("sigma {s} is negative"), "give metres, 0 or more"));
+                    return Err(Error::invalid(format!("sigma {} is negative", short(*s)), "give metres, 0 or more"));
                 }
                 Ok(DMat3::from_diagonal(DVec3::from_array(sigma.0.map(|s| s * s))))
             }

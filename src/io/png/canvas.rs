@@ -16,17 +16,69 @@ const TEXT_SCALE: u32 = 2;
 /// Height of a line of text, pixels.
 pub const TEXT_HEIGHT: u32 = font::HEIGHT * TEXT_SCALE;
 
+/// A rectangle of pixels on the page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame {
+    pub left: u32,
+    pub top: u32,
+    pub width: u32,
+    pub height: u32,
+}
+
+impl Frame {
+    /// Left, top, right and bottom border.
+    fn borders(self) -> [f64; 4] {
+        [self.left, self.top, self.left + self.width, self.top + self.height].map(f64::from)
+    }
+
+    /// True of a place no farther than `by` outside of it.
+    pub fn holds(self, [x, y]: [f64; 2], by: f64) -> bool {
+        let [left, top, right, bottom] = self.borders();
+        (left - by..=right + by).contains(&x) && (top - by..=bottom + by).contains(&y)
+    }
+
+    /// The part of a straight line, as shares of it, that is no farther than `by` outside.
+    pub fn part_of_line(self, a: [f64; 2], b: [f64; 2], by: f64) -> Option<(f64, f64)> {
+        let [left, top, right, bottom] = self.borders();
+        let (mut from, mut to) = (0.0f64, 1.0f64);
+        for (start, along, low, high) in
+            [(a[0], b[0] - a[0], left - by, right + by), (a[1], b[1] - a[1], top - by, bottom + by)]
+        {
+            if along == 0.0 {
+                if !(low..=high).contains(&start) {
+                    return None;
+                }
+                continue;
+            }
+            let (t, u) = ((low - start) / along, (high - start) / along);
+            (from, to) = (from.max(t.min(u)), to.min(t.max(u)));
+        }
+        // Written so that NaN is nowhere.
+        (from <= to).then_some((from, to))
+    }
+}
+
 /// An RGB picture; drawing outside of it is cut off.
 pub struct Canvas {
     width: u32,
     height: u32,
     bytes: Vec<u8>,
+    /// Outside of it nothing is drawn for the time being.
+    frame: Frame,
 }
 
 impl Canvas {
     /// A blank page.
     pub fn new(width: u32, height: u32) -> Self {
-        Self { width, height, bytes: PAGE.repeat(width as usize * height as usize) }
+        let bytes = PAGE.repeat(width as usize * height as usize);
+        Self { width, height, bytes, frame: Frame { left: 0, top: 0, width, height } }
+    }
+
+    /// Draws only inside of a frame.
+    pub fn inside(&mut self, frame: Frame, draw: impl FnOnce(&mut Self)) {
+        let before = std::mem::replace(&mut self.frame, frame);
+        draw(self);
+        self.frame = before;
     }
 
     pub fn width(&self) -> u32 {
@@ -43,7 +95,12 @@ impl Canvas {
     }
 
     pub fn set(&mut self, x: i64, y: i64, color: Rgb) {
-        if let Some(at) = self.index(x, y) {
+        let Frame { left, top, width, height } = self.frame;
+        let framed = |v: i64, from: u32, size: u32| (i64::from(from)..i64::from(from + size)).contains(&v);
+        if framed(x, left, width)
+            && framed(y, top, height)
+            && let Some(at) = self.index(x, y)
+        {
             self.bytes[at..at + 3].copy_from_slice(&color);
         }
     }
@@ -69,6 +126,9 @@ impl Canvas {
     /// A disc about a point; its edge is smooth.
     pub fn disc(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
         let reach = radius.ceil() as i64 + 1;
+        if !self.frame.holds(center, reach as f64) {
+            return;
+        }
         let (cx, cy) = (center[0].round() as i64, center[1].round() as i64);
         for y in cy - reach..=cy + reach {
             for x in cx - reach..=cx + reach {
@@ -83,7 +143,10 @@ impl Canvas {
 
     /// A line of discs.
     pub fn stroke(&mut self, from: [f64; 2], to: [f64; 2], radius: f64, color: Rgb) {
-        let steps = (to[0] - from[0]).hypot(to[1] - from[1]).min(1e5).ceil().max(1.0);
+        let Some((start, end)) = self.frame.part_of_line(from, to, radius + 1.0) else { return };
+        let at = |t: f64| [0, 1].map(|i| from[i] + t * (to[i] - from[i]));
+        let (from, to) = (at(start), at(end));
+        let steps = (to[0] - from[0]).hypot(to[1] - from[1]).ceil().max(1.0);
         for i in 0..=steps as u32 {
             let t = f64::from(i) / steps;
             let point = [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])];

@@ -1,10 +1,11 @@
 //! A scan of one row, seen from above: x forward is up, y left is left.
 
-use super::canvas::{Canvas, FAINT, INK, Rgb, TEXT_HEIGHT, mix, text_width};
+use super::above::draw_from_above;
+use super::canvas::{Canvas, FAINT, Frame, INK, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{MISS, Palette};
 use super::overlay::Overlay;
 use super::scale::{Scale, nice_step};
-use super::view::{FOOTER, HEADER, MARGIN, footer, title};
+use super::view::{HEADER, MARGIN, footer, page, title};
 use crate::plan::{Images, Output};
 use crate::sensor::Sensor;
 use glam::{DVec2, DVec3};
@@ -68,7 +69,7 @@ pub fn draw(
         })
         .collect();
     let map = Map::around(&hits);
-    let mut canvas = Canvas::new(map.size[0] + 2 * MARGIN, MARGIN + HEADER + map.size[1] + FOOTER + MARGIN);
+    let mut canvas = page(map.size[0] + 2 * MARGIN, map.size[1], overlay);
     title(&mut canvas, sensor, output);
     canvas.fill(MARGIN, MARGIN + HEADER, map.size[0], map.size[1], MISS);
     free_space(&mut canvas, &map, &hits, horizontal);
@@ -85,7 +86,8 @@ pub fn draw(
         canvas.disc(map.page(*point), 2.0, color);
     }
     if let Some(overlay) = overlay {
-        overlay.draw_from_above(&mut canvas, &|p| map.page(p));
+        let frame = Frame { left: MARGIN, top: MARGIN + HEADER, width: map.size[0], height: map.size[1] };
+        draw_from_above(overlay, &mut canvas, frame, &images.range, &|p| map.page(p));
     }
     marker(&mut canvas, &map);
     footer(&mut canvas, MARGIN + HEADER + map.size[1] + MARGIN, output, palette, scale);

@@ -1,8 +1,8 @@
 //! The image as the sensor sees it, with title and scale bar.
 
-use super::canvas::{Canvas, FAINT, INK, PAGE, Rgb, TEXT_HEIGHT, mix, text_width};
+use super::canvas::{Canvas, FAINT, Frame, INK, PAGE, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{Palette, by_distance, grey};
-use super::overlay::Overlay;
+use super::overlay::{LEGEND, Overlay, legend};
 use super::scale::Scale;
 use crate::plan::{Images, Output};
 use crate::sensor::{Angles, Geometry, Sensor};
@@ -36,7 +36,7 @@ pub fn draw(
 ) -> Canvas {
     let (width, height) = drawn_size(sensor);
     let (page_width, left) = (width.max(NARROWEST) + 2 * MARGIN, MARGIN + NARROWEST.saturating_sub(width) / 2);
-    let mut canvas = Canvas::new(page_width, MARGIN + HEADER + height + FOOTER + MARGIN);
+    let mut canvas = page(page_width, height, overlay);
     title(&mut canvas, sensor, output);
     let top = MARGIN + HEADER;
     let borders = Borders::of(images);
@@ -62,13 +62,23 @@ pub fn draw(
     }
     if let Some(overlay) = overlay {
         let size = DVec2::new(f64::from(images.width), f64::from(images.height));
-        overlay.draw(&mut canvas, &|pixel| {
+        overlay.draw(&mut canvas, Frame { left, top, width, height }, &|pixel| {
             let share = (pixel + 0.5) / size;
             let across = if mirrored { 1.0 - share.x } else { share.x };
             [f64::from(left) + across * f64::from(width), f64::from(top) + share.y * f64::from(height)]
         });
     }
     footer(&mut canvas, top + height + MARGIN, output, palette, scale);
+    canvas
+}
+
+/// A blank page around an image of that height, with a line for the legend of features if there are any.
+pub fn page(width: u32, height: u32, overlay: Option<&Overlay<'_>>) -> Canvas {
+    let below = MARGIN + HEADER + height + FOOTER;
+    let mut canvas = Canvas::new(width, below + MARGIN + if overlay.is_some() { LEGEND } else { 0 });
+    if overlay.is_some() {
+        legend(&mut canvas, MARGIN, below + LEGEND - TEXT_HEIGHT);
+    }
     canvas
 }
 

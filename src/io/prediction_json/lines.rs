@@ -1,4 +1,4 @@
-//! JSON that people and editors can read: a line for each key of an entry, and whole lists of numbers on theirs.
+//! JSON that people and editors can read: a line for each key of an entry, and lists of numbers whole on it.
 
 use serde::Serialize;
 use serde_json::Serializer;
@@ -11,7 +11,8 @@ const DEEPEST: usize = 3;
 /// The text of a value.
 pub fn to_string(value: &impl Serialize) -> serde_json::Result<String> {
     let mut bytes = Vec::new();
-    let lines = Lines { depth: 0, pretty: PrettyFormatter::new(), compact: CompactFormatter };
+    let (pretty, compact) = (PrettyFormatter::new(), CompactFormatter);
+    let lines = Lines { depth: 0, pretty, compact, due: None, in_line: false };
     value.serialize(&mut Serializer::with_formatter(&mut bytes, lines))?;
     String::from_utf8(bytes).map_err(serde::ser::Error::custom)
 }
@@ -20,6 +21,10 @@ struct Lines {
     depth: usize,
     pretty: PrettyFormatter<'static>,
     compact: CompactFormatter,
+    /// A value of a list is to come, and whether it is the first.
+    due: Option<bool>,
+    /// The value of a list that is being written goes on in its line: it is a number.
+    in_line: bool,
 }
 
 /// Hands a call on to the one or the other formatter.
@@ -35,13 +40,36 @@ macro_rules! by_depth {
     };
 }
 
+/// Writes what goes on in the line of its list.
+macro_rules! in_line {
+    ($($name:ident: $type:ty),+) => {
+        $(fn $name<W: ?Sized + Write>(&mut self, writer: &mut W, value: $type) -> io::Result<()> {
+            self.number(writer)?;
+            self.compact.$name(writer, value)
+        })+
+    };
+}
+
 impl Lines {
+    /// Before a number: lists of numbers are not broken.
+    fn number<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        let Some(first) = self.due.take() else { return Ok(()) };
+        self.in_line = true;
+        self.compact.begin_array_value(writer, first)
+    }
+
+    /// Before anything else: a value of a shallow list has a line.
+    fn line<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        self.due.take().map_or(Ok(()), |first| self.pretty.begin_array_value(writer, first))
+    }
+
     fn enter<W: ?Sized + Write>(
         &mut self,
         writer: &mut W,
         pretty: impl FnOnce(&mut PrettyFormatter<'static>, &mut W) -> io::Result<()>,
         compact: impl FnOnce(&mut CompactFormatter, &mut W) -> io::Result<()>,
     ) -> io::Result<()> {
+        self.line(writer)?;
         self.depth += 1;
         if self.depth <= DEEPEST { pretty(&mut self.pretty, writer) } else { compact(&mut self.compact, writer) }
     }
@@ -74,8 +102,37 @@ impl Formatter for Lines {
         self.leave(writer, |f, w| f.end_object(w), |f, w| f.end_object(w))
     }
 
-    by_depth!(begin_array_value, first: bool);
-    by_depth!(end_array_value);
+    fn begin_array_value<W: ?Sized + Write>(&mut self, writer: &mut W, first: bool) -> io::Result<()> {
+        if self.depth > DEEPEST {
+            return self.compact.begin_array_value(writer, first);
+        }
+        // Whether it begins a line its first word tells.
+        self.due = Some(first);
+        Ok(())
+    }
+
+    fn end_array_value<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        let in_line = std::mem::take(&mut self.in_line);
+        if self.depth > DEEPEST || in_line {
+            return self.compact.end_array_value(writer);
+        }
+        self.pretty.end_array_value(writer)
+    }
+
+    in_line!(write_bool: bool, write_i8: i8, write_i16: i16, write_i32: i32, write_i64: i64, write_i128: i128);
+    in_line!(write_u8: u8, write_u16: u16, write_u32: u32, write_u64: u64, write_u128: u128);
+    in_line!(write_f32: f32, write_f64: f64);
+
+    fn write_null<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        self.number(writer)?;
+        self.compact.write_null(writer)
+    }
+
+    fn begin_string<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
+        self.line(writer)?;
+        self.compact.begin_string(writer)
+    }
+
     by_depth!(begin_object_key, first: bool);
     by_depth!(end_object_key);
     by_depth!(begin_object_value);
@@ -94,5 +151,12 @@ mod tests {
         assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), value);
         assert!(text.contains("\n      \"b\": [1,2,[3,{\"c\":4}]]"), "{text}");
         assert_eq!(text.lines().count(), 16, "{text}");
+        // A covariance is a line, not 36; what is no number keeps its own.
+        let value = json!({"a": [1.5, null, -2, 3], "b": [[1], [2]], "c": ["x", "y"], "d": [{"e": 1}]});
+        let text = to_string(&value).unwrap();
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), value);
+        assert!(text.contains("\n  \"a\": [1.5,null,-2,3],\n"), "{text}");
+        assert!(text.contains("\n    [1],\n    [2]\n"), "{text}");
+        assert!(text.contains("\n    \"x\",\n    \"y\"\n"), "{text}");
     }
 }

@@ -106,6 +106,20 @@ const FEATURES: &[(&str, &str)] = &[
         r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [2, 0, 0], [0.5, 0.5, 0], [0, 2, 0]]}"#,
         "corner 2 turns inwards",
     ),
+    // Bow-ties, of equal halves and of others, and a star.
+    (
+        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}"#,
+        "the outline crosses itself; list each corner once, in order around the patch",
+    ),
+    (
+        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 7], [1, 0, 7], [0, 1, 7], [3, 1, 7]]}"#,
+        "the outline crosses itself",
+    ),
+    (
+        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [2, 1, 0], [2, 0, 0], [0, 1, 0]]}"#,
+        "the outline crosses itself",
+    ),
+    (r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [0, 0, 1e300], [0, 0, 1]]}"#, "point 1 is [0, 0, 1e300]"),
     (
         r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0]]}"#,
         "corner 2 repeats the one before",
@@ -180,6 +194,10 @@ const FILES: &[(&str, &str, &str)] = &[
     (", 1e-6]", ", 1e-6], \"hall/door\": []", "0 numbers for object \"hall/door\""),
     ("{\"id\": 5, \"remove\": true}", "{\"id\": 5, \"remove\": true},", "line"),
     ("\"features\"", "\"feature\"", "unknown field `feature`"),
+    ("\"format\": 1", "\"format\": 1.5", "a whole number from 0"),
+    ("\"format\": 1", "\"format\": -1", "a whole number from 0"),
+    ("{\"id\": 5, \"remove\": true}", "[5]", "expected an object, {\"key\": value, ..}"),
+    ("{\n  \"$schema\"", "[{\"$schema\"", "expected an object, {\"key\": value, ..}"),
 ];
 
 #[test]

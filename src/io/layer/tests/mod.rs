@@ -83,20 +83,24 @@ fn later_layers_win_by_id() {
         "",
     );
     let third = layer(&point(2, 20.0), &format!(r#", "pose_covariances": {{"a": {}}}"#, zeros(5.0)));
-    let xs = |layer: &crate::environment::FeatureLayer| -> Vec<(u32, f64)> {
-        layer.features.iter().map(|f| (f.id, f.shape.points()[0].x)).collect()
+    let xs = |files: &[LayerFile]| -> Vec<(u32, f64)> {
+        let features = files.iter().flat_map(|file| &file.layer.features);
+        features.map(|f| (f.id, f.shape.points()[0].x)).collect()
     };
     let two = merge([base.clone(), second.clone()]).unwrap();
     assert_eq!(xs(&two), [(1, 1.0), (3, 30.0)]);
     let three = merge([base.clone(), second.clone(), third.clone()]).unwrap();
-    assert_eq!(xs(&three), [(1, 1.0), (2, 20.0), (3, 30.0)]);
-    assert_eq!(three.tolerance, 0.01);
-    let poses: Vec<_> = three.pose_covariances.iter().map(|(o, c)| (o.as_str(), c[0][0])).collect();
-    assert_eq!(poses, [("a", 5.0), ("b", 2.0)]);
+    assert_eq!(xs(&three), [(1, 1.0), (3, 30.0), (2, 20.0)]);
+    // Each keeps its own tolerance for what is left of it.
+    let default = crate::environment::DEFAULT_TOLERANCE;
+    let tolerances: Vec<_> = three.iter().map(|f| (f.layer.tolerance, f.layer.features.len())).collect();
+    assert_eq!(tolerances, [(0.01, 1), (default, 1), (default, 1)]);
+    let poses: Vec<_> =
+        three.iter().flat_map(|f| &f.layer.pose_covariances).map(|(o, c)| (o.as_str(), c[0][0])).collect();
+    assert_eq!(poses, [("b", 2.0), ("a", 5.0)]);
     // The order matters.
     assert_eq!(xs(&merge([third, second, base]).unwrap()), [(1, 1.0), (2, 2.0), (3, 3.0)]);
-    let none = merge([]).unwrap();
-    assert!(none.features.is_empty() && none.tolerance > 0.0);
+    assert!(merge([]).unwrap().is_empty());
 }
 
 #[test]
@@ -106,7 +110,16 @@ fn features_of_other_classes_are_counted() {
     std::fs::write(&paths[0], SOUND).unwrap();
     std::fs::write(&paths[1], SOUND.replace("\"video\"", "\"radar\"")).unwrap();
     let loaded = load(None, &paths, "radar").unwrap();
-    assert_eq!((loaded.layer.features.len(), loaded.other_classes, loaded.layer.class.as_str()), (5, 5, "radar"));
+    let [file] = loaded.layers.as_slice() else { panic!("{loaded:?}") };
+    assert_eq!((file.layer.features.len(), loaded.other_classes, file.layer.class.as_str()), (5, 5, "radar"));
+    assert_eq!(file.path.as_deref(), Some(paths[1].as_path()));
+    // The environment's own comes first, and has no path.
+    let own = crate::environment::FeatureLayer { class: "radar".into(), tolerance: 0.5, ..Default::default() };
+    let both = load(Some(&own), &paths[1..], "radar").unwrap().layers;
+    assert_eq!(
+        both.iter().map(|f| (f.path.is_some(), f.layer.tolerance)).collect::<Vec<_>>(),
+        [(false, 0.5), (true, 0.002)]
+    );
     let mixed = merge(paths.iter().map(|p| read(p).unwrap())).unwrap_err();
     assert_eq!((mixed.kind(), mixed.file()), (ErrorKind::Invalid, Some(paths[1].as_path())));
     // A file for another class must be sound as well.

@@ -1,7 +1,7 @@
 //! The schema against what is read: sound files fit it, files with wrong types and ranges do not.
 
 use super::super::{parse, schema, to_string};
-use super::{SOUND, file_with};
+use super::{FeatureShape, SOUND, file_with};
 use serde_json::Value;
 
 /// Does a value fit a schema? Knows the keywords that ours uses, and stops at any other.
@@ -24,10 +24,10 @@ fn fits(root: &Value, schema: &Value, value: &Value) -> bool {
             "array" => value.is_array(),
             "string" => value.is_string(),
             "number" => value.is_number(),
-            "integer" => value.is_u64() || value.is_i64(),
+            "integer" => value.as_f64().is_some_and(|x| x.fract() == 0.0),
             other => panic!("type {other}"),
         },
-        "const" => value == rule,
+        "const" => value == rule || value.as_f64().zip(rule.as_f64()).is_some_and(|(a, b)| a == b),
         "enum" => rule.as_array().unwrap().contains(value),
         "minimum" => value.as_f64().is_none_or(|x| x >= rule.as_f64().unwrap()),
         "maximum" => value.as_f64().is_none_or(|x| x <= rule.as_f64().unwrap()),
@@ -79,6 +79,24 @@ fn the_documented_example_fits() {
     assert_eq!(parse(&text).unwrap().layer.features.len(), 3);
 }
 
+/// 1.0 is 1 to a schema, and to the reader.
+#[test]
+fn whole_numbers_may_be_written_with_a_fraction_of_nothing() {
+    let text = r#"{"format": 1.0, "class": "video", "features": [
+        {"id": 2e0, "kind": "point", "points": [[0, 0, 0]]}, {"id": 4294967295.0, "remove": true},
+        {"id": 3.0, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]],
+         "properties": {"family": "x", "code": 17.0}}]}"#;
+    assert!(fits_ours(text));
+    let file = parse(text).unwrap();
+    assert_eq!((file.layer.features[0].id, file.removed.as_slice()), (2, [u32::MAX].as_slice()));
+    let FeatureShape::Fiducial { code, .. } = file.layer.features[1].shape else { panic!("no fiducial") };
+    assert_eq!(code, 17);
+    for (instead_of, put) in [("1.0", "1.5"), ("2e0", "2.5"), ("17.0", "17.5"), ("4294967295.0", "4294967296.0")] {
+        let text = text.replacen(instead_of, put, 1);
+        assert!(parse(&text).is_err() && !fits_ours(&text), "{put}");
+    }
+}
+
 /// All that a schema can tell is told: each of these is refused by both.
 #[test]
 fn wrong_types_and_ranges_do_not_fit() {
@@ -114,6 +132,9 @@ fn wrong_types_and_ranges_do_not_fit() {
         point(r#", "properties": {"family": "x", "code": 1}"#),
         point(r#", "properties": {"direction": 1}"#),
         point(r#", "colour": "red""#),
+        // Lists of values in the order of the keys are no objects.
+        r#"[1, "point", null, null, [[0, 0, 0]]]"#.to_owned(),
+        point(r#", "properties": [0.5]"#),
     ];
     for feature in &bad {
         let text = file_with(feature);

@@ -1,5 +1,7 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
+mod features;
+
 use assert_cmd::Command;
 use presight::io::exr;
 use serde_json::{Value, json};
@@ -40,8 +42,12 @@ impl Place {
 
     /// Runs the command in the folder; arguments are separated by spaces.
     fn run(&self, line: &str) -> Outcome {
+        self.run_args(&line.split_whitespace().collect::<Vec<_>>())
+    }
+
+    fn run_args(&self, args: &[&str]) -> Outcome {
         let mut command = Command::cargo_bin("presight").unwrap();
-        command.current_dir(self.folder.path()).args(line.split_whitespace());
+        command.current_dir(self.folder.path()).args(args);
         // Vulkan that cannot be: tests of the command must give the same everywhere.
         for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
             command.env(variable, "/nonexistent");
@@ -533,57 +539,6 @@ fn without_vulkan_gpu_is_refused_and_auto_goes_on() {
     let outcome = place.run("predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend auto");
     assert_eq!(outcome.status, Some(0), "{}", outcome.stderr);
     assert!(outcome.stdout.contains("on cpu"), "{}", outcome.stdout);
-}
-
-/// A point and the left edge of the wall, for cameras; the point fades by half in about 7 s.
-const LAYER: &str = r#"{"format": 1, "class": "video", "features": [
-    {"id": 5, "kind": "point", "points": [[2, 0.25, 1.25]], "sigma": 0.01, "confirmed": 100, "rate": 0.1},
-    {"id": 7, "kind": "segment", "name": "left", "points": [[2, 0.5, 0.9], [2, -0.5, 1.1]], "sigma": 0.01}]}"#;
-
-#[test]
-fn features_are_predicted_beside_images() {
-    let place = Place::new();
-    place.write("l.json", LAYER.as_bytes());
-    place.done(
-        "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu --layer l.json --features f.json \
-         --time 110 --outputs range,feature_id --out a.exr --png a.png --feature-numbers --pose-cov 0.01,0.01,0,0,0,1",
-    );
-    let json: Value = serde_json::from_slice(&fs::read(place.path("f.json")).unwrap()).unwrap();
-    assert_eq!((json["format"].as_u64(), json["sensor"].as_str()), (Some(1), Some("video-camera")));
-    assert_eq!(json["world_from_sensor"].as_array().unwrap().len(), 7);
-    assert_eq!(json["features"].as_array().unwrap().len(), 2);
-    let (point, segment) = (&json["features"][0], &json["features"][1]);
-    assert_eq!((point["id"].as_u64(), point["kind"].as_str()), (Some(5), Some("point")));
-    assert_eq!(point["visible_fraction"], 1.0);
-    let range = (4.0f64 + 2.0 * 0.0625).sqrt();
-    assert!((point["range"].as_f64().unwrap() - range).abs() < 1e-6, "{point}");
-    assert!((point["cos_incidence"].as_f64().unwrap() - 2.0 / range).abs() < 1e-6);
-    assert!((point["properties"]["existence"].as_f64().unwrap() - (-1f64).exp()).abs() < 1e-12);
-    assert_eq!((segment["name"].as_str(), segment["visible"][0]["t"][1].as_f64()), (Some("left"), Some(1.0)));
-    assert_eq!(point["roi"].as_array().unwrap().len(), 4);
-    // Only what was asked for is written, and the point lies over the segment.
-    let images = exr::read(&place.path("a.exr")).unwrap().images;
-    assert!(images.polygon_id.is_empty() && images.range.len() == images.feature_id.len());
-    let [u, v] = [0, 1].map(|i| point["visible"][0]["pixels"][0][i].as_f64().unwrap().round() as usize);
-    assert_eq!(images.feature_id[v * images.width as usize + u], 5);
-    assert!(images.feature_id.iter().filter(|id| **id == 7).count() > 20);
-    assert!(place.path("a.png").exists());
-}
-
-#[test]
-fn layers_for_others_are_left_out_and_features_need_a_layer() {
-    let place = Place::new();
-    place.write("l.json", LAYER.replace("video", "radar").as_bytes());
-    let line = "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu";
-    let outcome = place.run(&format!("{line} --layer l.json --features f.json"));
-    assert_eq!(outcome.status, Some(0));
-    assert!(outcome.stderr.contains("2 features"), "{}", outcome.stderr);
-    for wrong in ["--outputs feature_id --out a.exr", "--features f.json", "--time 3", "--layer l.json --confidence 2"]
-    {
-        assert_eq!(place.run(&format!("{line} {wrong}")).status, Some(2), "{wrong}");
-    }
-    place.write("l.json", LAYER.replace("[[2, 0.25", "[[1.9, 0.25").as_bytes());
-    assert_eq!(place.run(&format!("{line} --layer l.json --features f.json")).status, Some(1), "off its polygons");
 }
 
 #[test]

@@ -1,0 +1,143 @@
+//! Whether polygons together hold all of a patch: an argument about borders, which has nothing to cut up.
+//!
+//! What lies within the tolerance of a polygon is a convex body; K is its cut with the patch's plane. Around each K stands
+//! a convex polygon H with K in its inside, nowhere farther from the polygon than the tolerance and a [`SLACK`] of it. Let
+//! some point of the patch be in a K, and for each polygon what is in the patch of the sides of its H be in the K of the
+//! others. Then all of the patch is in the H together. For the patch is in one piece, and not all of it is in none of them: what
+//! is in none would have a border inside of the patch. A point of that is on a side of an H, so in another's K, so in the inside
+//! of that one's H, where no border is.
+//!
+//! The other way round, a point on a side of an H that no K holds is farther than the tolerance from all polygons, its own
+//! included. So a patch that is refused is off, and one that is taken is nowhere off by more than the slack. Doubled,
+//! overlapping and crossing polygons, seams and T-junctions need no care: sides of an H run inside their neighbours.
+
+use super::local::Local;
+use super::patch::Under;
+use super::plane::{Flat, bounds_of, clip, inside, sides, within};
+use super::segment::widest_gap;
+use crate::geometry::Aabb;
+use crate::index::{Found, Params, Region, Skd, SpatialIndex};
+use glam::{DVec2, DVec3};
+use std::f64::consts::TAU;
+
+/// Between borders a patch may be farther from its polygons than the tolerance by this part of it.
+pub(super) const SLACK: f64 = 1.0 / 16.0;
+/// How far an H stands off its K at least, as a part of the tolerance.
+const MARGIN: f64 = 0.01;
+/// Most corners that are cut off an H to bring it near its K: each halves an angle, so that few are ever needed.
+const MOST_CUTS: usize = 256;
+
+/// A point of a convex outline that is on no polygon, within the tolerance; `None` if all of it is covered. A corner at
+/// least is on one.
+pub(super) fn uncovered(outline: &[DVec2], under: &[Under<'_>], flat: &Flat) -> Option<DVec3> {
+    let holds_all = |u: &Under<'_>| outline.iter().all(|p| u.local.holds(flat.lift(*p)));
+    if under.iter().any(holds_all) {
+        return None;
+    }
+    let mut cover = Cover::new(under, flat);
+    let found = (0..under.len()).find_map(|own| {
+        let around = under[own].around(flat);
+        sides(&around).find_map(|(u, v)| {
+            let (from, to) = within((u, v), outline)?;
+            cover.gap((u.lerp(v, from), u.lerp(v, to)), own)
+        })
+    });
+    found.map(|p| flat.lift(farther(p, outline, under, flat)))
+}
+
+/// The polygons under a patch, with an index over them.
+struct Cover<'a> {
+    under: &'a [Under<'a>],
+    flat: &'a Flat,
+    index: Skd<3>,
+    found: Found,
+}
+
+impl<'a> Cover<'a> {
+    fn new(under: &'a [Under<'a>], flat: &'a Flat) -> Self {
+        let grown = |l: &Local| {
+            let b = Aabb::of(l.corners.iter().copied());
+            Aabb { min: b.min - l.reach, max: b.max + l.reach }
+        };
+        let boxes: Vec<(u32, Aabb)> = (0..).zip(under.iter().map(|u| grown(u.local))).collect();
+        Self { under, flat, index: Skd::build(Params::default(), &boxes), found: Found::default() }
+    }
+
+    /// A point of a line that none of the other polygons holds.
+    fn gap(&mut self, (u, v): (DVec2, DVec2), own: usize) -> Option<DVec2> {
+        let (from, to) = (self.flat.lift(u), self.flat.lift(v));
+        self.found.clear();
+        self.index.query(&Region::cuboid(&Aabb::of([from, to])), &mut self.found);
+        let others = || {
+            let all = self.found.all().map(|k| k as usize);
+            all.filter(|k| *k != own).map(|k| self.under[k].local)
+        };
+        // As a rule it runs inside of one neighbour.
+        if others().any(|local| local.over(from, to - from) == Some((0.0, 1.0))) {
+            return None;
+        }
+        let mut covered: Vec<_> = others().filter_map(|local| local.stretch(from, to - from)).collect();
+        widest_gap(&mut covered).map(|(from, to)| u.lerp(v, 0.5 * (from + to)))
+    }
+}
+
+impl Under<'_> {
+    /// How far K reaches along a direction of the plane: each point of the polygon is the middle of a disc in it, the
+    /// smaller the higher it is, and the farthest of these is on the polygon's outline.
+    fn reaches(&self, direction: DVec2) -> f64 {
+        let (r, n) = (self.local.reach, self.part.len());
+        let of_side = |k: usize| {
+            let l = (k + 1) % n;
+            let (at, height) = (direction.dot(self.part[k]), self.heights[k]);
+            let (along, rise) = (direction.dot(self.part[l]) - at, self.heights[l] - height);
+            // Where along + the disc's growth is 0: at the height r along / hypot(along, rise), on the falling side.
+            let best = (r * along * rise.signum() / along.hypot(rise) - height) / rise;
+            let t = if best.is_finite() { best.clamp(0.0, 1.0) } else { f64::from(along > 0.0) };
+            at + t * along + (r * r - (height + t * rise).powi(2)).max(0.0).sqrt()
+        };
+        (0..n).map(of_side).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// H: a convex polygon around K, counter-clockwise.
+    pub(super) fn around(&self, flat: &Flat) -> Vec<DVec2> {
+        let stand = MARGIN * self.local.reach + self.local.warp;
+        let (low, high) = bounds_of(&self.part);
+        let (low, high) = (low - 2.0 * self.local.reach - stand, high + 2.0 * self.local.reach + stand);
+        let cut = |rest: &[DVec2], n: DVec2| {
+            let reach = self.reaches(n) + stand;
+            clip(rest, |p| reach - n.dot(*p))
+        };
+        let compass = (0..8).map(|k| DVec2::from_angle(TAU * f64::from(k) / 8.0));
+        let outward = sides(&self.part).filter_map(|(u, v)| (u - v).perp().try_normalize());
+        let start = vec![low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)];
+        let mut around = compass.chain(outward).fold(start, |rest, n| cut(&rest, n));
+        let most = (1.0 + SLACK) * self.local.reach + self.local.warp;
+        for _ in 0..MOST_CUTS {
+            let far = |p: &DVec2| self.local.distance(flat.lift(*p)) > most;
+            let Some(k) = around.iter().position(far) else { break };
+            let n = around.len();
+            let outward = |u: DVec2, v: DVec2| (u - v).perp().normalize_or_zero();
+            let (before, here, after) = (around[(k + n - 1) % n], around[k], around[(k + 1) % n]);
+            let Some(between) = (outward(before, here) + outward(here, after)).try_normalize() else { break };
+            around = cut(&around, between);
+        }
+        around
+    }
+}
+
+/// From a point that is off to one nearby that is farther off: told to people, nothing depends on it.
+fn farther(start: DVec2, outline: &[DVec2], under: &[Under<'_>], flat: &Flat) -> DVec2 {
+    let off = |p: DVec2| under.iter().map(|u| u.local.distance(flat.lift(p))).fold(f64::INFINITY, f64::min);
+    let (low, high) = bounds_of(outline);
+    let (mut at, mut best, mut step) = (start, off(start), 0.25 * (high - low).max_element());
+    // Steps, and halvings of them.
+    for _ in 0..64 {
+        let around = (0..8).map(|k| at + step * DVec2::from_angle(TAU * f64::from(k) / 8.0));
+        let inner = around.filter(|p| sides(outline).all(|side| inside(side, *p) >= 0.0));
+        match inner.map(|p| (off(p), p)).max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(o, _)| *o > best) {
+            Some((o, p)) => (best, at) = (o, p),
+            None => step *= 0.5,
+        }
+    }
+    at
+}

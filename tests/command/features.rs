@@ -1,0 +1,223 @@
+//! Features from outside: layers, what is said of them, where they are drawn, and what is refused.
+
+use super::{Bad, Place, WALL, WALL_INDICES, bad, check, wall};
+use presight::io::exr;
+use serde_json::{Value, json};
+use std::fs;
+
+/// From 2 m before the wall, straight at it.
+const AT_WALL: &str = "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu";
+
+/// A point and the left edge of the wall, for cameras; the point fades by half in about 7 s.
+const LAYER: &str = r#"{"format": 1, "class": "video", "features": [
+    {"id": 5, "kind": "point", "points": [[2, 0.25, 1.25]], "sigma": 0.01, "confirmed": 100, "rate": 0.1},
+    {"id": 7, "kind": "segment", "name": "left", "points": [[2, 0.5, 0.9], [2, -0.5, 1.1]], "sigma": 0.01}]}"#;
+
+#[test]
+fn features_are_predicted_beside_images() {
+    let place = Place::new();
+    place.write("l.json", LAYER.as_bytes());
+    place.done(
+        "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu --layer l.json --features f.json \
+         --time 110 --outputs range,feature_id --out a.exr --png a.png --feature-numbers --pose-cov 0.01,0.01,0,0,0,1",
+    );
+    let json: Value = serde_json::from_slice(&fs::read(place.path("f.json")).unwrap()).unwrap();
+    assert_eq!((json["format"].as_u64(), json["sensor"].as_str()), (Some(1), Some("video-camera")));
+    assert_eq!(json["world_from_sensor"].as_array().unwrap().len(), 7);
+    assert_eq!(json["features"].as_array().unwrap().len(), 2);
+    let (point, segment) = (&json["features"][0], &json["features"][1]);
+    assert_eq!((point["id"].as_u64(), point["kind"].as_str()), (Some(5), Some("point")));
+    assert_eq!(point["visible_fraction"], 1.0);
+    let range = (4.0f64 + 2.0 * 0.0625).sqrt();
+    assert!((point["range"].as_f64().unwrap() - range).abs() < 1e-6, "{point}");
+    assert!((point["cos_incidence"].as_f64().unwrap() - 2.0 / range).abs() < 1e-6);
+    assert!((point["properties"]["existence"].as_f64().unwrap() - (-1f64).exp()).abs() < 1e-12);
+    assert_eq!((segment["name"].as_str(), segment["visible"][0]["t"][1].as_f64()), (Some("left"), Some(1.0)));
+    assert_eq!(point["roi"].as_array().unwrap().len(), 4);
+    // Only what was asked for is written, and the point lies over the segment.
+    let images = exr::read(&place.path("a.exr")).unwrap().images;
+    assert!(images.polygon_id.is_empty() && images.range.len() == images.feature_id.len());
+    let [u, v] = [0, 1].map(|i| point["visible"][0]["pixels"][0][i].as_f64().unwrap().round() as usize);
+    assert_eq!(images.feature_id[v * images.width as usize + u], 5);
+    assert!(images.feature_id.iter().filter(|id| **id == 7).count() > 20);
+    assert!(place.path("a.png").exists());
+}
+
+#[test]
+fn layers_for_others_are_left_out_and_features_need_a_layer() {
+    let place = Place::new();
+    place.write("l.json", LAYER.replace("video", "radar").as_bytes());
+    let line = "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu";
+    let outcome = place.run(&format!("{line} --layer l.json --features f.json"));
+    assert_eq!(outcome.status, Some(0));
+    assert!(outcome.stderr.contains("2 features"), "{}", outcome.stderr);
+    for wrong in [
+        "--outputs feature_id --out a.exr",
+        "--features f.json",
+        "--time 3",
+        "--confidence 0.9",
+        "--layer l.json --confidence 2",
+    ] {
+        assert_eq!(place.run(&format!("{line} {wrong}")).status, Some(2), "{wrong}");
+    }
+    place.write("l.json", LAYER.replace("[[2, 0.25", "[[1.9, 0.25").as_bytes());
+    assert_eq!(place.run(&format!("{line} --layer l.json --features f.json")).status, Some(1), "off its polygons");
+}
+
+#[test]
+fn the_summary_counts_features() {
+    let place = Place::new();
+    let behind = LAYER.replace(
+        "]}",
+        r#",
+        {"id": 9, "kind": "point", "points": [[2, 0.9, 1.9]], "sigma": 0.01}]}"#,
+    );
+    place.write("l.json", behind.as_bytes());
+    let said = place.done(&format!("{AT_WALL} --layer l.json"));
+    assert!(said.contains("2 of 3 features seen") && said.lines().count() == 1, "{said}");
+    assert!(!place.done(AT_WALL).contains("feature"));
+}
+
+/// A file's tolerance is that of its own features, whatever is read beside it.
+#[test]
+fn tolerances_stay_with_their_files() {
+    let place = Place::new();
+    let floating = |class: &str| LAYER.replace("[[2, 0.25", "[[1.95, 0.25").replace("video", class);
+    place.write("off.json", floating("video").as_bytes());
+    let other = r#"{"format": 1, "class": "video", "tolerance": 0.1, "features": [
+        {"id": 77, "kind": "point", "points": [[1.96, -0.25, 1.25]]}]}"#;
+    place.write("wide.json", other.as_bytes());
+    place.done(&format!("{AT_WALL} --layer wide.json --features a.json"));
+    let off = |layers: &str| {
+        bad(format!("{AT_WALL} {layers} --features f.json"), 1, &["off.json: feature 5: ", "0.050000 m off"])
+    };
+    check(
+        &place,
+        vec![
+            off("--layer off.json"),
+            off("--layer off.json --layer wide.json"),
+            off("--layer wide.json --layer off.json"),
+        ],
+    );
+    // Replaced by a later file, it is that file's.
+    let wide = floating("video").replace("\"features\"", "\"tolerance\": 0.1, \"features\"");
+    place.write("later.json", wide.as_bytes());
+    place.done(&format!("{AT_WALL} --layer off.json --layer later.json --features b.json"));
+}
+
+#[test]
+fn what_cannot_be_placed_names_its_file() {
+    let place = Place::new();
+    let layer =
+        |more: &str, feature: &str| format!("{{\"format\": 1, \"class\": \"video\"{more}, \"features\": [{feature}]}}");
+    let point = |rest: &str| format!("{{\"id\": 1, \"kind\": \"point\", \"points\": [[2, 0, 1]]{rest}}}");
+    let zeros = format!("[{}]", vec!["0"; 36].join(","));
+    for (name, text) in [
+        ("good.json", layer("", &point(""))),
+        ("object.json", layer("", &point(", \"object\": \"door\""))),
+        ("pose.json", layer(&format!(", \"pose_covariances\": {{\"door\": {zeros}}}"), &point(""))),
+        ("huge.json", layer("", &point("").replace("[2, 0, 1]", "[1e308, 0, 1]"))),
+        (
+            "bow.json",
+            layer("", "{\"id\": 3, \"kind\": \"patch\", \"points\": [[2, 0, 1], [2, 1, 2], [2, 1, 1], [2, 0, 2]]}"),
+        ),
+        ("list.json", "[1]".to_owned()),
+        (
+            "lone.toml",
+            "format = 1\nclass = \"video\"\nkind = \"rays\"\nwidth = 1\nheight = 1\ndirections = [[1, 0, 0]]\n"
+                .to_owned(),
+        ),
+    ] {
+        place.write(name, text.as_bytes());
+    }
+    let with = |layers: &str| format!("{AT_WALL} --layer {layers} --features f.json");
+    let lone = AT_WALL.replace("video-camera", "lone.toml");
+    place.done(&format!("{lone} --out a.exr"));
+    let cases: Vec<Bad> = vec![
+        bad(with("object.json"), 1, &["object.json: feature 1: ", "no object \"door\"", "; "]),
+        bad(with("object.json --layer good.json --layer object.json"), 1, &["object.json: feature 1: "]),
+        bad(with("good.json --layer pose.json"), 1, &["pose.json: pose covariance of object \"door\": ", "; "]),
+        bad(with("huge.json"), 1, &["huge.json: features[0] (id 1): ", "[1e308, 0, 1]"]),
+        bad(with("bow.json"), 1, &["bow.json: features[0] (id 3): ", "crosses itself", "; "]),
+        bad(with("list.json"), 1, &["list.json: line 1", "expected an object"]),
+        bad(format!("{lone} --layer good.json --features f.json"), 1, &["lone.toml: ", "without a nearest ray", "; "]),
+    ];
+    check(&place, cases);
+}
+
+#[test]
+fn generating_says_in_the_flags_own_units_what_is_wrong() {
+    let place = Place::new();
+    check(
+        &place,
+        vec![
+            bad(
+                "features wall.glb --class video --crease-deg 200",
+                2,
+                &["crease angle of 200 degrees", "; give 0.6 to 90 degrees"],
+            ),
+            bad("features wall.glb --class video --min-length 1e-9", 2, &["length of 1e-9", "; "]),
+        ],
+    );
+    let outcome = place.run_args(&["features", "wall.glb", "--class", ""]);
+    assert_eq!((outcome.status, outcome.stdout.as_str()), (Some(2), ""), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("--class"), "{}", outcome.stderr);
+}
+
+#[test]
+fn a_byte_order_mark_is_skipped() {
+    let place = Place::new();
+    place.write("l.json", format!("\u{feff}{LAYER}").as_bytes());
+    let sensor = place.done("sensors video-camera");
+    place.write("s.toml", format!("\u{feff}{sensor}").as_bytes());
+    place.write("wall.materials.toml", "\u{feff}format = 1\n".as_bytes());
+    let said = place.done(&AT_WALL.replace("video-camera", "s.toml --layer l.json"));
+    assert!(said.contains("2 of 2 features seen"), "{said}");
+}
+
+/// 36 numbers are no more than a line a row.
+#[test]
+fn a_covariance_is_short_in_the_file() {
+    let place = Place::new();
+    place.write("l.json", LAYER.as_bytes());
+    place.done(&format!("{AT_WALL} --layer l.json --features f.json --pose-cov 0.01,0.01,0,0,0,1"));
+    let text = fs::read_to_string(place.path("f.json")).unwrap();
+    let from = text.lines().position(|l| l.contains("pose_covariance")).unwrap();
+    let to = text.lines().position(|l| l.contains("confidence")).unwrap();
+    assert!(to - from <= 6, "{text}");
+    assert_eq!(place.json("f.json")["pose_covariance"].as_array().unwrap().len(), 36);
+}
+
+/// The edge that is proposed is one that is seen beside the pixel, not the nearest in space.
+#[test]
+fn picking_proposes_what_is_seen() {
+    let place = Place::new();
+    // A second wall, 2 cm behind the first and 10 cm lower.
+    let two = wall(
+        |root| {
+            let back = json!({"mesh": 0, "name": "back", "translation": [0.02, -0.1, 0]});
+            root["nodes"].as_array_mut().unwrap().push(back);
+            root["scenes"][0]["nodes"] = json!([0, 1]);
+        },
+        WALL,
+        WALL_INDICES,
+    );
+    place.write("two.glb", &two);
+    let pick = |more: &str| {
+        place.done(&format!("features pick two.glb --sensor video-camera --pose 0,0,1.5,0,0,0 --pixel {more}"))
+    };
+    let entry = |said: &str| {
+        let line = said.lines().skip_while(|l| !l.starts_with("an entry")).nth(1).expect("an entry");
+        serde_json::from_str::<Value>(line).expect("JSON")
+    };
+    // 11 cm below the upper edge, and 2 cm from that of the wall behind.
+    let said = pick("256,120 --reach 0.3");
+    let top = entry(&said);
+    assert_eq!((&top["kind"], &top["object"]), (&json!("segment"), &json!("wall")), "{said}");
+    let at_top = |p: &Value| [1, 2].iter().any(|axis| (p[axis].as_f64().unwrap() - 2.0).abs() < 1e-6);
+    assert!(top["points"].as_array().unwrap().iter().all(at_top), "{said}");
+    let hidden: Vec<&str> = said.lines().skip_while(|l| !l.starts_with("others as near")).skip(1).collect();
+    assert!(hidden[0].contains(" border ") && hidden[0].ends_with("back"), "{said}");
+    // Nothing is within a centimetre of the middle: the point itself.
+    assert_eq!(entry(&pick("256,256 --reach 0.01"))["kind"], "point");
+}
