@@ -12,7 +12,8 @@
 //! An entry has `id`, `kind`, `name`, `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
 //! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
 //! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
-//! of the prediction) and `history` (null without a store).
+//! of the prediction) and `history` (null without a store). Of what is not seen at all `range`, `cos_incidence`, `roi`, `roi_flag` and
+//! `image_covariance` are null.
 //!
 //! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
 //!

@@ -100,10 +100,7 @@ impl RoiPlan {
         };
         let mut room = Room::default();
         for (i, (seen, placed)) in prediction.features.iter_mut().zip(placed).enumerate() {
-            let uncertain = frame.uncertain(placed);
-            if !frame.prepare(seen, &uncertain, &mut room) {
-                continue;
-            }
+            let Some(uncertain) = frame.prepare(seen, placed, &mut room) else { continue };
             if known.is_some() && self.add(frame, &uncertain, &room.points) {
                 self.on_device.push(i as u32);
             } else {
