@@ -1,6 +1,7 @@
 //! Features in a world: which polygons they lie on, how much of each a sensor sees, and where.
 
 mod boxes;
+mod columns;
 mod normal;
 mod place;
 mod prediction;

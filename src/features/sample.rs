@@ -9,6 +9,7 @@
 //! patches are cut with it first.
 
 use super::Reason;
+use super::columns;
 use super::straight::{Straight, before_camera};
 use crate::geometry::plane_of_polygon;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
@@ -18,8 +19,10 @@ use glam::{DVec2, DVec3};
 pub const STEP: f64 = 0.5;
 /// Most samples of one segment.
 pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
-/// Most samples of one patch: of larger ones they are farther apart than half a pixel.
+/// Most samples of one patch: of larger ones they are farther apart than half a pixel, unless images decide pixel by pixel.
 pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
+/// Most cells of the grid around a patch that has few samples in it.
+const MAX_PATCH_CELLS: usize = 1 << 16;
 
 /// Pieces of arc that are looked at first, in pixels: no part of an image smaller than that between two places outside
 /// of it is found.
@@ -117,9 +120,24 @@ impl<'a> Sampler<'a> {
         self.turn
     }
 
+    /// True of a scanner of one row, which sees cuts.
+    pub(super) fn is_one_row(&self) -> bool {
+        self.cone.is_some()
+    }
+
     /// About the finest angle between neighbouring rays, radians.
     pub(super) fn pixel_angle(&self) -> f64 {
         self.pixel_angle
+    }
+
+    /// Column and row of the pixel whose centre is nearest to a place in the image; columns beyond the seam are those of the other side.
+    pub(super) fn nearest_pixel(&self, place: DVec2) -> (i64, i64) {
+        let x = match self.turn {
+            Some(turn) if !(place.x >= -0.5 && place.x < self.size.x - 0.5) => (place.x + 0.5).rem_euclid(turn) - 0.5,
+            _ => place.x,
+        };
+        let nearest = |x: f64, n: f64| ((x + 0.5) as i64).min(n as i64 - 1);
+        (nearest(x, self.size.x), nearest(place.y, self.size.y))
     }
 
     /// The sample of a point of the image frame.
@@ -146,11 +164,11 @@ impl<'a> Sampler<'a> {
 
     /// True if a point, imaged at `pixel`, is in the image.
     fn holds(&self, at: DVec3, pixel: DVec2) -> bool {
-        let inside = pixel.cmpge(DVec2::splat(-0.5)).all() && pixel.cmple(self.size - 0.5).all();
+        let within = |x: f64, n: f64| x >= -0.5 && x <= n - 0.5;
+        let inside = (self.turn.is_some() || within(pixel.x, self.size.x)) && within(pixel.y, self.size.y);
         let elevation = || at.z.atan2(at.x.hypot(at.y));
         if let Some([low, high]) = self.cone {
-            return pixel.x >= -0.5
-                && pixel.x <= self.size.x - 0.5
+            return (self.turn.is_some() || within(pixel.x, self.size.x))
                 && (low - ON_CONE..=high + ON_CONE).contains(&elevation());
         }
         let in_beam = |(rows, half): &(Vec<f64>, f64)| {
@@ -275,7 +293,9 @@ impl<'a> Sampler<'a> {
         let mut left = MAX_SEGMENT_SAMPLES;
         let mut from = end(0.0);
         for i in 1..=pieces as u32 {
-            let to = end(angle * f64::from(i) / pieces);
+            let mut to = end(angle * f64::from(i) / pieces);
+            // Past the sensor's centre t hardly changes, and rounding could turn it back.
+            to.t = to.t.max(from.t);
             self.halve(&from, &to, MAX_DEPTH, &end, &mut left, visit);
             from = to;
         }
@@ -290,7 +310,10 @@ impl<'a> Sampler<'a> {
         left: &mut usize,
         visit: &mut impl FnMut(Piece),
     ) {
-        let middle = || end(0.5 * (from.phi + to.phi));
+        let middle = || {
+            let m = end(0.5 * (from.phi + to.phi));
+            End { t: m.t.clamp(from.t, to.t), ..m }
+        };
         let t = [from.t, to.t];
         let apart = from.pixel.zip(to.pixel).map(|(p, q)| self.distance(p, q));
         let short = apart.is_some_and(|d| d <= self.step);
@@ -374,8 +397,18 @@ impl<'a> Sampler<'a> {
     }
 
     /// Samples the area of a convex patch in the image, corners in the image frame; `t` of the samples is 0..=1 and
-    /// their weight the area that they stand for. Without any in the image, one piece says why.
+    /// their weight the area that they stand for. Without any in the image, one piece says why. Columns may lie beyond the
+    /// seam.
     pub fn patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
+        self.patch_in_cells(corners, MAX_PATCH_SAMPLES, visit);
+    }
+
+    /// The same of a patch that covers few pixels, however long and thin it is.
+    pub(super) fn small_patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
+        self.patch_in_cells(corners, MAX_PATCH_CELLS, visit);
+    }
+
+    fn patch_in_cells(&self, corners: &[DVec3], most: usize, visit: &mut impl FnMut(Piece)) {
         let Some(cone) = PatchCone::new(corners) else {
             // Seen from its edge, as far as can be told.
             return visit(self.edge_on(corners));
@@ -386,7 +419,7 @@ impl<'a> Sampler<'a> {
             let flat = self.cone.is_some_and(|[l, h]| l == h);
             let size = high - low;
             let area = if flat { size.x * self.step } else { size.x * size.y };
-            let step = (area / MAX_PATCH_SAMPLES as f64).sqrt().max(self.step);
+            let step = (area / most as f64).sqrt().max(self.step);
             let columns = (size.x / step).ceil().max(1.0);
             let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
             let cell = DVec2::new(size.x / columns, size.y / rows);
@@ -413,22 +446,17 @@ impl<'a> Sampler<'a> {
         self.point(corners.iter().sum::<DVec3>() / corners.len().max(1) as f64)
     }
 
-    /// A box around a patch's image, cut to the image.
-    fn patch_bounds(&self, corners: &[DVec3], cone: &PatchCone) -> Option<[DVec2; 2]> {
+    /// A box around a patch's image, cut to the image; over a seam its columns go on beyond the width.
+    pub(super) fn patch_bounds(&self, corners: &[DVec3], cone: &PatchCone) -> Option<[DVec2; 2]> {
         let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         let mut take = |p: DVec2| (low, high) = (low.min(p), high.max(p));
-        let (mut jump, mut previous) = (false, None::<DVec2>);
         for (k, a) in corners.iter().enumerate() {
             let b = corners[(k + 1) % corners.len()];
-            self.segment(*a, b, &mut |piece| match piece {
-                Piece::Inside(s) => {
+            self.segment(*a, b, &mut |piece| {
+                if let Piece::Inside(s) = piece {
                     s.ends.into_iter().chain([s.pixel]).for_each(|p| take(p.clamp(least, greatest)));
-                    jump |= (s.ends[0].x - s.ends[1].x).abs() > 0.5 * self.size.x
-                        || previous.is_some_and(|p| (p.x - s.pixel.x).abs() > 0.5 * self.size.x);
-                    previous = Some(s.pixel);
                 }
-                Piece::Outside { .. } => previous = None,
             });
         }
         // Where the image is inside the patch, its own border is the patch's image's border.
@@ -452,8 +480,8 @@ impl<'a> Sampler<'a> {
             // Curved outlines are followed, but tables may have holes and folds beside them.
             (low, high) = ((low - 1.0).max(least), (high + 1.0).min(greatest));
         }
-        if self.turn.is_some() && jump {
-            (low.x, high.x) = (least.x, greatest.x);
+        if self.turn.is_some() {
+            [low.x, high.x] = columns::of_corners(self.sensor, corners).unwrap_or([least.x, greatest.x]);
         }
         // A row without height, or an edge-on sliver: one sample wide at least.
         let (mid, half) = (0.5 * (low + high), (0.5 * (high - low)).max(DVec2::splat(1e-9)));
@@ -471,15 +499,15 @@ struct End {
 }
 
 /// The directions to a convex patch, and its plane.
-struct PatchCone {
-    edges: Vec<DVec3>,
+pub(super) struct PatchCone {
+    pub edges: Vec<DVec3>,
     normal: DVec3,
     offset: f64,
 }
 
 impl PatchCone {
     /// `None` if the sensor is in the patch's plane.
-    fn new(corners: &[DVec3]) -> Option<Self> {
+    pub fn new(corners: &[DVec3]) -> Option<Self> {
         let plane = plane_of_polygon(corners)?;
         let reach = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
         if plane.offset.abs() <= 1e-12 * reach {
@@ -488,6 +516,16 @@ impl PatchCone {
         let sign = plane.offset.signum();
         let edge = |k: usize| sign * corners[k].cross(corners[(k + 1) % corners.len()] - corners[k]);
         Some(Self { edges: (0..corners.len()).map(edge).collect(), normal: plane.normal, offset: plane.offset })
+    }
+
+    /// Its product with a unit ray is one over the range there; with any vector, one over how much longer it has to be.
+    pub fn inverse(&self) -> DVec3 {
+        self.normal / self.offset
+    }
+
+    /// Metres.
+    pub fn distance(&self) -> f64 {
+        self.offset.abs()
     }
 
     /// Where a unit ray meets it.

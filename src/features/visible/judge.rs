@@ -1,5 +1,6 @@
 //! One worker: decides which samples of a feature are seen.
 
+use super::area::Span;
 use super::known::Faces;
 use super::open::{Line, Open, hide_along};
 use super::tally::{State, Tally, share};
@@ -65,7 +66,9 @@ pub(super) struct Judge<'a> {
     pub(super) tiles: Tiles,
     pieces: Vec<Piece>,
     states: Vec<State>,
-    open: Vec<Open>,
+    pub(super) open: Vec<Open>,
+    /// Pixels of a patch.
+    pub(super) spans: Vec<Span>,
     /// Polygons of the image that may hide what is asked for, by number in `faces`.
     pub(super) near: Vec<u32>,
     /// Slots of what hides the samples of a straight segment.
@@ -88,6 +91,7 @@ impl<'a> Judge<'a> {
             pieces: Vec::new(),
             states: Vec::new(),
             open: Vec::new(),
+            spans: Vec::new(),
             near: Vec::new(),
             by: Vec::new(),
             center: None,
@@ -102,6 +106,9 @@ impl<'a> Judge<'a> {
     #[cfg(feature = "gpu")]
     pub fn asking(&mut self, placed: &PlacedFeature) -> super::Asking {
         let (own, points) = self.prepare(placed);
+        if is_area(&placed.feature.shape) && self.is_area(&points) {
+            return Vec::new();
+        }
         self.sample(&placed.feature.shape, &own, &points);
         let width = i64::from(self.frame.images.width);
         let number = |i: usize| {
@@ -116,11 +123,12 @@ impl<'a> Judge<'a> {
         let frame = self.frame;
         let shape = &placed.feature.shape;
         let (own, points) = self.prepare(placed);
-        let straight = match shape {
+        let whole = match shape {
             FeatureShape::Segment { .. } => self.straight([points[0], points[1]], &own, told),
+            shape if is_area(shape) => self.area(&points, &own),
             _ => None,
         };
-        let mut tally = straight.unwrap_or_else(|| {
+        let mut tally = whole.unwrap_or_else(|| {
             self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
             self.sample(shape, &own, &points);
             self.decide(&own, shape, &points, told);
@@ -131,8 +139,7 @@ impl<'a> Judge<'a> {
             }
             tally
         });
-        let area = matches!(shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. });
-        let (visible, hidden) = if area { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        let (visible, hidden) = if is_area(shape) { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         let world_from_object = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
         let in_world = |p: &DVec3| world_from_object.map_or(*p, |pose| pose.transform_point(*p));
         let seen = SeenFeature {
@@ -171,7 +178,10 @@ impl<'a> Judge<'a> {
         match shape {
             FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => take(sampler.point(points[0])),
             FeatureShape::Segment { .. } => sampler.segment(points[0], points[1], &mut take),
-            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => sampler.patch(points, &mut take),
+            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => match self.frame.options.visibility {
+                Visibility::Image => sampler.small_patch(points, &mut take),
+                Visibility::Rays => sampler.patch(points, &mut take),
+            },
         }
         self.open(own, points);
     }
@@ -250,7 +260,7 @@ impl<'a> Judge<'a> {
 
     /// The first reason that applies whatever is in between.
     #[inline]
-    fn before_occlusion(&self, sample: &Sample, range: f64, own: &Own<'_>) -> Option<Reason> {
+    pub(super) fn before_occlusion(&self, sample: &Sample, range: f64, own: &Own<'_>) -> Option<Reason> {
         let spec = self.frame.sensor.spec();
         if range < spec.range_min {
             return Some(Reason::BelowRangeMin);
@@ -370,10 +380,8 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// The pixel whose centre is nearest, clamped to the image.
     fn nearest_pixel(&self, pixel: DVec2) -> (i64, i64) {
-        let (w, h) = (i64::from(self.frame.images.width), i64::from(self.frame.images.height));
-        (((pixel.x + 0.5) as i64).min(w - 1), ((pixel.y + 0.5) as i64).min(h - 1))
+        self.frame.sampler.nearest_pixel(pixel)
     }
 
     fn moves(&self, pixel: DVec2) -> bool {
@@ -483,7 +491,7 @@ impl<'a> Judge<'a> {
     }
 
     /// Whatever may hide samples of a point or a patch, one by one: by tiles, unless these would serve very few.
-    fn space_at_samples(&mut self, left: Range<usize>, own: &Own<'_>) {
+    pub(super) fn space_at_samples(&mut self, left: Range<usize>, own: &Own<'_>) {
         const VERY_FEW: usize = 9;
         let mut farthest: HashMap<u32, f64> = HashMap::new();
         for open in self.open[left.clone()].iter().filter(|o| o.by.is_none()) {
@@ -543,4 +551,9 @@ impl<'a> Judge<'a> {
             self.hide_sample(i, own);
         }
     }
+}
+
+/// True of what has an area in the image.
+fn is_area(shape: &FeatureShape) -> bool {
+    matches!(shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. })
 }

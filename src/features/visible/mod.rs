@@ -18,6 +18,7 @@
 //! depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane says nothing about
 //! places that the polygon does not cover.
 
+mod area;
 mod frame;
 mod judge;
 mod known;
@@ -62,7 +63,8 @@ pub struct FeatureOptions {
     /// How visibility is decided.
     pub visibility: Visibility,
     /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. The finer, the nearer are visible
-    /// fractions to the truth, and the longer it takes.
+    /// fractions to the truth, and the longer it takes. Of a patch that covers more than 1,024 pixels the pixels are the samples, unless
+    /// rays decide.
     pub step: f64,
 }
 

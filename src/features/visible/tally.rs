@@ -39,7 +39,7 @@ impl Tally {
         let goes_on = self.last.is_some_and(|(last, _)| last == state);
         let at = match self.last {
             Some((_, at)) if goes_on => at,
-            _ => self.by_state.iter().position(|s| s.0 == state).unwrap_or_else(|| {
+            _ => self.by_state.iter().rposition(|s| s.0 == state).unwrap_or_else(|| {
                 self.by_state.push((state, [0.0; 2]));
                 self.by_state.len() - 1
             }),
@@ -87,6 +87,29 @@ impl Tally {
         }
     }
 
+    /// Takes several pixels of a patch at once.
+    pub fn take_pixels(&mut self, state: State, count: usize) {
+        let more = count as f64;
+        let add = |sum: &mut [f64; 2]| sum.iter_mut().for_each(|s| *s += more);
+        // What was there last comes again soonest.
+        match self.by_state.iter_mut().rev().find(|(known, _)| *known == state) {
+            Some((_, sum)) => add(sum),
+            None => self.by_state.push((state, [more; 2])),
+        }
+        if !matches!(state, State::Hidden(reason, _) if reason.is_outside()) {
+            add(&mut self.inside);
+        }
+        if state == State::Seen {
+            add(&mut self.seen);
+        }
+    }
+
+    /// A pixel in which it is seen.
+    pub fn reach(&mut self, pixel: DVec2) {
+        let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
+        self.bounds = Some([low.min(pixel), high.max(pixel)]);
+    }
+
     /// Keeps a place that is seen if it is the nearest so far.
     pub fn see_at(&mut self, at: DVec3) {
         let squared = at.length_squared();
@@ -98,8 +121,7 @@ impl Tally {
     fn see(&mut self, frame: &Frame<'_>, sample: &Sample) {
         self.see_at(sample.at);
         let pixel = sample.pixel;
-        let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
-        self.bounds = Some([low.min(pixel), high.max(pixel)]);
+        self.reach(pixel);
         if frame.options.feature_id {
             self.mark(frame, pixel);
         }
@@ -107,9 +129,8 @@ impl Tally {
 
     /// The pixel is one in which it shows.
     pub fn mark(&mut self, frame: &Frame<'_>, pixel: DVec2) {
-        let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
-        let inside = |x: f64, n: i64| ((x + 0.5) as i64).min(n - 1);
-        let at = (inside(pixel.y, h) * w + inside(pixel.x, w)) as u32;
+        let (column, row) = frame.sampler.nearest_pixel(pixel);
+        let at = (row * i64::from(frame.images.width) + column) as u32;
         if self.pixels.last() != Some(&at) {
             self.pixels.push(at);
         }
