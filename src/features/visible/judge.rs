@@ -513,13 +513,9 @@ impl<'a> Judge<'a> {
                 self.tiles.leaf(self.frame, &mut self.faces, open.at, farthest)
             });
             leaf = Some(here);
-            for candidate in self.tiles.candidates(here, open.at.abs().max_element(), own, &self.faces) {
-                if candidate.inverse.dot(open.at) > 1.0 {
-                    let known = &self.faces.known[candidate.face as usize];
-                    if !own.holds(known.slot) {
-                        open.hide_by(known, &self.faces, own.rounding);
-                    }
-                }
+            let at = [open.at];
+            for known in self.tiles.between(here, &at, own, &self.faces) {
+                open.hide_by(known, &self.faces, own.rounding);
             }
         }
     }

@@ -18,7 +18,7 @@ pub(super) struct Known {
     /// Error of that product, for a unit of the point's range, and for a unit of the product; infinite where nothing is
     /// known of the distance.
     off: [f64; 2],
-    /// First edge plane, and how many.
+    /// First edge plane and corner, and how many.
     edges: (u32, u32),
     /// The last feature that asked for it.
     pub asked: u32,
@@ -66,13 +66,20 @@ pub(super) struct Faces {
     at: Vec<u32>,
     pub known: Vec<Known>,
     planes: Vec<DVec3>,
+    corners: Vec<DVec3>,
     face: Face,
 }
 
 impl Faces {
     pub fn new(frame: &Frame<'_>) -> Self {
         let at = vec![0; frame.environment.slot_count() as usize];
-        Self { at, known: Vec::with_capacity(256), planes: Vec::with_capacity(1024), face: Face::default() }
+        Self {
+            at,
+            known: Vec::with_capacity(256),
+            planes: Vec::with_capacity(1024),
+            corners: Vec::with_capacity(1024),
+            face: Face::default(),
+        }
     }
 
     /// The polygon of a slot; `None` if there is none.
@@ -97,6 +104,7 @@ impl Faces {
         let facing = frame.facings[usize::from(mesh.material(polygon))];
         let first = self.planes.len() as u32;
         self.planes.extend(face.edges.iter().map(|e| e.plane));
+        self.corners.extend_from_slice(&face.corners);
         self.known.push(Known {
             slot,
             covers: facing.opaque && (!facing.one_sided || face.distance < 0.0) && !face.edge_on(),
@@ -116,6 +124,12 @@ impl Faces {
     pub fn planes_of(&self, known: &Known) -> &[DVec3] {
         let (first, count) = known.edges;
         &self.planes[first as usize..(first + count) as usize]
+    }
+
+    /// Corners, image frame.
+    pub fn corners_of(&self, known: &Known) -> &[DVec3] {
+        let (first, count) = known.edges;
+        &self.corners[first as usize..(first + count) as usize]
     }
 
     /// True if a point's ray is in the polygon's cone.

@@ -168,14 +168,8 @@ impl Judge<'_> {
                 let leaf = self.tiles.leaf(self.frame, &mut self.faces, part.middle(start).0, farthest);
                 let end = end_in(part, self.tiles.square(leaf), start..whole_end);
                 let stretch = Stretch::new(part, start..end, ranges, own.rounding());
-                let [p, q] = stretch.ends;
-                let reach = p.abs().max_element().max(q.abs().max_element());
-                for candidate in self.tiles.candidates(leaf, reach, own, &self.faces) {
-                    if !(candidate.inverse.dot(p) > 1.0 || candidate.inverse.dot(q) > 1.0) {
-                        continue;
-                    }
-                    let known = &self.faces.known[candidate.face as usize];
-                    if !own.holds(known.slot) && !stretch.hide(known, self.faces.planes_of(known), by) {
+                for known in self.tiles.between(leaf, &stretch.ends, own, &self.faces) {
+                    if !stretch.hide(known, self.faces.planes_of(known), by) {
                         return false;
                     }
                 }

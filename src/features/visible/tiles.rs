@@ -13,7 +13,7 @@ use glam::DVec3;
 use std::collections::HashMap;
 
 /// About how wide the tiles are for which the index is asked, pixels.
-const PIXELS: f64 = 64.0;
+const PIXELS: f64 = 128.0;
 /// Most of them along a side of the cube: their numbers fit in 32 bits.
 const MAX_ACROSS: f64 = 16_384.0;
 /// How far a tile reaches over its sides, in coordinates on the cube: places between two in a tile may be out of it by
@@ -25,20 +25,62 @@ const FARTHER: f64 = 1.25;
 const FEW: usize = 6;
 /// .. this often at most ..
 const MOST_LEVELS: u32 = 4;
-/// .. when it was asked for so often: about as much work as quartering it.
-const OFTEN: u32 = 64;
+/// .. when it was asked for so often: earlier it cost more than it saved (benches/features.rs).
+const OFTEN: u32 = 256;
 /// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
 const BEHIND: f64 = 1e-6;
 /// No tile.
 const NONE: u32 = u32::MAX;
 
-/// A polygon that covers a ray of the tile.
+/// A polygon that covers a ray of the tile. What most are passed over by stands beside its number.
 #[derive(Clone, Copy)]
-pub(super) struct Candidate {
-    /// n / d, beside its number: most are passed over by it alone.
-    pub inverse: DVec3,
+struct Candidate {
+    /// Where it is on the tile's side of the cube: least and greatest of both coordinates.
+    bounds: Bounds,
+    /// n / d.
+    inverse: DVec3,
     /// Number among the faces.
-    pub face: u32,
+    face: u32,
+}
+
+impl Candidate {
+    fn new(faces: &Faces, face: u32, square: &Square) -> Self {
+        let known = &faces.known[face as usize];
+        let bounds = Bounds::of(faces.corners_of(known), square);
+        Self { bounds, inverse: known.inverse, face }
+    }
+}
+
+/// A box on a side of the cube: x0, x1, y0, y1.
+#[derive(Clone, Copy, Debug)]
+struct Bounds([f32; 4]);
+
+impl Bounds {
+    /// How far beyond its corners a polygon may still cover something, by rounding.
+    const SLACK: f32 = 1e-6;
+
+    /// Around places; all of the side if one of them is not before it.
+    fn of(places: &[DVec3], square: &Square) -> Self {
+        let mut bounds = [f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY];
+        for place in places {
+            let [x, y, z] = square.coordinates(*place);
+            if !(z > 0.0) {
+                return Self([f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY]);
+            }
+            // All tiles are within 1.
+            let [x, y] = [x, y].map(|x| (x / z).clamp(-2.0, 2.0) as f32);
+            let [x0, x1, y0, y1] = bounds;
+            bounds = [x0.min(x), x1.max(x), y0.min(y), y1.max(y)];
+        }
+        let [x0, x1, y0, y1] = bounds;
+        Self([x0 - Self::SLACK, x1 + Self::SLACK, y0 - Self::SLACK, y1 + Self::SLACK])
+    }
+
+    #[inline]
+    fn meets(&self, other: &Self) -> bool {
+        let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (self.0, other.0);
+        (a0 <= b1) & (b0 <= a1) & (a2 <= b3) & (b2 <= a3)
+    }
 }
 
 /// Tiles of the cube [-1, 1]^3 around the sensor, image axes: what lies between two places in a tile lies in it.
@@ -135,8 +177,9 @@ impl Tile {
     }
 
     /// A tile of some polygons, of which it takes those that cover a ray of it.
-    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = u32>) -> Self {
+    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = Candidate>) -> Self {
         let corners = square.corners();
+        let bounds = Bounds::of(&corners, &square);
         let mut tile = Self {
             square,
             level: 0,
@@ -150,8 +193,8 @@ impl Tile {
             most_behind: 0.0,
         };
         let mut nearest: Option<(f64, [f64; 4], u32)> = None;
-        for face in some {
-            let known = &faces.known[face as usize];
+        for candidate in some.filter(|c| c.bounds.meets(&bounds)) {
+            let known = &faces.known[candidate.face as usize];
             let (mut beside, mut covers) = (false, true);
             for e in faces.planes_of(known) {
                 let inside = corners.map(|c| e.dot(c) >= 0.0);
@@ -165,10 +208,10 @@ impl Tile {
             if covers && is_sharp(known, radius) {
                 let least = at.into_iter().fold(f64::INFINITY, f64::min);
                 if nearest.is_none_or(|n| least > n.0) {
-                    nearest = Some((least, at, face));
+                    nearest = Some((least, at, candidate.face));
                 }
             }
-            tile.candidates.push(Candidate { inverse: known.inverse, face });
+            tile.candidates.push(candidate);
         }
         let Some((_, cover_at, cover)) = nearest else { return tile };
         tile.cover = cover;
@@ -254,30 +297,36 @@ impl Tiles {
         &self.tiles[tile as usize].square
     }
 
-    /// Polygons that may hide something of a feature in a smallest tile, no farther than `reach`, the greatest coordinate of
-    /// it there.
-    pub fn candidates<'s>(
+    /// Polygons that may hide what lies between some places of a smallest tile: those that are nearer than one of them, meet
+    /// the box around them, and are not the feature's own.
+    pub fn between<'s>(
         &'s self,
         leaf: u32,
-        reach: f64,
+        places: &'s [DVec3],
         own: &'s Own<'_>,
         faces: &'s Faces,
-    ) -> impl Iterator<Item = &'s Candidate> + use<'s> {
+    ) -> impl Iterator<Item = &'s Known> + use<'s> {
         let around = std::iter::successors(Some(leaf), |tile| {
             let parent = self.tiles[*tile as usize].parent;
             (parent != NONE).then_some(parent)
         });
+        let leaf = &self.tiles[leaf as usize];
+        let bounds = Bounds::of(places, &leaf.square);
+        let reach = places.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
         let behind = around
             .map(|tile| &self.tiles[tile as usize])
             .filter(move |tile| reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot));
-        self.tiles[leaf as usize].candidates.iter().chain(behind.flat_map(|tile| &tile.behind))
+        let all = leaf.candidates.iter().chain(behind.flat_map(|tile| &tile.behind));
+        all.filter(move |c| c.bounds.meets(&bounds) && places.iter().any(|p| c.inverse.dot(*p) > 1.0))
+            .map(|c| &faces.known[c.face as usize])
+            .filter(|known| !own.holds(known.slot))
     }
 
     fn quarter(&mut self, faces: &Faces, whole: u32) {
         let first = self.tiles.len() as u32;
         for number in 0..4 {
             let tile = &self.tiles[whole as usize];
-            let some = tile.candidates.iter().map(|c| c.face);
+            let some = tile.candidates.iter().copied();
             let part = Tile::new(tile.square.quarter(number), tile.radius, faces, some);
             let part = Tile { level: tile.level + 1, parent: whole, ..part };
             self.tiles.push(part);
@@ -298,8 +347,9 @@ impl Tiles {
         frame.world.index().query(frame.environment, &region, &mut self.found);
         let some: Vec<u32> =
             self.found.all().filter_map(|slot| faces.of_slot(frame, slot)).map(|face| face as u32).collect();
+        let faces = &*faces;
         let some = some.into_iter().filter(|face| faces.known[*face as usize].covers);
-        Tile::new(square, radius, faces, some)
+        Tile::new(square, radius, faces, some.map(|face| Candidate::new(faces, face, &square)))
     }
 }
 
