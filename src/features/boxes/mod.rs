@@ -80,7 +80,12 @@ pub fn add_boxes(
     let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
     let features = prediction.features.par_iter_mut().zip(placed).with_min_len(64);
     features.for_each_init(Room::default, |room, (seen, placed)| {
-        if let Some(uncertain) = frame.prepare(seen, placed, room) {
+        // What is not seen is not looked for.
+        if seen.visible.is_empty() {
+            return;
+        }
+        let uncertain = frame.uncertain(placed);
+        if frame.prepare(seen, &uncertain, room) {
             set(seen, room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method));
         }
     });
@@ -149,18 +154,13 @@ impl<'a> BoxFrame<'a> {
         }
     }
 
-    /// Gives a feature its covariances, and lists the points that its box is to hold. The feature's errors, if it has any to be looked for:
-    /// what is not seen is not.
-    pub fn prepare(&self, seen: &mut SeenFeature, placed: &PlacedFeature, room: &mut Room) -> Option<Uncertain> {
-        if seen.visible.is_empty() {
-            return None;
-        }
+    /// Gives a feature that is seen its covariances, and lists the points that its box is to hold; false if there are none.
+    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &Uncertain, room: &mut Room) -> bool {
         let Room { points, finder } = room;
-        let uncertain = self.uncertain(placed);
         points::defining(&seen.feature.shape, points);
-        seen.image_covariance = finder.covariances(&self.image, &uncertain, points);
-        points::seen(&self.image, &uncertain, seen, points);
-        (!points.is_empty()).then_some(uncertain)
+        seen.image_covariance = finder.covariances(&self.image, uncertain, points);
+        points::seen(&self.image, uncertain, seen, points);
+        !points.is_empty()
     }
 }
 

@@ -105,7 +105,7 @@ impl Passing {
         self.join(level.tails);
         let within = |k: f64| k.clamp(level.lowest, level.highest);
         // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
-        let before = self.passed(0.0, level.tails).ln() - level.wanted;
+        let before = self.passed_first().ln() - level.wanted;
         let k = within(level.first + before / level.hazard);
         let step = k - level.first;
         if step.abs() < 1e-6 {
@@ -223,15 +223,21 @@ impl Passing {
         }
     }
 
-    /// At most this probability that any side is passed, with the common number of standard deviations so much higher.
+    /// At most this probability that any side is passed at the level's first number of standard deviations.
+    fn passed_first(&self) -> f64 {
+        let alone: f64 = self.events.iter().map(|e| e.tail).sum();
+        let joint: f64 = self.parents.iter().filter(|p| p.apart >= 0.0).map(|p| p.joint).sum();
+        (alone - joint).max(f64::MIN_POSITIVE)
+    }
+
+    /// The same with the common number of standard deviations so much higher.
     fn passed(&mut self, more: f64, tails: &Tails) -> f64 {
         self.reach.clear();
         for e in &self.events {
             let deviations = (e.deviations + more * e.rate).max(0.0);
             // Those that make a side are all as far.
             let known = self.reach.iter().find(|r| r.0 == deviations).map(|r| r.1);
-            let tail = if more == 0.0 { e.tail } else { known.unwrap_or_else(|| tails.tail(deviations)) };
-            self.reach.push((deviations, tail));
+            self.reach.push((deviations, known.unwrap_or_else(|| tails.tail(deviations))));
         }
         let mut sum = 0.0;
         for (reach, parent) in self.reach.iter().zip(&self.parents) {

@@ -38,9 +38,9 @@ impl Seen {
 
     /// Covariance of column and row, pixels squared.
     pub fn covariance(&self) -> [[f64; 2]; 2] {
-        let [a, b] = &self.slopes;
-        let (uu, uv, vv) = (dot(a, a), dot(a, b), dot(b, b));
-        [[uu, uv], [uv, vv]]
+        let [a, b] = self.sigma;
+        let across = dot(&self.slopes[0], &self.slopes[1]);
+        [[a * a, across], [across, b * b]]
     }
 
     /// How far towards a side it is at so many standard deviations.

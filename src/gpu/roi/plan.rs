@@ -100,7 +100,14 @@ impl RoiPlan {
         };
         let mut room = Room::default();
         for (i, (seen, placed)) in prediction.features.iter_mut().zip(placed).enumerate() {
-            let Some(uncertain) = frame.prepare(seen, placed, &mut room) else { continue };
+            // What is not seen is not looked for.
+            if seen.visible.is_empty() {
+                continue;
+            }
+            let uncertain = frame.uncertain(placed);
+            if !frame.prepare(seen, &uncertain, &mut room) {
+                continue;
+            }
             if known.is_some() && self.add(frame, &uncertain, &room.points) {
                 self.on_device.push(i as u32);
             } else {
