@@ -26,8 +26,10 @@ use std::process::ExitCode;
 
 /// Predicts what a robot's sensors should see.
 ///
-/// presight reads a polygonal 3D model (glTF 2.0), takes a sensor at a pose, and answers with exact images: range,
-/// which polygon and which object each pixel sees, and at which reflection angle.
+/// presight reads a polygonal 3D model (glTF 2.0, a scene script or a stored environment), takes a sensor at a pose, and
+/// answers with exact images: range, which polygon and which object each pixel sees, and at which reflection angle.
+///
+/// SCENE is a .glb or .gltf file, a script (.rhai) or a store (.presight), in every command.
 #[derive(Debug, Parser)]
 #[command(name = "presight", version, max_term_width = 100, after_help = EXAMPLES)]
 struct Cli {
@@ -45,7 +47,7 @@ const EXAMPLES: &str = "Examples:
   presight env create hall.presight hall.glb    keep a model, and every change to it
 
 Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
-3 no device for the asked backend, 4 the system refused.";
+3 no device for the asked backend, 4 the system refused (disk full, locked, permission).";
 
 #[derive(Debug, Subcommand)]
 enum Command {

@@ -4,6 +4,7 @@ pub mod atomic;
 pub mod camera_info;
 pub mod corridor;
 pub mod exr;
+pub(crate) mod file;
 pub mod gltf;
 pub mod layer;
 mod load;

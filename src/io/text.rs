@@ -1,19 +1,19 @@
 //! What the readers of our own text files share: bounded reading, the format number, errors with the line.
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::io::file;
 use crate::limits;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 /// The newest version of the TOML files that this build reads; there is no older one.
 pub(crate) const FORMAT: i64 = 1;
 
-/// A whole file as text.
+/// A whole file as text, or what a pipe gives that this process was given.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    let mut file = File::open(path).map_err(|e| Error::io(path, "open it", e))?;
+    let mut file = file::open_or_given(path)?;
     let mut bytes = Vec::new();
     file.by_ref()
         .take(limits::MAX_FILE_BYTES + 1)
@@ -23,11 +23,7 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
         return Err(Error::invalid("the file is too large", format!("give at most {} bytes", limits::MAX_FILE_BYTES))
             .in_file(path));
     }
-    // Editors on Windows put a byte order mark before the text; it says nothing that UTF-8 would need.
-    if bytes.starts_with("\u{feff}".as_bytes()) {
-        bytes.drain(..3);
-    }
-    String::from_utf8(bytes).map_err(|e| {
+    String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         Error::invalid(format!("byte {} is not UTF-8", e.utf8_error().valid_up_to()), "save the file as UTF-8 text")
             .in_file(path)
     })

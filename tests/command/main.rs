@@ -555,3 +555,41 @@ fn doctor_lists_engines_and_says_which_is_used() {
     let looks_for_drivers = cfg!(all(feature = "gpu", target_os = "linux"));
     assert_eq!(outcome.stdout.contains("VK_DRIVER_FILES=/nonexistent is set"), looks_for_drivers, "{}", outcome.stdout);
 }
+
+/// A pipe that nobody writes to is refused, not waited for.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused() {
+    let place = Place::new();
+    for name in ["pipe.glb", "pipe.gltf", "pipe.presight", "pipe.rhai", "pipe.json", "wall.materials.toml"] {
+        assert!(std::process::Command::new("mkfifo").arg(place.path(name)).status().unwrap().success());
+    }
+    let pose = "--sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu";
+    let mut lines: Vec<String> = ["glb", "gltf", "presight", "rhai"].map(|e| format!("inspect pipe.{e}")).to_vec();
+    lines.extend(["inspect wall.glb".to_owned(), "inspect /dev/zero".to_owned()]);
+    for line in &lines {
+        let outcome = place.run(line);
+        assert_eq!((outcome.status, outcome.stdout.as_str()), (Some(1), ""), "{line}: {}", outcome.stderr);
+        assert!(
+            outcome.stderr.contains("no file") || outcome.stderr.contains("not a file"),
+            "{line}: {}",
+            outcome.stderr
+        );
+    }
+    fs::remove_file(place.path("wall.materials.toml")).unwrap();
+    let outcome = place.run(&format!("predict wall.glb {pose} --layer pipe.json"));
+    assert!(outcome.status == Some(1) && outcome.stderr.contains("pipe.json: this is a pipe"), "{}", outcome.stderr);
+    // One that this process was given is read.
+    let layer = r#"{"format": 1, "class": "laser", "features": [{"id": 1, "kind": "point", "points": [[2, 0, 1]]}]}"#;
+    let mut command = Command::cargo_bin("presight").unwrap();
+    let args = format!("predict wall.glb {pose} --layer /dev/stdin --features f.json");
+    command.current_dir(place.folder.path()).args(args.split(' ')).write_stdin(layer).assert().success();
+}
+
+#[test]
+fn help_tells_what_a_scene_is() {
+    let place = Place::new();
+    let help = place.done("--help");
+    assert!([".glb", ".rhai", ".presight"].iter().all(|kind| help.contains(kind)), "{help}");
+    assert!(help.contains("locked"), "{help}");
+}

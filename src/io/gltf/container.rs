@@ -1,7 +1,9 @@
 //! From a path to the JSON text and the bytes of every buffer.
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::io::file;
 use crate::limits;
+use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
 /// "glTF", little-endian.
@@ -17,12 +19,10 @@ pub(super) struct Container<'a> {
     pub bin: Option<&'a [u8]>,
 }
 
-/// Reads a whole file, refusing folders and what is over the limit.
+/// Reads a whole file, refusing what is none and what is over the limit.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
-    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the file", e))?;
-    if metadata.is_dir() {
-        return Err(Error::invalid("this is a folder, not a file", "name the .glb or .gltf file in it").in_file(path));
-    }
+    let mut file = file::open(path)?;
+    let metadata = file.metadata().map_err(|e| Error::io(path, "open it", e))?;
     if metadata.len() > limits::MAX_FILE_BYTES {
         return Err(Error::invalid(
             format!("the file has {} bytes, {} are the limit", metadata.len(), limits::MAX_FILE_BYTES),
@@ -30,7 +30,9 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
         )
         .in_file(path));
     }
-    std::fs::read(path).map_err(|e| Error::io(path, "read the file", e))
+    let mut bytes = Vec::with_capacity(usize::try_from(metadata.len()).unwrap_or(0));
+    file.read_to_end(&mut bytes).map_err(|e| Error::io(path, "read it", e))?;
+    Ok(bytes)
 }
 
 /// Splits a .glb into its chunks; a .gltf is its own JSON text.
