@@ -109,6 +109,18 @@ impl Feature {
         self.check_normal()
     }
 
+    /// That a fiducial is of one of OpenCV's dictionaries. It is asked of what is new: stores may hold others from before it
+    /// was.
+    pub(crate) fn check_dictionary(&self) -> Result<()> {
+        match &self.shape {
+            FeatureShape::Fiducial { family, .. } if codes_of(family).is_none() => {
+                let place = format!("family {family:?}");
+                Err(Error::invalid("OpenCV has no such dictionary", FAMILY).at(place))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn check_existence(&self) -> Result<()> {
         let e = &self.existence;
         check_share("existence probability", e.p0)?;
@@ -283,21 +295,23 @@ fn check_fiducial(corners: &[DVec3; 4]) -> Result<()> {
 }
 
 fn check_family(family: &str, code: u32) -> Result<()> {
-    let most = FAMILIES.iter().find(|(name, _)| *name == family).map(|(_, count)| *count);
     let place = || format!("family {family:?}");
-    match most {
+    match codes_of(family) {
         Some(count) if code >= count => {
             let remedy = "give its number in the dictionary";
             Err(Error::invalid(format!("code {code} is not among its {count}"), remedy).at(place()))
         }
-        // Other libraries' families are free names.
-        None if family.is_empty() || family.starts_with("DICT_") => Err(Error::invalid(
-            "OpenCV has no such dictionary",
-            "write it as OpenCV does, such as \"DICT_APRILTAG_36h11\"",
-        )
-        .at(place())),
+        None if family.is_empty() => Err(Error::invalid("it has no name", FAMILY).at(place())),
         _ => Ok(()),
     }
+}
+
+/// How to name a family.
+const FAMILY: &str = "write OpenCV's name of the dictionary, such as \"DICT_APRILTAG_36h11\"";
+
+/// Codes in one of OpenCV's dictionaries.
+fn codes_of(family: &str) -> Option<u32> {
+    FAMILIES.iter().find(|(name, _)| *name == family).map(|(_, count)| *count)
 }
 
 fn rows(m: &DMat3) -> [[f64; 3]; 3] {

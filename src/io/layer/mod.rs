@@ -31,7 +31,7 @@
 //! | `covariances` | segments: one for each end |
 //! | `cross_covariance` | segments: of the first end with the second |
 //! | `existence`, `confirmed`, `rate` | p(t) = existence exp(-rate (t - confirmed)); 1, 0 and 0 if absent; UTC seconds |
-//! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit, of the surface), `family` and `code` of a fiducial |
+//! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit, of the surface), `family` and `code` of a fiducial: OpenCV's name of the dictionary, and the number in it |
 //! | `remove` | `true`: of layers read before, the feature of this id is dropped; nothing else is given then |
 //!
 //! Absent covariances are zero. `tolerance` (metres, default 0.001) is how far a feature of this file may be off the polygons

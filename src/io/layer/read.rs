@@ -55,7 +55,11 @@ pub fn parse(text: &str) -> Result<LayerFile> {
             let what = format!("features[{first}] has this id already");
             return Err(Error::invalid(what, "give each feature an id that was never used").at(place()));
         }
-        match entry.feature(layer.tolerance).map_err(|e| e.at(place()))? {
+        let new = entry.feature(layer.tolerance).and_then(|new| {
+            new.as_ref().map_or(Ok(()), Feature::check_dictionary)?;
+            Ok(new)
+        });
+        match new.map_err(|e| e.at(place()))? {
             Some(feature) => layer.features.push(feature),
             None => removed.push(id),
         }

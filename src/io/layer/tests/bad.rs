@@ -155,7 +155,15 @@ const FEATURES: &[(&str, &str)] = &[
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "DICT_8X8_50", "code": 1}}"#,
+        "(id 1): family \"DICT_8X8_50\": OpenCV has no such dictionary",
+    ),
+    (
+        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "apriltag 36h11", "code": 1}}"#,
         "OpenCV has no such dictionary",
+    ),
+    (
+        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "", "code": 1}}"#,
+        "family \"\"",
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1, "normal": [0, 1, 0]}}"#,

@@ -85,7 +85,7 @@ fn whole_numbers_may_be_written_with_a_fraction_of_nothing() {
     let text = r#"{"format": 1.0, "class": "video", "features": [
         {"id": 2e0, "kind": "point", "points": [[0, 0, 0]]}, {"id": 4294967295.0, "remove": true},
         {"id": 3.0, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]],
-         "properties": {"family": "x", "code": 17.0}}]}"#;
+         "properties": {"family": "DICT_4X4_50", "code": 17.0}}]}"#;
     assert!(fits_ours(text));
     let file = parse(text).unwrap();
     assert_eq!((file.layer.features[0].id, file.removed.as_slice()), (2, [u32::MAX].as_slice()));
@@ -130,6 +130,7 @@ fn wrong_types_and_ranges_do_not_fit() {
         point(r#", "properties": {"strength": 2}"#),
         point(r#", "properties": {"normal": [1, 0]}"#),
         point(r#", "properties": {"family": "x", "code": 1}"#),
+        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#.to_owned(),
         point(r#", "properties": {"direction": 1}"#),
         point(r#", "colour": "red""#),
         // Lists of values in the order of the keys are no objects.
