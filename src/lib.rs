@@ -53,6 +53,7 @@ pub mod gpu;
 pub mod index;
 pub mod io;
 pub mod limits;
+pub mod placement;
 pub mod plan;
 mod predict;
 pub mod probe;

@@ -67,11 +67,13 @@ pub enum ProblemKind {
     EmptyMesh,
     /// Something that moves or multiplies geometry and is not followed: skins, morph targets, instancing extensions.
     IgnoredFeature,
+    /// A feature of the scene's own layers whose surface was moved or deleted: left out of predictions.
+    LostFeature,
 }
 
 impl ProblemKind {
     /// All kinds, in the order of reports.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::DegenerateTriangle,
         Self::DuplicateFace,
         Self::NonManifoldEdge,
@@ -83,6 +85,7 @@ impl ProblemKind {
         Self::LeftoverIndices,
         Self::EmptyMesh,
         Self::IgnoredFeature,
+        Self::LostFeature,
     ];
 
     /// In words, for many of it.
@@ -99,6 +102,7 @@ impl ProblemKind {
             Self::LeftoverIndices => "primitives with leftover indices (left out)",
             Self::EmptyMesh => "objects without polygons (left out)",
             Self::IgnoredFeature => "features not followed",
+            Self::LostFeature => "features that lie on no polygon any more (left out of predictions)",
         }
     }
 }

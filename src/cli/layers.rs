@@ -13,6 +13,7 @@ use crate::features::{
 use crate::geometry::Pose;
 use crate::io::layer::LayerFile;
 use crate::io::{layer, prediction_json};
+use crate::placement::{self, Placement};
 use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
 use crate::predict::{Prediction, Predictor};
 use crate::sensor::Sensor;
@@ -73,6 +74,8 @@ impl Asked {
 /// Features placed in a world, ready to be predicted.
 pub struct Layers {
     placed: Vec<PlacedFeature>,
+    /// Sensor class, and numbers of the scene's own features that lie on no polygon any more.
+    lost: (String, Vec<u32>),
     options: FeatureOptions,
     boxes: BoxOptions,
     /// Something shows the boxes, or only they were asked for.
@@ -155,7 +158,7 @@ impl LayerArgs {
             let n = loaded.other_classes;
             print::message(&format!("note: {n} features are for other classes than {class:?} and left out"));
         }
-        let (placed, objects) = place_all(scene, &loaded.layers)?;
+        let (Placement { placed, off }, objects) = place_all(scene, &loaded.layers)?;
         let feature_id = asked.feature_id();
         let options = FeatureOptions { time: self.time, ids, feature_id, ..FeatureOptions::default() };
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
@@ -169,7 +172,7 @@ impl LayerArgs {
         // An image of numbers and the answer of a virtual sensor are made without boxes.
         let only_without = (feature_id || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
         let boxed = self.features.is_some() || asked.preview || !only_without;
-        Ok(Some(Layers { placed, options, boxes, boxed }))
+        Ok(Some(Layers { placed, lost: (class.clone(), off), options, boxes, boxed }))
     }
 
     /// Writes the prediction's file, if one is asked for.
@@ -196,19 +199,27 @@ impl LayerArgs {
 /// Covariances of objects' poses, by index.
 type ObjectPoses = Vec<(u32, PoseCovariance)>;
 
-/// Finds where the features of each layer lie, by that layer's tolerance, and what is known of objects' poses. Errors name
-/// the layer's file; of the scene's own layer that is the scene's.
-fn place_all(scene: &Scene, layers: &[LayerFile]) -> Result<(Vec<PlacedFeature>, ObjectPoses)> {
-    let (mut placed, mut objects) = (Vec::new(), ObjectPoses::new());
+/// Finds where the features of each layer lie, by that layer's tolerance, and what is known of objects' poses. Features of the
+/// scene's own layer may have lost their surface since they were put in, and are set apart; those of a file are to be right.
+/// Errors name the layer's file; of the scene's own layer that is the scene's.
+fn place_all(scene: &Scene, layers: &[LayerFile]) -> Result<(Placement, ObjectPoses)> {
+    let (mut all, mut objects) = (Placement::default(), ObjectPoses::new());
     for LayerFile { layer, path, .. } in layers {
         let in_file = |e: Error| e.in_file(path.as_ref().unwrap_or(&scene.path));
-        placed.extend(place(&scene.world, layer).map_err(in_file)?);
+        match path {
+            Some(_) => all.placed.extend(place(&scene.world, layer).map_err(in_file)?),
+            None => {
+                let Placement { placed, off } = placement::find(&scene.world, layer).map_err(in_file)?;
+                all.placed.extend(placed);
+                all.off.extend(off);
+            }
+        }
         for (object, covariance) in &layer.pose_covariances {
             objects.push((scene.world.environment().index_of(object).map_err(in_file)?, *covariance));
         }
     }
-    placed.sort_by_key(|p| p.feature.id);
-    Ok((placed, objects))
+    all.placed.sort_by_key(|p| p.feature.id);
+    Ok((all, objects))
 }
 
 impl Layers {
@@ -227,6 +238,24 @@ impl Layers {
         Ok(predictor.on_threads(predict)??.features)
     }
 
+    /// What is to be known of features that are left out because nothing is under them.
+    fn tell_lost(&self, stats: &mut Stats) {
+        const LISTED: usize = 10;
+        let (class, lost) = &self.lost;
+        if lost.is_empty() {
+            return;
+        }
+        stats.count("features off their polygons", lost.len());
+        let mut ids: Vec<String> = lost.iter().take(LISTED).map(u32::to_string).collect();
+        ids.extend((lost.len() > LISTED).then(|| "..".to_owned()));
+        let (count, ids) = (lost.len(), ids.join(", "));
+        let subject = if count == 1 { "1 feature".to_owned() } else { format!("{count} features") };
+        stats.notices.push(format!(
+            "{subject} for class {class:?} left out: the surface below is gone ({ids}); alter or delete them, or put back what \
+             was moved; presight inspect tells more"
+        ));
+    }
+
     /// Predicts them from images just made, notes what it cost, and puts `feature_id` among the images.
     pub fn predict(
         &self,
@@ -240,6 +269,7 @@ impl Layers {
         let (world, placed) = (&scene.world, &self.placed);
         let mut features = predictor.predict_features(world, sensor, pose, images, placed, &self.options, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
+        self.tell_lost(stats);
         if self.boxed {
             predictor.add_boxes(&mut features, placed, world, sensor, pose, &self.boxes, stats)?;
         } else {

@@ -20,6 +20,7 @@ pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 pub(crate) use normal::{TAIL_STEPS, Tails};
 pub(crate) use place::lies_on;
 pub use place::place;
+pub(crate) use place::place_lying;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;

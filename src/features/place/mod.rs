@@ -73,13 +73,22 @@ enum Lie {
 /// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that is not there, or a
 /// feature that is anywhere off its polygons by more than the layer's tolerance, with the distance.
 pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
-    layer.check()?;
-    let environment = world.environment();
-    for (object, _) in &layer.pose_covariances {
-        environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
-    }
-    let mut finder = Finder { world, environment, tolerance: layer.tolerance, found: Found::default() };
+    let mut finder = Finder::new(world, layer)?;
     layer.features.iter().map(|feature| finder.place(feature).map_err(|e| e.at(name_of(feature)))).collect()
+}
+
+/// As [`place`], but features that cannot be placed are left out; their numbers are the second answer.
+pub(crate) fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
+    let mut finder = Finder::new(world, layer)?;
+    let (mut placed, mut off) = (Vec::with_capacity(layer.features.len()), Vec::new());
+    for feature in &layer.features {
+        match finder.lie(feature) {
+            Ok((frame, Lie::On(slots))) => placed.push(frame.placed(feature, slots)),
+            // How far off it is takes a search of its own.
+            _ => off.push(feature.id),
+        }
+    }
+    Ok((placed, off))
 }
 
 fn name_of(feature: &Feature) -> String {
@@ -105,6 +114,11 @@ struct Frame<'a> {
 }
 
 impl Frame<'_> {
+    fn placed(&self, feature: &Feature, mut slots: Vec<u32>) -> PlacedFeature {
+        slots.sort_unstable();
+        PlacedFeature { feature: feature.clone(), object: self.object.map(|(_, index)| index), slots }
+    }
+
     fn to_world(&self, p: DVec3) -> DVec3 {
         self.object.map_or(p, |(o, _)| o.world_from_object.transform_point(p))
     }
@@ -133,7 +147,24 @@ impl Frame<'_> {
 }
 
 impl<'a> Finder<'a> {
+    fn new(world: &'a World, layer: &FeatureLayer) -> Result<Self> {
+        layer.check()?;
+        let environment = world.environment();
+        for (object, _) in &layer.pose_covariances {
+            environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
+        }
+        Ok(Self { world, environment, tolerance: layer.tolerance, found: Found::default() })
+    }
+
     fn place(&mut self, feature: &Feature) -> Result<PlacedFeature> {
+        match self.lie(feature)? {
+            (frame, Lie::On(slots)) => Ok(frame.placed(feature, slots)),
+            (frame, Lie::Off(at)) => Err(self.off(&frame, at, feature)),
+        }
+    }
+
+    /// The frame of a feature, and what it lies on.
+    fn lie(&mut self, feature: &Feature) -> Result<(Frame<'a>, Lie)> {
         let environment = self.environment;
         let object = match &feature.object {
             Some(path) => Some(environment.index_of(path)?),
@@ -144,13 +175,8 @@ impl<'a> Finder<'a> {
         let boxes = boxes_around(&frame, &feature.shape);
         let near = self.near(&frame, &boxes);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
-        match lie(&near, &about)? {
-            Lie::On(mut slots) => {
-                slots.sort_unstable();
-                Ok(PlacedFeature { feature: feature.clone(), object, slots })
-            }
-            Lie::Off(at) => Err(self.off(&frame, at, feature)),
-        }
+        let lie = lie(&near, &about)?;
+        Ok((frame, lie))
     }
 
     /// The polygons that may come within the tolerance of the boxes (world).

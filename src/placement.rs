@@ -1,0 +1,203 @@
+//! Features and the polygons under them, as both change: a feature that is put in must lie on polygons, and one whose
+//! surface is later moved or deleted is kept, left out of predictions, and told of.
+
+use crate::acquire::{Problem, ProblemKind};
+use crate::change::Change;
+use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
+use crate::error::{Error, Result};
+use crate::features::{PlacedFeature, place, place_lying};
+use crate::index::{Params, Scheme};
+use crate::limits;
+use crate::world::World;
+
+/// The features of a layer in a version of the world.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Placement {
+    /// Those that lie on polygons, in the order of the layer.
+    pub placed: Vec<PlacedFeature>,
+    /// Numbers of the others, rising.
+    pub off: Vec<u32>,
+}
+
+/// Finds each feature's object and polygons, as [`place`] does; features that are off their polygons are set apart.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if the layer is not sound, or names the pose of an object that is not there.
+pub fn find(world: &World, layer: &FeatureLayer) -> Result<Placement> {
+    let (placed, off) = place_lying(world, layer)?;
+    Ok(Placement { placed, off })
+}
+
+/// Why a feature of a class lies on no polygon: an error that names class and feature; `None` if it does lie on some.
+pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) -> Option<Error> {
+    let (class_name, features) = (class.to_owned(), vec![feature.clone()]);
+    let layer = FeatureLayer { class: class_name, tolerance, features, pose_covariances: Vec::new() };
+    place(world, &layer).err().map(|e| e.at(format!("class {class:?}")))
+}
+
+/// Applies a change whose new and altered features must lie on polygons when all of it is done; the answer is the change
+/// that undoes it. A world without an index gets the default one for that. Features that are restored are let be, unless
+/// `restored_too`: they may have lost their surface while they were there.
+///
+/// # Errors
+/// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] naming class and feature if one does not; content and
+/// version then stay as they are.
+pub fn apply(world: &mut World, change: Change, restored_too: bool) -> Result<Change> {
+    let mut named = Vec::new();
+    name_features(&change, restored_too, &mut named);
+    if named.is_empty() {
+        return world.apply(change);
+    }
+    if world.index().scheme() == Scheme::None {
+        let scheme = Scheme::default();
+        *world = world.reindexed(scheme, Params::tuned(scheme));
+    }
+    // A change of one feature moves no polygon: it can be asked for before, and nothing has to be copied.
+    if let Change::InsertFeature { class, feature }
+    | Change::SetFeature { class, feature }
+    | Change::RestoreFeature { class, feature } = &change
+    {
+        check(world, class, feature)?;
+        return world.apply(change);
+    }
+    let before = world.clone();
+    let undo = world.apply(change)?;
+    let mut all = named.iter().filter_map(|(class, id)| Some((class, world.environment().feature(class, *id)?)));
+    let checked = all.try_for_each(|(class, feature)| check(world, class, feature));
+    checked.inspect_err(|_| *world = before)?;
+    Ok(undo)
+}
+
+/// Classes and ids of the features that a change puts in or alters.
+fn name_features(change: &Change, restored_too: bool, to: &mut Vec<(String, u32)>) {
+    match change {
+        Change::InsertFeature { class, feature } | Change::SetFeature { class, feature } => {
+            to.push((class.clone(), feature.id));
+        }
+        Change::RestoreFeature { class, feature } if restored_too => to.push((class.clone(), feature.id)),
+        Change::Group(changes) => changes.iter().for_each(|change| name_features(change, restored_too, to)),
+        _ => {}
+    }
+}
+
+fn check(world: &World, class: &str, feature: &Feature) -> Result<()> {
+    let tolerance = world.environment().layer(class).map_or(DEFAULT_TOLERANCE, |l| l.tolerance);
+    why_off(world, class, tolerance, feature).map_or(Ok(()), Err)
+}
+
+/// The features of the environment's own layers that lie on no polygon any more, as a problem with places; `None` if all do.
+///
+/// # Errors
+/// As [`find`].
+pub fn problem(environment: &Environment) -> Result<Option<Problem>> {
+    let mut problem = Problem { kind: ProblemKind::LostFeature, total: 0, places: Vec::new() };
+    if environment.layers().iter().all(|layer| layer.features.is_empty()) {
+        return Ok(None);
+    }
+    let world = World::new(environment.clone());
+    for layer in environment.layers() {
+        let off = find(&world, layer)?.off;
+        problem.total += off.len() as u64;
+        let room = limits::LISTED_PROBLEMS.saturating_sub(problem.places.len());
+        let listed = off.iter().take(room).filter_map(|id| environment.feature(&layer.class, *id));
+        let whys = listed.filter_map(|feature| why_off(&world, &layer.class, layer.tolerance, feature));
+        problem.places.extend(whys.map(|why| why.to_string()));
+    }
+    Ok((problem.total > 0).then_some(problem))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::{Existence, FeatureShape, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties};
+    use crate::geometry::Pose;
+    use glam::{DMat3, DVec3, Vec3};
+
+    /// A tile at the origin, one 5 m away.
+    fn world() -> World {
+        let mut environment = Environment::new();
+        environment.add_material(Material::named("m")).unwrap();
+        let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+        let mesh = Mesh::new("t", corners, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial).unwrap();
+        let mesh = std::sync::Arc::new(mesh);
+        for (name, x) in [("near", 0.0), ("far", 5.0)] {
+            environment.insert(NewObject::new(name, at(x), mesh.clone())).unwrap();
+        }
+        World::with_index(environment, Scheme::None, Params::default())
+    }
+
+    fn at(x: f64) -> Pose {
+        Pose::from_xyz_rpy(DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.0)
+    }
+
+    fn point(id: u32, x: f64) -> Feature {
+        Feature {
+            id,
+            name: None,
+            object: None,
+            shape: FeatureShape::Point { at: DVec3::new(x, 0.5, 0.0), covariance: DMat3::IDENTITY },
+            existence: Existence::default(),
+            properties: Properties::default(),
+        }
+    }
+
+    fn insert(id: u32, x: f64) -> Change {
+        Change::InsertFeature { class: "video".into(), feature: point(id, x) }
+    }
+
+    fn move_to(name: &str, x: f64) -> Change {
+        Change::MoveObject { name: name.into(), world_from_object: at(x) }
+    }
+
+    #[test]
+    fn new_features_must_lie_on_polygons_when_all_is_done() {
+        let mut world = world();
+        apply(&mut world, insert(1, 0.5), false).unwrap();
+        assert_eq!(world.index().scheme(), Scheme::default());
+        let alter = |x| Change::SetFeature { class: "video".into(), feature: point(1, x) };
+        let restore = Change::RestoreFeature { class: "video".into(), feature: point(9, 3.0) };
+        let group = |changes: &[Change]| Change::Group(changes.to_vec());
+        let refused = [
+            insert(2, 3.0),
+            alter(3.0),
+            group(&[insert(2, 0.5), insert(3, 3.0)]),
+            group(&[group(&[insert(2, 0.5)]), move_to("near", 2.0)]),
+            group(&[insert(2, 0.5), Change::DeleteObject { name: "near".into() }]),
+        ];
+        let before = (world.environment().content_hash(), world.version());
+        for change in refused {
+            let e = apply(&mut world, change.clone(), false).unwrap_err();
+            let said = e.to_string();
+            assert!(said.starts_with("class \"video\": feature ") && said.contains("off its polygons"), "{said}");
+            assert!(!e.remedy().is_empty());
+            assert_eq!((world.environment().content_hash(), world.version()), before, "{change:?}");
+            world.index().assert_well_formed(world.environment());
+        }
+        assert!(apply(&mut world, restore.clone(), true).is_err());
+        let taken = [
+            group(&[insert(2, 2.5), move_to("near", 2.0)]),
+            group(&[insert(3, 3.75), Change::DeleteFeature { class: "video".into(), id: 3 }]),
+            alter(5.5),
+            restore,
+            // Not asked of what is there already.
+            move_to("far", 7.0),
+        ];
+        for change in taken {
+            apply(&mut world, change.clone(), false).unwrap_or_else(|e| panic!("{change:?}: {e}"));
+        }
+    }
+
+    #[test]
+    fn what_lost_its_surface_is_set_apart_and_told() {
+        let mut world = world();
+        apply(&mut world, Change::Group(vec![insert(1, 0.5), insert(2, 5.5), insert(3, 5.25)]), false).unwrap();
+        assert_eq!(problem(world.environment()).unwrap(), None);
+        apply(&mut world, move_to("far", 9.0), false).unwrap();
+        let layer = world.environment().layer("video").unwrap();
+        let found = find(&world, layer).unwrap();
+        assert_eq!((found.placed[0].feature.id, found.placed.len(), found.off), (1, 1, vec![2, 3]));
+        let problem = problem(world.environment()).unwrap().unwrap();
+        assert_eq!((problem.kind, problem.total, problem.places.len()), (ProblemKind::LostFeature, 2, 2));
+        assert!(problem.places[0].starts_with("class \"video\": feature 2: the point is 3."), "{problem}");
+    }
+}
