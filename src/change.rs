@@ -5,23 +5,23 @@ use crate::geometry::Pose;
 
 /// One change. [`crate::World::apply`] answers with the change that undoes it.
 ///
-/// Objects are meant by their full path, features by sensor class and id. A number is never used again: an object that
+/// Objects and groups are meant by their full path, features by sensor class and id. A number is never used again: an object that
 /// comes back gets new slots, and so new polygon ids; a feature that comes back ([`Change::RestoreFeature`]) is the same
 /// feature and keeps its id.
 #[derive(Clone, Debug)]
 pub enum Change {
     /// Adds a material, for meshes to come. Nothing undoes it: a material that no polygon has is no content.
     AddMaterial(Material),
-    /// Adds an object.
+    /// Adds an object. A group of its path gives way: what is below then hangs on the object.
     InsertObject(NewObject),
-    /// Gives an object another pose; what is below its path (`cart/wheel` of `cart`) moves with it, rigidly.
+    /// Gives an object or a group another pose; what is below its path (`cart/wheel` of `cart`) moves with it, rigidly.
     MoveObject {
-        /// Its full path.
+        /// Full path of the object, or a path that objects are below.
         name: String,
-        /// The new pose.
+        /// The new pose; of a group, that of its frame ([`crate::Environment::frame`]).
         world_from_object: Pose,
     },
-    /// Gives this one object another pose.
+    /// Gives this one object another pose. A group is nothing without what is below it: it is moved.
     SetPose {
         /// Its full path.
         name: String,
@@ -29,10 +29,18 @@ pub enum Change {
         world_from_object: Pose,
     },
     /// Takes an object out, with the features and pose covariances given in its frame. Its number and its slots are
-    /// never used again. Objects below its path stay.
+    /// never used again. Objects below its path stay; the path is then a group, its frame the object's last pose. Of a group
+    /// everything below is deleted.
     DeleteObject {
         /// Its full path.
         name: String,
+    },
+    /// Gives a group another frame, or none of its own; what is below stays where it is.
+    SetGroup {
+        /// Its full path; no object may have it.
+        name: String,
+        /// See [`crate::Environment::set_group`].
+        world_from_group: Option<Pose>,
     },
     /// Adds a feature, under an id that was never used for its class.
     InsertFeature {

@@ -1,11 +1,14 @@
 //! The world: a version of the environment with its index, which predictions read; changes make the next version.
 
 use crate::change::Change;
-use crate::environment::{Environment, NewObject, check_pose};
+use crate::environment::Environment;
 use crate::error::Result;
-use crate::geometry::Pose;
 use crate::index::{Params, Scheme, WorldIndex};
 use std::sync::Arc;
+
+mod objects;
+#[cfg(test)]
+mod tests;
 
 /// One version of the environment and its spatial index, cheap to clone; predictions in flight keep the version they
 /// began with.
@@ -89,10 +92,11 @@ impl World {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no such object or feature, an id was used before, a feature names an
+    /// [`crate::ErrorKind::Invalid`] if there is no such object, group or feature, an id was used before, a feature names an
     /// object that does not exist, or a value is impossible (those of [`Environment::insert`],
-    /// [`Environment::set_pose`] and [`Environment::add_material`]). Content and version then stay as they are, of a
-    /// whole group.
+    /// [`Environment::set_pose`], [`Environment::set_group`] and [`Environment::add_material`]). Content and version then
+    /// stay as they are, of all changes of a [`Change::Group`]. That features lie on polygons is not asked here, but by
+    /// [`crate::placement`].
     pub fn apply(&mut self, change: Change) -> Result<Change> {
         let inverse = match change {
             Change::Group(_) => {
@@ -117,69 +121,12 @@ impl World {
         }
         match change {
             Change::InsertObject(new) => self.insert_object(new),
-            Change::MoveObject { name, world_from_object } => self.move_object(&name, world_from_object),
+            Change::MoveObject { name, world_from_object } => self.move_path(&name, world_from_object),
             Change::SetPose { name, world_from_object } => self.set_pose(name, world_from_object),
-            Change::DeleteObject { name } => self.delete_object(name),
+            Change::DeleteObject { name } => self.delete_path(name),
+            Change::SetGroup { name, world_from_group } => self.set_group(name, world_from_group),
             other => self.step_features(other),
         }
-    }
-
-    fn insert_object(&mut self, new: NewObject) -> Result<Change> {
-        let environment = Arc::make_mut(&mut self.environment);
-        let object = environment.insert(new)?;
-        Arc::make_mut(&mut self.index).insert_object(environment, object);
-        Ok(Change::DeleteObject { name: environment.objects()[object as usize].name.clone() })
-    }
-
-    fn set_pose(&mut self, name: String, world_from_object: Pose) -> Result<Change> {
-        // Refused before anything is copied.
-        let object = self.environment.index_of(&name)?;
-        let before = self.environment.objects()[object as usize].world_from_object;
-        let environment = Arc::make_mut(&mut self.environment);
-        environment.set_pose(&name, world_from_object)?;
-        Arc::make_mut(&mut self.index).insert_object(environment, object);
-        Ok(Change::SetPose { name, world_from_object: before })
-    }
-
-    fn move_object(&mut self, name: &str, world_from_object: Pose) -> Result<Change> {
-        let object = self.environment.index_of(name)?;
-        let objects = self.environment.objects();
-        let new_from_old = world_from_object.then(&objects[object as usize].world_from_object.inverse());
-        let mut poses = vec![(name.to_owned(), world_from_object)];
-        for index in self.environment.below(name) {
-            let below = &objects[index as usize];
-            poses.push((below.name.clone(), new_from_old.then(&below.world_from_object)));
-        }
-        for (name, pose) in &poses {
-            check_pose(pose).map_err(|e| e.at(format!("object {name:?}")))?;
-        }
-        poses.into_iter().map(|(name, pose)| self.set_pose(name, pose)).collect::<Result<_>>().map(Change::of)
-    }
-
-    fn delete_object(&mut self, name: String) -> Result<Change> {
-        let object = self.environment.index_of(&name)?;
-        let o = &self.environment.objects()[object as usize];
-        let mut undo = vec![Change::InsertObject(NewObject {
-            name: o.name.clone(),
-            world_from_object: o.world_from_object,
-            object_from_mesh: o.object_from_mesh,
-            mesh: o.mesh.clone(),
-            first_source: o.first_source,
-        })];
-        let environment = Arc::make_mut(&mut self.environment);
-        for (class, covariance, ids) in environment.attached_to(&name) {
-            for id in ids {
-                let feature = environment.delete_feature(&class, id)?;
-                undo.push(Change::RestoreFeature { class: class.clone(), feature });
-            }
-            if covariance {
-                let covariance = environment.set_pose_covariance(&class, &name, None)?;
-                undo.push(Change::SetPoseCovariance { class, object: name.clone(), covariance });
-            }
-        }
-        Arc::make_mut(&mut self.index).remove_object(environment, object);
-        environment.delete(&name)?;
-        Ok(Change::of(undo))
     }
 
     fn step_features(&mut self, change: Change) -> Result<Change> {
@@ -215,7 +162,7 @@ impl World {
                 let covariance = environment.set_pose_covariance(&class, &object, covariance)?;
                 Change::SetPoseCovariance { class, object, covariance }
             }
-            // Of objects, and groups: they went another way.
+            // Of objects and paths, and many at once: they went another way.
             _ => Change::NOTHING,
         })
     }
@@ -227,6 +174,3 @@ impl World {
         self.environment = Arc::new(environment);
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -4,9 +4,10 @@ use super::load::{self, Scene};
 use super::{Verdict, print};
 use crate::environment::{Appearance, Environment, Material, Object};
 use crate::error::{Error, Result};
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Pose};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
+use crate::placement;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -40,7 +41,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Verdict> {
     let mut options = ImportOptions::default();
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
-    let scene = load::scene(&args.scene, &options, Scheme::None)?;
+    let mut scene = load::scene(&args.scene, &options, Scheme::None)?;
+    scene.report.problems.extend(placement::problem(scene.world.environment())?);
     let text = if args.json {
         let value = as_json(&args.scene, &scene);
         let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);
@@ -72,10 +74,18 @@ fn bounds_json(b: &Aabb) -> Value {
     if b.is_empty() { Value::Null } else { json!({ "min": b.min.to_array(), "max": b.max.to_array() }) }
 }
 
+fn pose_json(pose: &Pose) -> Value {
+    let (t, q) = (pose.translation, pose.rotation);
+    json!([t.x, t.y, t.z, q.x, q.y, q.z, q.w])
+}
+
+fn group_json(path: &str, world_from_group: &Pose) -> Value {
+    json!({ "name": path, "world_from_group": pose_json(world_from_group) })
+}
+
 fn as_json(path: &Path, scene: &Scene) -> Value {
     let environment = scene.world.environment();
     let object = |(index, o): (usize, &Object)| {
-        let (t, q) = (o.world_from_object.translation, o.world_from_object.rotation);
         json!({
             "id": index + 1,
             "name": o.name,
@@ -83,7 +93,7 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
             "polygons": o.mesh.polygon_count(),
             "first_polygon_id": o.first_slot + 1,
             "first_source_id": o.first_source + 1,
-            "world_from_object": [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
+            "world_from_object": pose_json(&o.world_from_object),
             "bounds": bounds_json(&o.world_bounds()),
         })
     };
@@ -111,6 +121,7 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
         "largest_deviation_m": report.largest_deviation_m,
         "bounds": bounds_json(&environment.bounds()),
         "objects": live(environment).map(object).collect::<Vec<_>>(),
+        "groups": environment.groups().iter().map(|(path, frame)| group_json(path, frame)).collect::<Vec<_>>(),
         "materials": environment.materials().iter().zip(counts).map(material).collect::<Vec<_>>(),
         "problems": report.problems,
     })
@@ -120,7 +131,7 @@ fn in_words(path: &Path, scene: &Scene) -> String {
     let environment = scene.world.environment();
     let report = &scene.report;
     let mut lines = vec![path.display().to_string()];
-    lines.push(format!("objects    {}", live(environment).count()));
+    lines.push(format!("objects    {} in {} groups", live(environment).count(), environment.groups().len()));
     if report.triangles_in_scene > 0 {
         lines.push(format!(
             "polygons   {} from {} triangles in the scene, {} from {} stored",

@@ -421,7 +421,8 @@ fn summary(
         let mut ids: Vec<u32> = images.object_id.iter().copied().filter(|id| *id != 0).collect();
         ids.sort_unstable();
         ids.dedup();
-        parts.push(format!("{} of {} objects seen", ids.len(), scene.world.environment().objects().len()));
+        let there = scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
+        parts.push(format!("{} of {there} objects seen", ids.len()));
     }
     if let Some(FeaturePrediction { features, .. }) = features {
         let seen = features.iter().filter(|f| !f.visible.is_empty()).count();

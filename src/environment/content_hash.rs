@@ -1,12 +1,14 @@
 //! The content hash: equal for environments that hold the same things, whatever way they came to be.
 //!
-//! BLAKE3 over this canonical encoding, version 1. Integers and floats are little-endian, floats by their bits (so -0
+//! BLAKE3 over this canonical encoding, version 2, or version 1 where no group was given a frame: it then is the same but for
+//! its first text and the list of groups, which it lacks, so that hashes from before groups still hold. Integers and floats are little-endian, floats by their bits (so -0
 //! is not 0), `text` is its length in bytes as u32, then UTF-8, `list` is its length as u32, then the items, an optional
 //! value is a byte 0, or 1 and the value. Matrices go column by column.
 //!
 //! | what | encoding |
 //! |---|---|
-//! | environment | text `presight content 1`; list of objects by rising name; list of layers that hold something, by rising class |
+//! | environment | text `presight content 2`; list of objects by rising name; list of groups that were given a frame and have objects below, by rising path; list of layers that hold something, by rising class. Version 1: text `presight content 1`; objects; layers |
+//! | group | text path; `world_from_group` as f64 x y z qx qy qz qw |
 //! | object | text name; `world_from_object` as f64 x y z qx qy qz qw; `object_from_mesh` as 12 f64; u32 `first_source`; hash of its mesh |
 //! | mesh | text name; list of vertices, each 3 f32; list of polygons; list of hashes of its materials, in the order in which its polygons first use them |
 //! | polygon | list of corners, u32; u32 place of its material in the mesh's list; u32 `source` |
@@ -15,9 +17,11 @@
 //! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
 //!
 //! Not in it, because it is no content: numbers and slots of objects, what was deleted, the order in which things
-//! were added, materials that no polygon has, layers without features and covariances, which meshes are shared, clusters and indexes.
+//! were added, materials that no polygon has, frames of groups that nothing is below, layers without features and covariances,
+//! which meshes are shared, clusters and indexes.
 
 use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, Material, Mesh, Object};
+use crate::geometry::Pose;
 use glam::DVec3;
 use std::collections::HashMap;
 use std::fmt;
@@ -49,14 +53,22 @@ impl Environment {
         let mut objects: Vec<&Object> = self.objects.iter().filter(|o| !o.is_deleted()).collect();
         objects.sort_unstable_by(|a, b| a.name.cmp(&b.name));
         let materials: Vec<ContentHash> = self.materials.iter().map(Material::content_hash).collect();
+        let groups: Vec<(&str, &Pose)> = self.framed_groups().collect();
         let mut to = Encoder::default();
-        to.text("presight content 1");
+        to.text(if groups.is_empty() { "presight content 1" } else { "presight content 2" });
         to.count(objects.len());
         for object in objects {
             let mesh = meshes
                 .entry(std::sync::Arc::as_ptr(&object.mesh))
                 .or_insert_with(|| object.mesh.content_hash(|material| materials[usize::from(material)]));
             to.object(object, *mesh);
+        }
+        if !groups.is_empty() {
+            to.count(groups.len());
+        }
+        for (path, pose) in groups {
+            to.text(path);
+            to.pose(pose);
         }
         let layers = || self.layers.iter().filter(|l| !(l.features.is_empty() && l.pose_covariances.is_empty()));
         to.count(layers().count());
@@ -158,12 +170,15 @@ impl Encoder {
 
     fn object(&mut self, object: &Object, mesh: ContentHash) {
         self.text(&object.name);
-        let pose = &object.world_from_object;
-        self.f64s(&pose.translation.to_array());
-        self.f64s(&pose.rotation.to_array());
+        self.pose(&object.world_from_object);
         self.f64s(&object.object_from_mesh.to_cols_array());
         self.u32(object.first_source);
         self.bytes(&mesh.0);
+    }
+
+    fn pose(&mut self, pose: &Pose) {
+        self.f64s(&pose.translation.to_array());
+        self.f64s(&pose.rotation.to_array());
     }
 
     fn layer(&mut self, layer: &FeatureLayer) {
@@ -221,7 +236,6 @@ impl Encoder {
 mod tests {
     use super::*;
     use crate::environment::{NewObject, Polygon, PolygonOrder};
-    use crate::geometry::Pose;
     use glam::Vec3;
     use std::sync::Arc;
 
@@ -295,11 +309,49 @@ mod tests {
         }
     }
 
+    #[test]
+    fn frames_of_groups_count_where_something_is_below() {
+        let with = |frames: &[(&str, f64)]| {
+            of(|e| {
+                e.add_material(Material::named("paint")).unwrap();
+                e.insert(NewObject::new("a/b/c", at(0.0), triangle(0))).unwrap();
+                for (path, x) in frames {
+                    e.set_group(path, Some(at(*x))).unwrap();
+                }
+            })
+        };
+        let all = [with(&[]), with(&[("a", 0.0)]), with(&[("a", -0.0)]), with(&[("a/b", 0.0)])];
+        for (i, hash) in all.iter().enumerate() {
+            assert!(!all[..i].contains(hash), "{i}");
+        }
+        assert_eq!(with(&[("d", 1.0), ("a/b/c/d", 1.0)]), all[0], "nothing is below");
+        assert_eq!(with(&[("a/b", 2.0), ("a", 1.0)]), with(&[("a", 1.0), ("a/b", 2.0)]));
+    }
+
     /// A change of the encoding changes every stored hash: it needs a new version in its first text.
     #[test]
     fn the_encoding_stays() {
         let empty = Environment::new().content_hash().to_string();
         let by_hand: Vec<u8> = [&18u32.to_le_bytes()[..], b"presight content 1", &[0; 8]].concat();
         assert_eq!(empty, blake3::hash(&by_hand).to_hex().to_string());
+        let one = |e: &mut Environment| {
+            e.add_material(Material::named("paint")).unwrap();
+            e.insert(NewObject::new("g/a", at(0.0), triangle(0))).unwrap();
+        };
+        let text = |s: &str| [&(s.len() as u32).to_le_bytes()[..], s.as_bytes()].concat();
+        let numbers = |all: &[f64]| all.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+        let pose = numbers(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        let affine = numbers(&glam::DAffine3::IDENTITY.to_cols_array());
+        let mesh = triangle(0).content_hash(|_| Material::named("paint").content_hash()).0;
+        let object = [text("g/a"), pose.clone(), affine, vec![0; 4], mesh.to_vec()].concat();
+        let (count, none) = (1u32.to_le_bytes().to_vec(), vec![0; 4]);
+        let first = [text("presight content 1"), count.clone(), object.clone(), none.clone()].concat();
+        assert_eq!(of(one).0, *blake3::hash(&first).as_bytes());
+        let second = [text("presight content 2"), count.clone(), object, count, text("g"), pose, none].concat();
+        let framed = of(|e| {
+            one(e);
+            e.set_group("g", Some(at(0.0))).unwrap();
+        });
+        assert_eq!(framed.0, *blake3::hash(&second).as_bytes());
     }
 }

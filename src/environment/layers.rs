@@ -102,6 +102,7 @@ impl Environment {
         let check = || {
             if !restored {
                 self.check_unused(class, feature.id)?;
+                feature.check_dictionary()?;
             }
             if self.feature(class, feature.id).is_some() {
                 return Err(Error::invalid("the id is taken", "give each feature of a class an id of its own"));
@@ -121,7 +122,8 @@ impl Environment {
     /// Puts another feature in the place of the one with its id, which is the answer.
     pub(crate) fn replace_feature(&mut self, class: &str, feature: Feature) -> Result<Feature> {
         let place = || format!("feature {} for class {class:?}", feature.id);
-        self.check_feature(class, &feature).map_err(|e| e.at(place()))?;
+        let check = || feature.check_dictionary().and_then(|()| self.check_feature(class, &feature));
+        check().map_err(|e| e.at(place()))?;
         let (layer, at) = self.find_feature(class, feature.id)?;
         Ok(std::mem::replace(&mut self.layers[layer].features[at], feature))
     }

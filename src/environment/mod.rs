@@ -1,11 +1,13 @@
-//! The environment: objects, meshes and materials; the thing that is stored and kept true (paper section 2.1).
+//! The environment: objects in groups, meshes and materials; the thing that is stored and kept true (paper section 2.1).
 
 mod content_hash;
 mod feature;
 mod feature_check;
+mod groups;
 mod layers;
 mod material;
 mod mesh;
+mod paths;
 
 pub use content_hash::ContentHash;
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -13,6 +15,7 @@ pub(crate) use feature_check::check_covariance;
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};
+pub(crate) use paths::Paths;
 
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};
@@ -111,25 +114,17 @@ impl NewObject {
                 "give every axis a finite scale other than zero",
             ));
         }
-        // Gram-Schmidt on the axes, right-handed; a mirror stays in the remainder.
-        let x = m.x_axis.normalize();
-        let y = (m.y_axis - x * x.dot(m.y_axis)).normalize();
-        let rotation = DMat3::from_cols(x, y, x.cross(y));
-        let quat = glam::DQuat::from_mat3(&rotation).normalize();
-        let rotation = DMat3::from_quat(quat);
-        let mut rest = rotation.transpose() * m;
+        let pose = Pose::rigid_part(&world_from_mesh);
+        let mut rest = pose.rotation_matrix().transpose() * m;
         // A plain rotation leaves an identity with rounding in it: make it exact.
         if (rest - DMat3::IDENTITY).to_cols_array().iter().all(|d| d.abs() < 1e-15) {
             rest = DMat3::IDENTITY;
         }
-        Ok(Self {
-            object_from_mesh: DAffine3::from_mat3(rest),
-            ..Self::new(name, Pose { rotation: quat, translation: world_from_mesh.translation }, mesh)
-        })
+        Ok(Self { object_from_mesh: DAffine3::from_mat3(rest), ..Self::new(name, pose, mesh) })
     }
 }
 
-/// Objects, materials and feature layers. Polygons live in slots; a slot is never used again.
+/// Objects in groups, materials and feature layers. Polygons live in slots; a slot is never used again.
 #[derive(Clone, Debug, Default)]
 pub struct Environment {
     objects: Vec<Object>,
@@ -137,6 +132,8 @@ pub struct Environment {
     layers: Vec<FeatureLayer>,
     /// In order: what is below a path follows it.
     names: BTreeMap<String, u32>,
+    /// Frames that groups were given; none of these paths is an object.
+    groups: BTreeMap<String, Pose>,
     /// Ids of deleted features, by class: no feature gets one of them again.
     retired: BTreeMap<String, BTreeSet<u32>>,
     next_slot: u32,
@@ -162,7 +159,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// Adds an object; the answer is its index. Its `object_id` in images is one more.
+    /// Adds an object; the answer is its index. Its `object_id` in images is one more. A group of its path gives way.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the mesh names a material the environment lacks, the pose is not finite or out
@@ -191,6 +188,8 @@ impl Environment {
         let index = self.objects.len() as u32;
         let name = self.unique_name(&new.name);
         self.names.insert(name.clone(), index);
+        // The path is an object from now on, and its pose the frame of what is below.
+        self.groups.remove(&name);
         self.objects.push(Object {
             name,
             world_from_object: new.world_from_object,
@@ -238,9 +237,7 @@ impl Environment {
 
     /// Indices of the objects below a path: those whose path starts with it and a slash.
     pub fn below(&self, path: &str) -> impl Iterator<Item = u32> + '_ {
-        let prefix = format!("{path}/");
-        let from = self.names.range(prefix.clone()..);
-        from.take_while(move |(name, _)| name.starts_with(&prefix)).map(|(_, index)| *index)
+        groups::below(&self.names, path).map(|(_, index)| *index)
     }
 
     /// Adds an object under the index and the slots that it had before; what lies between is gone for good.
@@ -281,7 +278,8 @@ impl Environment {
         if !self.names.contains_key(wanted) {
             return wanted.to_owned();
         }
-        (2u32..).map(|n| format!("{wanted}#{n}")).find(|name| !self.names.contains_key(name)).unwrap_or_default()
+        let free = |name: &String| !self.names.contains_key(name) && !self.groups.contains_key(name);
+        (2u32..).map(|n| format!("{wanted}#{n}")).find(free).unwrap_or_default()
     }
 
     /// All objects, by index.
@@ -331,14 +329,21 @@ impl Environment {
 }
 
 pub(crate) fn check_pose(pose: &Pose) -> Result<()> {
+    let Pose { rotation, translation } = pose;
     // As exact as quaternions are written, so that reading one never has to change its bits.
-    let sound = pose.rotation.is_finite()
-        && (pose.rotation.length_squared() - 1.0).abs() <= 1e-9
-        && pose.translation.abs().max_element() <= limits::MAX_COORDINATE;
-    if sound {
+    let (rule, remedy) = if !translation.is_finite() || !rotation.is_finite() {
+        ("is not finite".to_owned(), "give finite numbers")
+    } else if (rotation.length_squared() - 1.0).abs() > 1e-9 {
+        (format!("is no rotation: its quaternion has length {}, not 1", rotation.length()), "divide it by its length")
+    } else if translation.abs().max_element() > limits::MAX_COORDINATE {
+        (format!("is too far away: over {:e} m", limits::MAX_COORDINATE), "give metres; subtract a common offset")
+    } else {
         return Ok(());
-    }
-    Err(Error::invalid(format!("pose {pose:?} is not finite, not a rotation, or too far away"), "give a finite pose"))
+    };
+    // Display has no exponents: 1e300 would fill the screen.
+    let numbers: Vec<String> =
+        translation.to_array().into_iter().chain(rotation.to_array()).map(|x| format!("{x:?}")).collect();
+    Err(Error::invalid(format!("the pose [{}] {rule}", numbers.join(", ")), remedy))
 }
 
 #[cfg(test)]
@@ -365,6 +370,25 @@ mod tests {
         assert_eq!(names, ["a", "a#2", "a#3"]);
         assert_eq!(env.locate(2), Some((2, 0)));
         assert_eq!(env.locate(3), None);
+    }
+
+    #[test]
+    fn errors_of_poses_say_which_rule_is_broken() {
+        let said = |translation: DVec3, rotation: DQuat| {
+            let e = check_pose(&Pose { translation, rotation }).unwrap_err();
+            assert!(!e.remedy().is_empty());
+            e.to_string()
+        };
+        let nan = said(DVec3::new(0.5, f64::NAN, 0.0), DQuat::IDENTITY);
+        assert!(nan.starts_with("the pose [0.5, NaN, 0.0, 0.0, 0.0, 0.0, 1.0] is not finite; "), "{nan}");
+        let long = said(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 2.0));
+        assert!(
+            long.starts_with("the pose [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0] is no rotation")
+                && long.contains("length 2,"),
+            "{long}"
+        );
+        let far = said(DVec3::new(-1e300, 0.0, 0.0), DQuat::IDENTITY);
+        assert!(far.starts_with("the pose [-1e300, 0.0,") && far.contains("too far away: over 1e12 m"), "{far}");
     }
 
     #[test]

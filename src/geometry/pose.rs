@@ -57,6 +57,17 @@ impl Pose {
         Self { rotation: trig::quat_of_halves(half(roll), half(pitch), half(yaw)), translation }
     }
 
+    /// The rigid part of a transform: its origin, its x axis, and its y axis as far as that is square to x. What remains
+    /// is scale, mirror and shear. Not finite where an axis has no length.
+    pub(crate) fn rigid_part(transform: &DAffine3) -> Self {
+        let m = transform.matrix3;
+        // Gram-Schmidt, right-handed; a mirror stays in the remainder.
+        let x = m.x_axis.normalize();
+        let y = (m.y_axis - x * x.dot(m.y_axis)).normalize();
+        let rotation = DQuat::from_mat3(&DMat3::from_cols(x, y, x.cross(y))).normalize();
+        Self { rotation, translation: transform.translation }
+    }
+
     /// The transform the other way.
     #[must_use]
     pub fn inverse(&self) -> Self {

@@ -1,6 +1,9 @@
 use super::*;
-use crate::environment::{Existence, Feature, FeatureShape, Material, Mesh, Polygon, PolygonOrder, Properties};
+use crate::environment::{
+    Existence, Feature, FeatureShape, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties,
+};
 use crate::error::ErrorKind;
+use crate::geometry::Pose;
 use glam::{DMat3, DVec3, Vec3};
 
 fn world() -> World {
@@ -67,6 +70,123 @@ fn what_is_below_moves_along_and_back_to_the_bit() {
     assert_eq!(pose(&alone, "cart/wheel"), pose(&world, "cart/wheel"));
 }
 
+/// A hall in which nothing but the doors has a mesh; one group was given a frame.
+fn hall() -> World {
+    let mut environment = Arc::unwrap_or_clone(world().into_environment());
+    let mesh = environment.objects()[0].mesh.clone();
+    for (name, x) in [("hall/door/leaf", 5.0), ("hall/door/frame/post", 6.0), ("hall/exit", 7.0), ("hall door", 8.0)] {
+        environment.insert(NewObject::new(name, at(x, 0.2), mesh.clone())).unwrap();
+    }
+    environment.set_group("hall", Some(at(1.0, 0.3))).unwrap();
+    environment.set_group("hall/door/frame", Some(at(6.0, 0.4))).unwrap();
+    World::new(environment)
+}
+
+fn pose_of(world: &World, path: &str) -> Pose {
+    world.environment().frame(path).unwrap_or_else(|| panic!("{path}"))
+}
+
+/// The pose of one path in the frame of another.
+fn relative(world: &World, path: &str, to: &str) -> Pose {
+    pose_of(world, to).inverse().then(&pose_of(world, path))
+}
+
+fn apart(a: &Pose, b: &Pose) -> f64 {
+    let turn = a.rotation_matrix() - b.rotation_matrix();
+    (a.translation - b.translation).length() + turn.to_cols_array().iter().map(|x| x.abs()).sum::<f64>()
+}
+
+#[test]
+fn a_group_moves_with_all_that_is_below_and_back_to_the_bit() {
+    let mut world = hall();
+    let to = Pose::from_xyz_rpy(DVec3::new(-3.0, 1.0, 2.0), 0.3, 0.2, 1.1);
+    let below = ["hall/door", "hall/door/frame", "hall/door/leaf", "hall/door/frame/post", "hall/exit"];
+    for change in [
+        Change::MoveObject { name: "hall".into(), world_from_object: to },
+        Change::SetPose { name: "hall".into(), world_from_object: to },
+    ] {
+        let moved = there_and_back(&mut world, change);
+        assert_eq!(pose_of(&moved, "hall"), to);
+        for path in below {
+            let (before, after) = (relative(&world, path, "hall"), relative(&moved, path, "hall"));
+            assert!(apart(&before, &after) < 1e-12, "{path}: {before:?} {after:?}");
+            assert!(apart(&pose_of(&world, path), &pose_of(&moved, path)) > 0.1, "{path} stands still");
+        }
+        assert_eq!(pose_of(&moved, "hall door"), pose_of(&world, "hall door"));
+    }
+    // A group without a frame of its own has that of the one above, until it is moved.
+    assert_eq!(pose_of(&world, "hall/door"), pose_of(&world, "hall"));
+    let moved = there_and_back(&mut world, Change::MoveObject { name: "hall/door".into(), world_from_object: to });
+    assert_eq!((pose_of(&moved, "hall/door"), pose_of(&moved, "hall")), (to, pose_of(&world, "hall")));
+    assert_eq!(pose_of(&moved, "hall/exit"), pose_of(&world, "hall/exit"));
+    for path in ["hall/door/leaf", "hall/door/frame", "hall/door/frame/post"] {
+        let (before, after) = (relative(&world, path, "hall/door"), relative(&moved, path, "hall/door"));
+        assert!(apart(&before, &after) < 1e-12, "{path}");
+    }
+}
+
+#[test]
+fn an_object_moves_groups_below_it() {
+    let mut world = world();
+    let mesh = world.environment().objects()[0].mesh.clone();
+    let new = NewObject::new("cart/arm/hand", at(4.0, 0.0), mesh);
+    world.apply(Change::InsertObject(new)).unwrap();
+    let frame = Change::SetGroup { name: "cart/arm".into(), world_from_group: Some(at(4.0, 1.0)) };
+    there_and_back(&mut world, frame.clone());
+    world.apply(frame).unwrap();
+    let to = Pose::from_xyz_rpy(DVec3::new(-3.0, 1.0, 2.0), 0.3, 0.2, 1.1);
+    let moved = there_and_back(&mut world, Change::MoveObject { name: "cart".into(), world_from_object: to });
+    for path in ["cart/arm", "cart/arm/hand"] {
+        assert!(apart(&relative(&world, path, "cart"), &relative(&moved, path, "cart")) < 1e-12, "{path}");
+    }
+}
+
+#[test]
+fn a_group_is_deleted_with_all_that_is_below() {
+    let mut world = hall();
+    world.apply(insert(3, Some("hall/door/leaf"))).unwrap();
+    world.apply(insert(4, Some("hall/exit"))).unwrap();
+    let without = there_and_back(&mut world, Change::DeleteObject { name: "hall/door".into() });
+    let ids =
+        |world: &World| world.environment().layer("video").unwrap().features.iter().map(|f| f.id).collect::<Vec<_>>();
+    assert_eq!((ids(&without), ids(&world)), (vec![4], vec![3, 4]));
+    assert!(without.environment().frame("hall/door").is_none() && without.environment().frame("hall/exit").is_some());
+    let without = there_and_back(&mut world, Change::DeleteObject { name: "hall".into() });
+    assert_eq!(without.environment().groups().len(), 0);
+    assert!(without.environment().frame("hall door").is_some());
+    assert!(world.apply(Change::DeleteObject { name: "hal".into() }).is_err());
+}
+
+/// A path stays movable when its object goes, and takes over what is below when an object comes.
+#[test]
+fn paths_change_between_object_and_group() {
+    let mut world = hall();
+    let mesh = world.environment().objects()[0].mesh.clone();
+    let without = there_and_back(&mut world, Change::DeleteObject { name: "cart".into() });
+    assert_eq!(
+        (without.environment().object("cart").is_none(), pose_of(&without, "cart")),
+        (true, pose_of(&world, "cart"))
+    );
+    for name in ["hall", "hall/door", "elsewhere"] {
+        let new = NewObject::new(name, at(9.0, 0.5), mesh.clone());
+        let with = there_and_back(&mut world, Change::InsertObject(new));
+        assert_eq!(pose_of(&with, name), at(9.0, 0.5));
+        assert!(!with.environment().groups().contains_key(name));
+    }
+    // What stands between does not hinder.
+    let all = Change::Group(vec![
+        Change::DeleteObject { name: "cart".into() },
+        Change::MoveObject { name: "cart".into(), world_from_object: at(2.0, 2.0) },
+        Change::InsertObject(NewObject::new("cart", at(3.0, 3.0), mesh.clone())),
+        Change::InsertObject(NewObject::new("cart/arm/hand", at(3.0, 3.0), mesh)),
+        Change::DeleteObject { name: "cart/arm".into() },
+        Change::DeleteObject { name: "cart".into() },
+        Change::DeleteObject { name: "cart".into() },
+    ]);
+    let gone = there_and_back(&mut world, all);
+    assert!(gone.environment().frame("cart").is_none() && gone.environment().frame("cartridge").is_some());
+}
+
 #[test]
 fn a_deleted_object_takes_its_features_along_and_brings_them_back() {
     let mut world = world();
@@ -102,7 +222,7 @@ fn a_group_is_all_or_nothing_and_readers_keep_their_version() {
     let mut world = world();
     let (reader, before) = (world.clone(), hash(&world));
     let delete = |name: &str| Change::DeleteObject { name: name.into() };
-    let wrong = Change::Group(vec![insert(1, None), delete("cart"), delete("cart")]);
+    let wrong = Change::Group(vec![insert(1, None), delete("cartridge"), delete("cartridge")]);
     let e = world.apply(wrong).unwrap_err();
     assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("change 3 of the group"), "{e}");
     assert_eq!((hash(&world), world.version()), (before, reader.version()));
@@ -115,7 +235,7 @@ fn a_group_is_all_or_nothing_and_readers_keep_their_version() {
 
 #[test]
 fn impossible_changes_are_refused() {
-    let mut world = world();
+    let mut world = hall();
     let before = hash(&world);
     let far = Pose { translation: DVec3::splat(1e13), ..Pose::IDENTITY };
     let nan = Pose { translation: DVec3::splat(f64::NAN), ..Pose::IDENTITY };
@@ -123,6 +243,11 @@ fn impossible_changes_are_refused() {
         Change::MoveObject { name: "door".into(), world_from_object: Pose::IDENTITY },
         Change::MoveObject { name: "cart".into(), world_from_object: nan },
         Change::SetPose { name: "cart".into(), world_from_object: far },
+        Change::MoveObject { name: "hall".into(), world_from_object: far },
+        Change::DeleteObject { name: "hall/do".into() },
+        Change::SetGroup { name: "cart".into(), world_from_group: Some(Pose::IDENTITY) },
+        Change::SetGroup { name: "hall".into(), world_from_group: Some(nan) },
+        Change::SetGroup { name: String::new(), world_from_group: Some(Pose::IDENTITY) },
         insert(0, None),
         insert(1, Some("door")),
         Change::SetFeature { class: "video".into(), feature: point(1, None) },
@@ -130,6 +255,11 @@ fn impossible_changes_are_refused() {
         Change::SetTolerance { class: String::new(), tolerance: 1.0 },
         Change::InsertFeature { class: String::new(), feature: point(1, None) },
     ];
+    // Below a path nothing may go too far either.
+    let near_the_end = Pose { translation: DVec3::new(9.999_999_999_99e11, 0.0, 0.0), ..Pose::IDENTITY };
+    let e = world.apply(Change::MoveObject { name: "hall".into(), world_from_object: near_the_end }).unwrap_err();
+    assert!(e.to_string().contains("object \"hall/") && e.to_string().contains("too far"), "{e}");
+    assert_eq!(hash(&world), before);
     for change in wrong {
         let e = world.apply(change.clone()).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && !e.remedy().is_empty(), "{change:?}: {e}");

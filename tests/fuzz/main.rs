@@ -139,7 +139,7 @@ targets! {
     #[cfg(feature = "store")]
     store: &["CREATE TABLE", "SQLite format 3\0", "objects"];
     #[cfg(feature = "store")]
-    changes: &["\"op\"", "group", "delete_object", "insert_object", "move", "set_pose", "\"like\"", "covariance", "\"id\""];
+    changes: &["\"op\"", "group", "delete_object", "insert_object", "move", "set_pose", "\"like\"", "covariance", "\"id\"", "set_group", "\"group\""];
     poses: &["-180", ",", " ", "1e308", "0,0,0,1"];
     trajectory: &["-180", "\n", " ", "1e308", "0 0 0 1", "#"];
     pose_covariance: &["0,0,0,0,0,0,", "1e-300"];

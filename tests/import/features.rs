@@ -153,11 +153,87 @@ fn the_hierarchy_is_walked_depth_first_with_full_paths() {
     let read = g.import().unwrap();
     let objects = read.environment.objects();
     let names: Vec<_> = objects.iter().map(|o| o.name.as_str()).collect();
-    assert_eq!(names, ["x/y", "x/y#2", "x/y/node2", "second root"]);
+    assert_eq!(names, ["x/y", "x/y#2", "x/y#2/node2", "second root"]);
     assert_eq!(objects.iter().map(|o| o.first_source).collect::<Vec<_>>(), [0, 1, 2, 3]);
     // y up to z up: glTF (1, 2, 0) is (1, 0, 2) here.
     assert_eq!(objects[2].world_from_object.translation, DVec3::new(1.0, 0.0, 2.0));
     assert!(objects.iter().all(|o| Arc::ptr_eq(&o.mesh, &objects[0].mesh)), "one mesh for all instances");
+}
+
+/// The number is put where the name is repeated, so that each path holds what hangs on its node.
+#[test]
+fn repeated_names_are_numbered_where_they_are_repeated() {
+    let mut g = Gltf::triangle();
+    let hand = |g: &mut Gltf| g.node(json!({"name": "hand", "mesh": 0}));
+    g.json["nodes"] = json!([]);
+    let hands: Vec<usize> = (0..5).map(|_| hand(&mut g)).collect();
+    let roots = [
+        json!({"name": "arm", "children": [hands[0]]}),
+        json!({"name": "arm", "children": [hands[1], hands[2]], "translation": [0, 2, 0]}),
+        json!({"name": "arm", "mesh": 0, "children": [hands[3]]}),
+        json!({"name": "arm#2", "mesh": 0}),
+        // Lights, cameras and the like are called nothing.
+        json!({"name": "hand"}),
+        json!({"name": "hand", "children": []}),
+    ];
+    let mut all: Vec<usize> = roots.into_iter().map(|node| g.node(node)).collect();
+    all.push(hands[4]);
+    g.json["scenes"] = json!([{"nodes": all}]);
+    let read = g.import().unwrap();
+    let names: Vec<_> = read.environment.objects().iter().map(|o| o.name.as_str()).collect();
+    assert_eq!(names, ["arm/hand", "arm#2/hand", "arm#2/hand#2", "arm#3", "arm#3/hand", "arm#2#2", "hand"]);
+    assert_eq!(read.environment.groups().into_keys().collect::<Vec<_>>(), ["arm", "arm#2"]);
+    // Moving the second one moves what hangs on it, and nothing else.
+    let at = |w: &presight::World, path: &str| w.environment().frame(path).unwrap().translation;
+    let mut world = presight::World::new(read.environment);
+    let before = world.clone();
+    let to = presight::Pose { translation: DVec3::new(5.0, 0.0, 2.0), ..before.environment().frame("arm#2").unwrap() };
+    world.apply(presight::Change::MoveObject { name: "arm#2".into(), world_from_object: to }).unwrap();
+    for path in ["arm/hand", "arm#2/hand", "arm#2/hand#2", "arm#3", "arm#3/hand", "hand"] {
+        let moved = if path.starts_with("arm#2/") { DVec3::X * 5.0 } else { DVec3::ZERO };
+        assert!((at(&world, path) - at(&before, path) - moved).length() < 1e-12, "{path}");
+    }
+}
+
+/// Nodes without a mesh are groups, where something with a mesh is below; their frames are the rigid part of what the
+/// file composes.
+#[test]
+fn nodes_above_objects_are_groups_with_frames() {
+    let mut g = Gltf::triangle();
+    let empty = g.positions(&[[0.0; 3]; 3]);
+    g.mesh(json!([{"attributes": {"POSITION": empty}}]));
+    let turn = DQuat::from_rotation_y(0.4);
+    g.json["nodes"] = json!([
+        {"name": "site", "children": [1, 5], "translation": [4469320.2512, 1, -5333710.5021], "scale": [2, 2, 2]},
+        {"name": "hall", "children": [2, 3], "rotation": turn.to_array(), "translation": [1, 0, 0], "scale": [1, 3, -1]},
+        {"name": "door", "mesh": 0, "translation": [0, 1, 0]},
+        {"name": "flat", "mesh": 1, "children": [4], "translation": [0, 0, 1]},
+        {"name": "sign", "mesh": 0},
+        {"name": "lamp", "children": [6]},
+        {"name": "bulb"},
+    ]);
+    let read = g.import().unwrap();
+    let groups = read.environment.groups();
+    assert_eq!(groups.keys().copied().collect::<Vec<_>>(), ["site", "site/hall", "site/hall/flat"]);
+    assert_eq!(read.environment.framed_groups().count(), 3);
+    let near =
+        |path: &str, p: DVec3| assert!((groups[path].translation - p).length() < 1e-8, "{path} {:?}", groups[path]);
+    let site = DVec3::new(4469320.2512, 5333710.5021, 1.0);
+    near("site", site);
+    near("site/hall", site + DVec3::new(2.0, 0.0, 0.0));
+    // Axes as objects have theirs: an object at the node would have the same pose.
+    g.json["nodes"][1]["mesh"] = json!(0);
+    let object = g.import().unwrap().environment.object("site/hall").unwrap().world_from_object;
+    assert_eq!(groups["site/hall"], object);
+    // A mirror is no motion, and neither is a scale.
+    let turned = groups["site/hall"].rotation_matrix();
+    assert!((turned.determinant() - 1.0).abs() < 1e-12);
+    // The sidecar moves groups, too.
+    let sidecar = "format = 1\nworld_from_scene = [10, 0, 0, 0, 0, 90]";
+    g.json["nodes"][1].as_object_mut().unwrap().remove("mesh");
+    let moved = g.import_with(&SOURCE, Some(sidecar)).unwrap().environment;
+    let p = moved.frame("site").unwrap().translation;
+    assert!((p - DVec3::new(10.0 - site.y, site.x, 1.0)).length() < 1e-8, "{p}");
 }
 
 #[test]

@@ -96,6 +96,35 @@ fn source_numbers_follow_the_reference_table() {
     }
 }
 
+/// In a real model hardly a path above objects is an object itself: without groups none of them could be moved.
+#[test]
+fn paths_above_objects_move_what_is_below() {
+    let Some(data) = data::file("") else { return };
+    let environment = import(data.join("env/hospital.glb"), &ImportOptions::default()).unwrap().environment;
+    let groups: Vec<String> = environment.groups().into_keys().map(str::to_owned).collect();
+    // Half of them stand where their parent does.
+    assert_eq!((groups.len(), environment.framed_groups().count()), (143, 71));
+    let mut world = presight::World::new(environment);
+    let before = world.environment().content_hash();
+    for path in groups.iter().step_by(7) {
+        let start = world.clone();
+        let pose = |w: &presight::World, path: &str| w.environment().frame(path).unwrap();
+        let old = pose(&start, path);
+        let to = presight::Pose::from_xyz_rpy(old.translation + DVec3::new(1.0, 2.0, 0.0), 0.1, 0.2, 1.0);
+        let change = presight::Change::MoveObject { name: path.clone(), world_from_object: to };
+        let undo = world.apply(change).unwrap();
+        assert_eq!(pose(&world, path), to);
+        let motion = to.then(&old.inverse());
+        for (a, b) in start.environment().objects().iter().zip(world.environment().objects()) {
+            let below = a.name.strip_prefix(path.as_str()).is_some_and(|rest| rest.starts_with('/'));
+            let expected = if below { motion.then(&a.world_from_object) } else { a.world_from_object };
+            assert!((b.world_from_object.translation - expected.translation).length() < 1e-9, "{path}: {}", a.name);
+        }
+        world.apply(undo).unwrap();
+        assert_eq!(world.environment().content_hash(), before, "{path}");
+    }
+}
+
 #[test]
 fn merging_keeps_every_surface() {
     let Some(data) = data::file("") else { return };

@@ -28,10 +28,10 @@ fn folder_with_store() -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn a_newer_version_is_refused() {
     let (_folder, path) = folder_with_store();
-    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 3").unwrap();
+    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 4").unwrap();
     for args in [&["env", "info"][..], &["env", "check"], &["inspect"]] {
         let (status, message) = refused(args, &path);
-        assert!(status == Some(1) && message.contains("format 2") && message.contains("update presight"), "{message}");
+        assert!(status == Some(1) && message.contains("format 3") && message.contains("update presight"), "{message}");
     }
     assert_eq!(store::read(&path).unwrap_err().kind(), ErrorKind::Unsupported);
 }
@@ -152,8 +152,35 @@ fn lines_that_are_no_changes_name_their_place() {
         (r#"{"op":"restore_feature","class":"video","feature":{"id":2,"kind":"blob"}}"#, "blob"),
         (r#"{"op":"set_pose_covariance","class":"video","object":"a","covariance":[1]}"#, "36"),
         (
-            r#"{"op":"group","changes":[{"op":"delete_object","object":"b"},{"op":"delete_object","object":"b"}]}"#,
+            r#"{"op":"group","changes":[{"op":"delete_object","object":"a"},{"op":"delete_object","object":"a"}]}"#,
             "change 2",
+        ),
+        (r#"{"op":"move","object":"a","pose":[1,0,0,0,0,0],"pose":[2,0,0,0,0,0]}"#, "\"pose\" is given twice"),
+        (r#"{"op":"group","changes":[{"op":"delete_object","object":"a","object":"b"}]}"#, "\"object\" is given twice"),
+        (r#"{"op":"move","object":"a","pose":[0,0,0,0,0,0,0]}"#, "length"),
+        (r#"{"op":"move","object":"g/","pose":[0,0,0,0,0,0]}"#, "no object \"g/\""),
+        (r#"{"op":"set_group","group":"a","pose":[0,0,0,0,0,0]}"#, "there is an object of this path"),
+        (r#"{"op":"set_group","group":"","pose":[0,0,0,0,0,0]}"#, "0 bytes"),
+        (r#"{"op":"set_group","group":"g","pose":[0,0]}"#, "2 numbers"),
+        (
+            r#"{"op":"insert_feature","class":"video","feature":{"id":9,"kind":"point","points":[[0.5,0.5,7]]}}"#,
+            "class \"video\": feature 9: the point is 6.000000 m off its polygons",
+        ),
+        (
+            r#"{"op":"set_feature","class":"video","feature":{"id":2,"kind":"point","object":"a","points":[[0.5,0.5,7]]}}"#,
+            "feature 2: the point is 6.000000 m off its polygons at [0.5, 0.5, 7] in the frame of object \"a\"",
+        ),
+        (
+            r#"{"op":"restore_feature","class":"video","feature":{"id":9,"kind":"point","points":[[0.5,0.5,7]]}}"#,
+            "off its polygons",
+        ),
+        (
+            r#"{"op":"group","changes":[{"op":"insert_feature","class":"video","feature":{"id":9,"kind":"point","points":[[0,0,0]]}},{"op":"delete_object","object":"floor"}]}"#,
+            "class \"video\": feature 9",
+        ),
+        (
+            r#"{"op":"insert_feature","class":"video","feature":{"id":9,"kind":"fiducial","points":[[0,0,1],[0,0.5,1],[0,0.5,0.5],[0,0,0.5]],"properties":{"family":"tag36h11","code":1}}}"#,
+            "family \"tag36h11\": OpenCV has no such dictionary",
         ),
     ];
     for (line, part) in cases {
@@ -185,7 +212,7 @@ fn a_store_is_not_written_over() {
 /// Each version, made when it was the newest: later ones must read it, and write on.
 #[test]
 fn old_stores_are_read() {
-    for version in 1..=2 {
+    for version in 1..=3 {
         let old = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/store/version-{version}.presight"));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("old.presight");
@@ -197,12 +224,24 @@ fn old_stores_are_read() {
         assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
         let (mut store, environment) = Store::open(&path).unwrap();
         assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
-        assert_eq!(version_of(&path), 2);
+        assert_eq!(version_of(&path), 3);
         let mut world = presight::World::new(environment);
         store.apply(&mut world, super::numbered(6).0, &super::note(6.0)).unwrap();
         drop(store);
         let after = store::check(&path).unwrap();
         assert_eq!((after.changes, after.environment.content_hash()), (6, world.environment().content_hash()));
+        // What it did not know, it can keep from now on.
+        let (mut store, environment) = Store::open(&path).unwrap();
+        let mut world = presight::World::new(environment);
+        let note = Note { id: Some("first".into()), ..super::note(7.0) };
+        let frame =
+            presight::Change::SetGroup { name: "b/new".into(), world_from_group: Some(super::at(1.0, 2.0, 3.0)) };
+        store.apply(&mut world, frame, &note).unwrap();
+        let lid = presight::NewObject::new("b/new/lid", super::at(1.0, 2.0, 3.0), super::block("new", 0.5, [0; 6]));
+        store.apply(&mut world, presight::Change::InsertObject(lid), &super::note(8.0)).unwrap();
+        drop(store);
+        let groups = store::check(&path).unwrap().environment.groups().len();
+        assert_eq!(groups, if version < 3 { 1 } else { 3 });
     }
 }
 
@@ -226,7 +265,7 @@ fn bless_a_version() {
     drop(store);
     let info = store::check(&path).unwrap();
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store");
-    std::fs::copy(&path, to.join("version-2.presight")).unwrap();
-    std::fs::write(to.join("version-2.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
+    std::fs::copy(&path, to.join("version-3.presight")).unwrap();
+    std::fs::write(to.join("version-3.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
     panic!("made; run again without PRESIGHT_BLESS_STORE");
 }

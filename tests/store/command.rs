@@ -72,7 +72,8 @@ fn an_export_gives_everything_back() {
     std::fs::write(here.join("c.jsonl"), lines).unwrap();
     assert_eq!(run(here, &["env", "apply", "room.presight", "c.jsonl"]), "ack 1\nack 2\nack 3\n");
     let hash = |store: &str| store::read(&here.join(store)).unwrap().content_hash().to_string();
-    for (out, scene, layer) in [("dir", "dir/scene.glb", "dir/a_b.layer.json"), ("x.glb", "x.glb", "x.a_b.layer.json")]
+    for (out, scene, layer) in
+        [("dir", "dir/scene.glb", "dir/a%2Fb.layer.json"), ("x.glb", "x.glb", "x.a%2Fb.layer.json")]
     {
         assert_eq!(run(here, &["env", "export", "room.presight", out]), format!("{scene}\n{layer}\n"));
         let again = format!("{out}.presight");
@@ -106,7 +107,34 @@ fn an_exported_environment_is_the_same() {
     assert_eq!(again(&small()).content_hash(), small().content_hash());
     let Some(hospital) = super::hospital() else { return };
     let hospital = presight::io::gltf::import(hospital, &Default::default()).unwrap().environment;
-    assert_eq!(again(&hospital).content_hash(), hospital.content_hash());
+    let back = again(&hospital);
+    assert_eq!(back.content_hash(), hospital.content_hash());
+    assert_eq!((hospital.groups().len(), back.groups()), (143, hospital.groups()));
+    // Planted fault: a frame that is lost is noticed.
+    let mut without = hospital.clone();
+    let path = hospital.framed_groups().last().unwrap().0.to_owned();
+    without.set_group(&path, None).unwrap();
+    assert_ne!(again(&without).content_hash(), hospital.content_hash());
+}
+
+/// What another program moved counts for groups, too.
+#[test]
+fn a_group_that_another_program_moved_is_where_it_was_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("e.glb");
+    presight::io::gltf::write_glb(&path, &small()).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let at = |text: &str| bytes.windows(text.len()).position(|w| w == text.as_bytes()).unwrap();
+    // The same length: y of the group in the matrix, z in glTF.
+    let (number, from) = (b",-0.5,1.0]", at("\"world_from_group\""));
+    let from = from + bytes[from..].windows(number.len()).position(|w| w == number).unwrap();
+    let mut moved = bytes.clone();
+    moved[from + 2..from + 5].copy_from_slice(b"7.5");
+    std::fs::write(&path, moved).unwrap();
+    let again = presight::io::gltf::import(&path, &Default::default()).unwrap().environment;
+    let frame = again.frame("g/h").unwrap().translation;
+    assert!((frame - glam::DVec3::new(-3.0, 7.5, 0.0)).length() < 1e-12, "{frame}");
+    assert_eq!(again.frame("g/h/y"), small().frame("g/h/y"));
 }
 
 #[test]
@@ -147,11 +175,115 @@ fn a_line_with_an_id_is_applied_once() {
     // Twice in one file, with empty lines, as a number.
     std::fs::write(
         here.join("d.jsonl"),
-        "\n{\"op\":\"group\",\"changes\":[],\"id\":7}\n{\"op\":\"fly\",\"id\":\"7\"}\n",
+        "\n{\"op\":\"group\",\"changes\":[],\"id\":7}\n{\"id\":\"7\",\"changes\":[],\"op\":\"group\",\"cause\":\"again\"}\n",
     )
     .unwrap();
     assert_eq!(run(here, &["env", "apply", "env.presight", "d.jsonl"]), "ack 1\nack 2\nack 3\n");
     assert_eq!(store::info(&here.join("env.presight")).unwrap().changes, 5);
+}
+
+/// An id names one change: another under it is not lost unseen.
+#[test]
+fn another_change_under_a_known_id_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    create(here, &small());
+    presight::io::gltf::write_glb(&here.join("p.glb"), &small()).unwrap();
+    let lines = [
+        r#"{"id":"m","op":"move","object":"a","pose":[1,2,3,0,0,90]}"#,
+        r#"{"id":"d","op":"delete_object","object":"b/lid"}"#,
+        r#"{"id":"f","op":"insert_object","object":"x","from":"p.glb","from_object":"a"}"#,
+        r#"{"id":"l","op":"insert_object","object":"y","like":"x"}"#,
+        r#"{"id":"v","op":"insert_object","object":"z","vertices":[[0,0,0],[1,0,0],[0,1,0]],"polygons":[[0,1,2]]}"#,
+        r#"{"id":"p","op":"insert_feature","class":"video","feature":{"id":7,"kind":"point","object":"z","points":[[0,0,0]],"sigma":1}}"#,
+        r#"{"id":"g","op":"group","changes":[{"op":"add_material","name":"tin"},{"op":"delete_object","object":"x"}]}"#,
+        r#"{"id":"s","op":"set_group","group":"g","pose":[1,0,0,0,0,0]}"#,
+    ];
+    let apply = |text: &str| {
+        std::fs::write(here.join("c.jsonl"), text).unwrap();
+        presight().args(["env", "apply", "env.presight", "c.jsonl"]).current_dir(here).output().unwrap()
+    };
+    let all = lines.map(|line| format!("{line}\n")).concat();
+    let acks: String = (1..=lines.len()).map(|k| format!("ack {k}\n")).collect();
+    let hash = || store::check(&here.join("env.presight")).unwrap().environment.content_hash();
+    for _ in 0..2 {
+        let output = apply(&all);
+        assert_eq!(String::from_utf8_lossy(&output.stdout), acks, "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(store::info(&here.join("env.presight")).unwrap().changes, lines.len() as u64);
+    }
+    let before = hash();
+    // The same in other words: keys in another order, another form of the pose, with a cause.
+    let same = r#"{"pose":[1.0,2,3,0,0,0.7071067811865475,0.7071067811865476],"cause":"again","object":"a","op":"move","id":"m"}"#;
+    let rotation = presight::Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians()).rotation;
+    let same =
+        same.replace("0,0,0.7071067811865475,0.7071067811865476", &format!("0,0,{:?},{:?}", rotation.z, rotation.w));
+    assert_eq!(apply(&same).stdout, b"ack 1\n", "{}", String::from_utf8_lossy(&apply(&same).stderr));
+    let others = [
+        (1, r#"{"id":"m","op":"move","object":"a","pose":[1,2,3,0,0,91]}"#),
+        (1, r#"{"id":"m","op":"set_pose","object":"a","pose":[1,2,3,0,0,90]}"#),
+        (2, r#"{"id":"d","op":"delete_object","object":"b"}"#),
+        (3, r#"{"id":"f","op":"insert_object","object":"x","from":"p.glb","from_object":"b"}"#),
+        (4, r#"{"id":"l","op":"insert_object","object":"y","like":"a"}"#),
+        (
+            5,
+            r#"{"id":"v","op":"insert_object","object":"z","vertices":[[0,0,0],[2,0,0],[0,1,0]],"polygons":[[0,1,2]]}"#,
+        ),
+        (
+            6,
+            r#"{"id":"p","op":"insert_feature","class":"video","feature":{"id":7,"kind":"point","object":"z","points":[[0,0,0]],"sigma":2}}"#,
+        ),
+        (
+            7,
+            r#"{"id":"g","op":"group","changes":[{"op":"add_material","name":"zinc"},{"op":"delete_object","object":"x"}]}"#,
+        ),
+        (8, r#"{"id":"s","op":"set_group","group":"g"}"#),
+    ];
+    for (number, line) in others {
+        let output = apply(&format!("\n{line}\n"));
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), output.stdout.as_slice()), (Some(1), &b"ack 1\n"[..]), "{line}: {message}");
+        let id = &line[6..9];
+        assert!(message.contains(&format!("c.jsonl: line 2: id {id} is that of change {number}")), "{line}: {message}");
+        assert_eq!(hash(), before, "{line}");
+    }
+}
+
+/// The same for programs that use the library, and for entries that older versions wrote.
+#[test]
+fn changes_of_the_library_are_known_by_their_ids() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = create(folder.path(), &small());
+    let (mut store, environment) = Store::open(&path).unwrap();
+    let mut world = World::new(environment);
+    let named = |id: &str| store::Note { id: Some(id.to_owned()), ..note(1.0) };
+    let new = |name: &str, size| {
+        let mesh = super::block("new", size, [0; 6]);
+        Change::InsertObject(presight::NewObject::new(name, super::at(1.0, 0.0, 0.0), mesh))
+    };
+    let delete = |name: &str| Change::DeleteObject { name: name.into() };
+    assert_eq!(store.apply(&mut world, new("x", 1.0), &named("n")).unwrap(), 1);
+    assert_eq!(store.apply(&mut world, delete("a"), &named("d")).unwrap(), 2);
+    // Made anew, as after a crash.
+    assert_eq!(store.apply(&mut world, new("x", 1.0), &named("n")).unwrap(), 1);
+    assert_eq!(store.apply(&mut world, delete("a"), &named("d")).unwrap(), 2);
+    for (change, id) in [(new("x", 2.0), "n"), (new("z", 1.0), "n"), (delete("b"), "d"), (new("x", 1.0), "d")] {
+        let e = store.apply(&mut world, change, &named(id)).unwrap_err();
+        assert!(
+            e.kind() == presight::ErrorKind::Invalid && e.to_string().contains(&format!("id {id:?} is that")),
+            "{e}"
+        );
+    }
+    assert_eq!(store.changes(), 2);
+    // A line that says what such an entry did.
+    let mut batch = store.batch(&mut world).unwrap();
+    let mut line = |text: &str| batch.apply_line(text, Path::new("."), &note(2.0));
+    assert_eq!(line(r#"{"op":"delete_object","object":"a","id":"d"}"#).unwrap(), (2, false));
+    assert!(line(r#"{"op":"delete_object","object":"b","id":"d"}"#).is_err());
+    assert_eq!(
+        line(r#"{"op":"insert_object","object":"x","pose":[1,0,-0.0,0,0,0,1],"like":"b","id":"n"}"#).unwrap(),
+        (1, false)
+    );
+    assert!(line(r#"{"op":"insert_object","object":"y","like":"b","id":"n"}"#).is_err());
 }
 
 #[test]
@@ -196,7 +328,7 @@ fn log_undo_and_check_speak_of_the_same() {
     assert_eq!(log[3]["inverse"], log[4]["change"]);
     let words = run(here, &["env", "log", "env.presight"]);
     assert!(words.contains("1970-01-01T00:00:12.000Z  oops (undoes 4)"), "{words}");
-    assert!(run(here, &["env", "check", "env.presight"]).starts_with("sound: 3 objects, 5 changes"));
+    assert!(run(here, &["env", "check", "env.presight"]).starts_with("sound: 5 objects, 5 changes"));
     let info = json(&run(here, &["env", "info", "env.presight", "--json"]));
     assert_eq!((&info["content_hash"], &info["head"]), (&hash.into(), &log[4]["hash"]));
     let refused = presight().args(["env", "undo", "env.presight", "1"]).current_dir(here).output().unwrap();
@@ -243,4 +375,203 @@ fn a_scene_imported_again_replaces_what_it_is_allowed_to() {
     std::fs::write(here.join("l.json"), "{}").unwrap();
     let layer = presight().args(["env", "import", "room.presight", "l.json", "--replace"]).current_dir(here).output();
     assert_eq!(layer.unwrap().status.code(), Some(2), "layers have rules of their own");
+}
+
+/// A feature whose surface is pulled away stays, is left out, and is told of; one that is put in must lie on something.
+#[test]
+fn features_that_lost_their_surface_are_kept_and_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    create(here, &small());
+    let predict = |more: &[&str]| {
+        let args =
+            ["predict", "env.presight", "--sensor", "video-camera", "--pose", "-3,0,0.4,0,0,0", "--backend", "cpu"];
+        presight().args([&args[..], more].concat()).current_dir(here).output().unwrap()
+    };
+    let seen = || {
+        let output = predict(&["--features", "f.json", "--repeat", "2", "--stats", "s.json"]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let read = |name: &str| json(&std::fs::read_to_string(here.join(name)).unwrap());
+        let ids: Vec<_> =
+            read("f.json")["features"].as_array().unwrap().iter().map(|f| f["id"].as_u64().unwrap()).collect();
+        let count = read("s.json")["counts"]["features off their polygons"].as_u64();
+        (ids, count, String::from_utf8(output.stderr).unwrap())
+    };
+    assert_eq!(seen(), (vec![2, 5], None, String::new()));
+    assert_eq!(run(here, &["env", "check", "env.presight"]), "sound: 5 objects, 0 changes\n");
+    std::fs::write(here.join("c.jsonl"), "{\"op\":\"move\",\"object\":\"floor\",\"pose\":[0,0,-9,0,0,0]}\n").unwrap();
+    run(here, &["env", "apply", "env.presight", "c.jsonl"]);
+    let (ids, count, said) = seen();
+    assert_eq!((ids, count), (vec![2], Some(1)));
+    assert!(said.starts_with("note: 1 feature for class \"video\" left out") && said.contains("(5)"), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+    let checked = run(here, &["env", "check", "env.presight"]);
+    assert!(checked.starts_with("sound: 5 objects, 1 changes\n1 features that lie on no polygon"), "{checked}");
+    assert!(checked.contains("class \"video\": feature 5 \"p5\": the point is"), "{checked}");
+    let problems = json(&run(here, &["inspect", "env.presight", "--json"]))["problems"].clone();
+    assert_eq!((&problems[0]["kind"], &problems[0]["total"]), (&"lost_feature".into(), &1.into()), "{problems}");
+    // Undoing brings it back.
+    run(here, &["env", "undo", "env.presight", "1"]);
+    assert_eq!(seen(), (vec![2, 5], None, String::new()));
+    // A file that is given has to be right, its own tolerance and the scene's features beside it.
+    let layer = |points: &str| {
+        let text = format!(
+            r#"{{"format":1,"class":"video","features":[{{"id":9,"kind":"point","name":"n","points":{points}}}]}}"#
+        );
+        std::fs::write(here.join("l.json"), text).unwrap();
+    };
+    layer("[[0.5,0.5,0]]");
+    assert!(predict(&["--layer", "l.json"]).status.success());
+    layer("[[0.5,0.5,3]]");
+    for output in [
+        predict(&["--layer", "l.json"]),
+        presight().args(["env", "import", "env.presight", "l.json"]).current_dir(here).output().unwrap(),
+    ] {
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        assert!(
+            message.starts_with("error: l.json: ")
+                && message.contains(": feature 9 \"n\": the point is 2.000000 m off"),
+            "{message}"
+        );
+    }
+    let object = r#"{"format":1,"class":"video","features":[],"pose_covariances":{"door":[1,0,0,0,0,0,0,1,0,0,0,0,0,0,1,0,0,0,0,0,0,1,0,0,0,0,0,0,1,0,0,0,0,0,0,1]}}"#;
+    std::fs::write(here.join("l.json"), object).unwrap();
+    let output = predict(&["--layer", "l.json"]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(1) && message.contains("l.json: pose covariance of object \"door\""),
+        "{message}"
+    );
+}
+
+/// A path above objects that is none itself moves and goes with all that is below.
+#[test]
+fn groups_are_told_moved_and_deleted() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    create(here, &small());
+    let info = |key: &str| json(&run(here, &["env", "info", "env.presight", "--json"]))[key].clone();
+    assert_eq!(info("groups"), serde_json::json!(["g", "g/h"]));
+    assert!(run(here, &["env", "info", "env.presight"]).contains("groups     2\n"));
+    assert!(run(here, &["inspect", "env.presight"]).contains("objects    5 in 2 groups\n"));
+    let groups = json(&run(here, &["inspect", "env.presight", "--json"]))["groups"].clone();
+    assert_eq!((&groups[1]["name"], &groups[1]["world_from_group"][1]), (&"g/h".into(), &0.5.into()));
+    let before = store::read(&here.join("env.presight")).unwrap();
+    let lines =
+        "{\"op\":\"move\",\"object\":\"g\",\"pose\":[0,0,5,0,0,0]}\n{\"op\":\"delete_object\",\"object\":\"g/h\"}\n";
+    std::fs::write(here.join("c.jsonl"), lines).unwrap();
+    assert_eq!(run(here, &["env", "apply", "env.presight", "c.jsonl"]), "ack 1\nack 2\n");
+    assert_eq!((info("groups"), info("objects").as_array().unwrap().len()), (serde_json::json!([]), 4));
+    run(here, &["env", "undo", "env.presight", "2"]);
+    let moved = store::read(&here.join("env.presight")).unwrap();
+    for path in ["g", "g/h", "g/h/y"] {
+        let [is, was] = [&moved, &before].map(|e| e.frame(path).unwrap().translation);
+        assert!((is - was - glam::DVec3::new(0.0, 0.0, 5.0)).length() < 1e-12, "{path}: {is} {was}");
+    }
+    run(here, &["env", "undo", "env.presight", "1"]);
+    assert_eq!(store::read(&here.join("env.presight")).unwrap().content_hash(), before.content_hash());
+}
+
+/// Frames come with a scene that is merged, and are held to it as objects are.
+#[test]
+fn a_scene_brings_its_groups_along() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    create(here, &small());
+    let mut other = small();
+    other.set_group("g", Some(super::at(1.0, 2.0, 3.0))).unwrap();
+    presight::io::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
+    assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "change 1\n");
+    assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "nothing to change\n");
+    let read = || store::check(&here.join("env.presight")).unwrap().environment;
+    assert_eq!(read().frame("g"), Some(super::at(1.0, 2.0, 3.0)));
+    other.set_group("g", Some(super::at(1.0, 2.0, 4.0))).unwrap();
+    presight::io::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
+    let refused = presight().args(["env", "import", "env.presight", "o.glb"]).current_dir(here).output().unwrap();
+    let message = String::from_utf8(refused.stderr).unwrap();
+    assert!(
+        refused.status.code() == Some(1) && message.contains("o.glb: group \"g\"") && message.contains("--replace"),
+        "{message}"
+    );
+    assert_eq!(run(here, &["env", "import", "env.presight", "o.glb", "--replace"]), "change 2\n");
+    assert_eq!(read().content_hash(), other.content_hash());
+}
+
+#[test]
+fn changes_come_with_marks_through_pipes_and_from_stdin() {
+    use std::io::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    create(here, &small());
+    let line = "{\"op\":\"delete_object\",\"object\":\"a\"}\n";
+    std::fs::write(here.join("c.jsonl"), format!("\u{feff}{line}")).unwrap();
+    assert_eq!(run(here, &["env", "apply", "env.presight", "c.jsonl"]), "ack 1\n");
+    let given = |line: &str| {
+        let mut command = presight();
+        command.args(["env", "apply", "env.presight", "-"]).current_dir(here);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        child.stdin.take().unwrap().write_all(line.as_bytes()).unwrap();
+        child.wait_with_output().unwrap()
+    };
+    assert_eq!(given(&line.replace("\"a\"", "\"b\"")).stdout, b"ack 1\n");
+    let message = String::from_utf8(given(line).stderr).unwrap();
+    assert!(message.starts_with("error: stdin: line 1: "), "{message}");
+    let log = run(here, &["env", "log", "env.presight"]);
+    assert!(log.contains("  c.jsonl line 1: ") && log.contains("  stdin line 1: "), "{log}");
+}
+
+/// What cannot be read back is not written.
+#[test]
+fn an_environment_without_polygons_is_not_exported() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    create(here, &Environment::new());
+    for out in ["x.glb", "dir"] {
+        let output = presight().args(["env", "export", "env.presight", out]).current_dir(here).output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            output.status.code() == Some(1) && message.contains("env.presight: the environment has no polygons"),
+            "{message}"
+        );
+        assert!(!here.join("x.glb").exists() && !here.join("dir/scene.glb").exists());
+    }
+}
+
+/// Classes that differ keep files of their own.
+#[test]
+fn classes_of_like_names_are_exported_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut world = World::new(small());
+    for (class, x) in [("a/b", 0.25), ("a_b", 0.75)] {
+        world.apply(Change::InsertFeature { class: class.into(), feature: super::point(1, x, None) }).unwrap();
+    }
+    create(here, world.environment());
+    let told = run(here, &["env", "export", "env.presight", "x.glb"]);
+    assert_eq!(told, "x.glb\nx.a%2Fb.layer.json\nx.a_b.layer.json\nx.video.layer.json\n");
+    run(here, &["env", "create", "y.presight", "x.glb"]);
+    for layer in told.lines().skip(1) {
+        run(here, &["env", "import", "y.presight", layer]);
+    }
+    assert_eq!(store::read(&here.join("y.presight")).unwrap().content_hash(), world.environment().content_hash());
+}
+
+/// Deleted objects are none that could be seen.
+#[test]
+fn only_objects_that_are_there_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut world = World::new(small());
+    for name in ["a", "b", "b/lid", "floor", "g", ""] {
+        let _ = std::fs::remove_file(here.join("env.presight"));
+        create(here, world.environment());
+        let pose = ["--pose", "-9,0,0,0,0,180", "--backend", "cpu"];
+        let told = run(here, &[&["predict", "env.presight", "--sensor", "laser-scanner"][..], &pose].concat());
+        let there = world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
+        assert!(told.contains(&format!("0 of {there} objects seen")), "{told}");
+        if !name.is_empty() {
+            world.apply(Change::DeleteObject { name: name.into() }).unwrap();
+        }
+    }
 }

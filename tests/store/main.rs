@@ -44,7 +44,7 @@ fn point(id: u32, x: f64, object: Option<&str>) -> Feature {
     }
 }
 
-/// Three objects, two of one mesh, features, and a deleted object between.
+/// Objects of two meshes, two of them in groups of which one was given a frame, features, and a deleted object between.
 fn small() -> Environment {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
@@ -53,8 +53,12 @@ fn small() -> Environment {
     let (one, other) = (block("one", 1.0, [0, 0, 1, 0, 1, 0]), block("other", 0.5, [1; 6]));
     environment.insert(NewObject::new("a", at(3.0, 0.0, 0.1), one.clone())).unwrap();
     environment.insert(NewObject::new("gone", at(9.0, 0.0, 0.0), other.clone())).unwrap();
-    environment.insert(NewObject::new("b", at(4.0, 2.0, 1.0), one)).unwrap();
-    environment.insert(NewObject::new("b/lid", at(4.0, 2.5, 1.0), other)).unwrap();
+    environment.insert(NewObject::new("b", at(4.0, 2.0, 1.0), one.clone())).unwrap();
+    environment.insert(NewObject::new("b/lid", at(4.0, 2.5, 1.0), other.clone())).unwrap();
+    // What features in the world lie on.
+    environment.insert(NewObject::new("floor", at(0.0, 0.0, 0.0), one)).unwrap();
+    environment.insert(NewObject::new("g/h/y", at(-3.0, 1.0, 0.3), other)).unwrap();
+    environment.set_group("g/h", Some(at(-3.0, 0.5, 0.7))).unwrap();
     environment.delete("gone").unwrap();
     let mut world = World::new(environment);
     for (id, object) in [(2, Some("a")), (5, None)] {

@@ -10,7 +10,8 @@ use std::collections::HashMap;
 
 /// A change by small numbers, so that changes meet; many are impossible, which is part of it.
 fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
-    let name = ["a", "b", "b/lid", "c", "d"][usize::from(which % 5)].to_owned();
+    let names = ["a", "b", "b/lid", "c", "g", "g/h", "g/h/y", "g/x", "d"];
+    let name = names[usize::from(which) % names.len()].to_owned();
     let class = ["video", "radar"][usize::from(which % 2)].to_owned();
     let id = 1 + u32::from(which % 6);
     let object = which.is_multiple_of(3).then_some("a");
@@ -35,9 +36,10 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
             }
         }
         10 => Change::SetTolerance { class, tolerance: 0.001 + x.abs() },
-        _ if depth == 0 => change(kind % 11, which, x, 0),
+        11 => Change::SetGroup { name, world_from_group: (!which.is_multiple_of(3)).then(|| at(x, 2.0, -x)) },
+        _ if depth == 0 => change(kind % 12, which, x, 0),
         _ => {
-            Change::Group((0..3).map(|i| change((kind + 5 * i) % 12, which + i, x + f64::from(i), depth - 1)).collect())
+            Change::Group((0..3).map(|i| change((kind + 5 * i) % 13, which + i, x + f64::from(i), depth - 1)).collect())
         }
     }
 }
@@ -55,6 +57,9 @@ fn from_scratch(environment: &Environment) -> Environment {
             ..NewObject::new(o.name.clone(), o.world_from_object, o.mesh.clone())
         };
         again.insert(new).unwrap();
+    }
+    for (path, pose) in environment.framed_groups() {
+        again.set_group(path, Some(*pose)).unwrap();
     }
     for layer in environment.layers() {
         again.add_layer(layer.clone()).unwrap();
@@ -87,7 +92,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
 
     #[test]
-    fn store_memory_and_scratch_agree(steps in prop::collection::vec((0u8..12, 0u8..60, -2.0f64..2.0, 0u8..8), 1..60)) {
+    fn store_memory_and_scratch_agree(steps in prop::collection::vec((0u8..13, 0u8..60, -2.0f64..2.0, 0u8..8), 1..60)) {
         let folder = tempfile::tempdir().unwrap();
         let path = create(folder.path(), &small());
         let (mut store, environment) = Store::open(&path).unwrap();
@@ -115,6 +120,7 @@ proptest! {
         let info = store::check(&path).unwrap();
         let hash = world.environment().content_hash();
         prop_assert_eq!(info.environment.content_hash(), hash);
+        prop_assert_eq!(info.environment.groups(), world.environment().groups());
         let scratch = from_scratch(world.environment());
         prop_assert_eq!(scratch.content_hash(), hash);
         let again = replayed(&path, small(), &applied);

@@ -92,6 +92,29 @@ fn a_parents_move_and_a_group_are_undone_whole() {
 }
 
 #[test]
+fn changes_of_groups_are_undone_whole_and_stand_in_the_way() {
+    let (folder, mut store, mut world, hashes) =
+        opened(vec![mover("g", 1.0), mover("a", 1.0), mover("g/h/y", 2.0), delete("g/h"), delete("b")]);
+    let e = store.undo(&mut world, 1, false, &note(9.0)).unwrap_err().to_string();
+    assert!(e.contains("3 (object \"g/h/y\")") && e.contains("4 (object") && !e.contains("2 ("), "{e}");
+    assert_eq!(store.undo(&mut world, 5, false, &note(9.0)).unwrap(), [6]);
+    assert_eq!(hash(&world), hashes[4]);
+    assert_eq!(store.undo(&mut world, 1, true, &note(9.0)).unwrap(), [7, 8, 9]);
+    assert_eq!(store.undo(&mut world, 2, false, &note(9.0)).unwrap(), [10]);
+    assert_eq!(hash(&world), hashes[0]);
+    // From the file the same.
+    drop(store);
+    let (mut store, environment) = Store::open(&folder.path().join("env.presight")).unwrap();
+    let mut world = World::new(environment);
+    assert_eq!(hash(&world), hashes[0]);
+    assert_eq!(store.undo(&mut world, 8, true, &note(9.0)).unwrap().len(), 2);
+    store.undo(&mut world, 10, false, &note(9.0)).unwrap();
+    let frames: Vec<_> = world.environment().framed_groups().map(|(path, _)| path.to_owned()).collect();
+    assert_eq!(frames, ["g", "g/h"], "g was moved again");
+    same_on_disk(store, &world);
+}
+
+#[test]
 fn a_failed_change_leaves_those_before_and_a_dropped_batch_nothing() {
     let (_folder, mut store, mut world, hashes) = opened(vec![mover("a", 1.0)]);
     let mut batch = store.batch(&mut world).unwrap();

@@ -3,6 +3,7 @@
 use super::{NoteArgs, unindexed};
 use crate::cli::print;
 use crate::error::{Error, Result};
+use crate::io::file::without_mark;
 use crate::io::store::Store;
 use crate::limits;
 use std::fs::File;
@@ -12,20 +13,26 @@ use std::path::{Path, PathBuf};
 /// Most changes that become durable together.
 const BATCH: usize = 100;
 
-const EXAMPLES: &str = r#"One change a line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw]:
-  {"op":"move","object":PATH,"pose":[..]}         what is below PATH moves with it; "set_pose" moves it alone
+const EXAMPLES: &str = r#"One change a line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
+PATH is an object's; "move", "set_pose" and "delete_object" also take a path above objects, a group:
+  {"op":"move","object":PATH,"pose":[..]}      what is below PATH moves with it
+  {"op":"set_pose","object":PATH,"pose":[..]}  an object moves alone
+  {"op":"delete_object","object":PATH}         its features go with it; of a group all that is below
+  {"op":"set_group","group":PATH,"pose":[..]}  where a group's frame is; nothing else moves
   {"op":"insert_object","object":PATH,"pose":[..],"from":"press.glb"}
-                                                  "from_object" names one where the file holds several
-  {"op":"insert_object","object":PATH,"vertices":[[x,y,z],..],"polygons":[[0,1,2],..],"material":NAME}
+                                               "from_object" where the file holds several
   {"op":"insert_object","object":PATH,"pose":[..],"like":PATH}
-  {"op":"delete_object","object":PATH}            its features go with it
+  {"op":"insert_object","object":PATH,"vertices":[[x,y,z],..],"polygons":[[0,1,2],..],
+   "material":NAME}
   {"op":"add_material","name":NAME,"reflection":0.4,"classes":{"radar":"transparent"}}
-  {"op":"insert_feature","class":C,"feature":{..}}  as in a layer file; also "set_feature"
+  {"op":"insert_feature","class":C,"feature":{..}}  as in a layer file, also "set_feature":
+                                               it must lie on polygons
   {"op":"delete_feature","class":C,"feature":ID}
   {"op":"set_tolerance","class":C,"tolerance":M}
   {"op":"set_pose_covariance","class":C,"object":PATH,"covariance":[36 numbers]}
-  {"op":"group","changes":[..]}                   all of them or none
-A line may have an "id": applied again after a crash it is acknowledged and does nothing; and a "cause"."#;
+  {"op":"group","changes":[..]}                all of them or none
+A line may have a "cause", and an "id": applied again after a crash it is acknowledged and does
+nothing, while another change under the same id is an error."#;
 
 /// Apply changes, one JSON object a line; prints `ack K` when line K is on the disk
 ///
@@ -49,10 +56,11 @@ pub struct Args {
 /// # Errors
 /// Those of the store; of a line with its number.
 pub fn run(args: &Args) -> Result<()> {
-    let name = args.changes.display().to_string();
+    let from_stdin = args.changes == Path::new("-");
+    let path = if from_stdin { Path::new("stdin") } else { &args.changes };
     // Refused before the store is touched.
     args.note.note(String::new)?;
-    let (input, folder): (Box<dyn Read>, &Path) = if args.changes == Path::new("-") {
+    let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
         (Box::new(std::io::stdin()), Path::new("."))
     } else {
         let file = File::open(&args.changes).map_err(|e| Error::io(&args.changes, "open it", e))?;
@@ -60,7 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let (mut store, environment) = Store::open(&args.store)?;
     let mut world = unindexed(environment);
-    let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path: &args.changes };
+    let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path };
     let mut ended = false;
     while !ended {
         let mut batch = store.batch(&mut world)?;
@@ -72,9 +80,9 @@ pub fn run(args: &Args) -> Result<()> {
                 break;
             };
             if !line.is_empty() {
-                let note = args.note.note(|| format!("{name} line {number}"))?;
+                let note = args.note.note(|| format!("{} line {number}", path.display()))?;
                 if let Err(e) = batch.apply_line(&line, folder, &note) {
-                    wrong = Some(e.at(format!("line {number}")).in_file(&args.changes));
+                    wrong = Some(e.at(format!("line {number}")).in_file(path));
                     break;
                 }
             }
@@ -120,6 +128,7 @@ impl Lines<'_> {
         }
         let text = String::from_utf8(bytes)
             .map_err(|_| place(Error::invalid("it is not UTF-8", "write the changes as UTF-8 text")))?;
+        let text = if self.number == 1 { without_mark(text) } else { text };
         Ok(Some((self.number, text.trim().to_owned())))
     }
 

@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 
 /// Write a store as glTF with layer files, which create and import read back without loss
 ///
-/// A folder gets scene.glb and CLASS.layer.json; beside FILE.glb layers are FILE.CLASS.layer.json. The log stays behind,
-/// and so do numbers of objects, ids of deleted features, and objects without polygons.
+/// A folder gets scene.glb and CLASS.layer.json; beside FILE.glb layers are FILE.CLASS.layer.json. In CLASS, what is no letter,
+/// digit, - _ or . is written as %XX. The log stays behind, and so do numbers of objects, ids of deleted features, and objects
+/// without polygons; a store without any polygon is refused, for no scene is read without one.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The store
@@ -43,14 +44,9 @@ pub fn run(args: &Args) -> Result<()> {
     let full = |l: &&FeatureLayer| !(l.features.is_empty() && l.pose_covariances.is_empty());
     let mut files: Vec<(PathBuf, &FeatureLayer)> = Vec::new();
     for own in environment.layers().iter().filter(full) {
-        let path = folder.join(format!("{prefix}{}.layer.json", file_name(&own.class)));
-        if files.iter().any(|(other, _)| *other == path) {
-            let what = format!("two classes of layers would be written to {}", path.display());
-            return Err(Error::invalid(what, "rename one").in_file(&args.store));
-        }
-        files.push((path, own));
+        files.push((folder.join(format!("{prefix}{}.layer.json", file_name(&own.class))), own));
     }
-    write_glb(&scene, &environment)?;
+    write_glb(&scene, &environment).map_err(|e| e.in_file(&args.store))?;
     for (path, own) in &files {
         layer::write(path, own)?;
     }
@@ -59,7 +55,27 @@ pub fn run(args: &Args) -> Result<()> {
     print::data(&lines)
 }
 
-/// A class as a part of a file's name.
+/// A class as a part of a file's name; no two have the same.
 fn file_name(class: &str) -> String {
-    class.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+    let mut name = String::new();
+    for c in class.chars() {
+        let mut bytes = [0; 4];
+        match c {
+            _ if c.is_alphanumeric() || "-_.".contains(c) => name.push(c),
+            _ => c.encode_utf8(&mut bytes).bytes().for_each(|byte| name += &format!("%{byte:02X}")),
+        }
+    }
+    name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::file_name;
+
+    #[test]
+    fn classes_keep_names_of_their_own() {
+        let classes = ["a/b", "a_b", "a%2Fb", "a b", "..", "r\u{e4}dar", "a\u{2028}b"];
+        let names = classes.map(file_name);
+        assert_eq!(names, ["a%2Fb", "a_b", "a%252Fb", "a%20b", "..", "r\u{e4}dar", "a%E2%80%A8b"]);
+    }
 }

@@ -22,7 +22,7 @@ const EXAMPLES: &str = "Examples:
     presight env create hall.presight hall.glb
     presight env import hall.presight hall.video.layer.json
 
-  A machine was moved, and one was taken away; both or none:
+  A machine was moved, and one was taken away; both or none. A path above objects moves and goes with all of them:
     echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"press 1\",\"pose\":[3,1,0,0,0,90]},
       {\"op\":\"delete_object\",\"object\":\"press 2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
 
@@ -58,7 +58,7 @@ enum Command {
     /// Merge a scene or a layer file (.json), as one change
     ///
     /// What is there already, equal in everything, stays as it is; an object of the same path but another content is an
-    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes.
+    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes; they must lie on polygons.
     Import {
         /// The store
         store: PathBuf,
@@ -100,7 +100,9 @@ enum Command {
         #[command(flatten)]
         note: NoteArgs,
     },
-    /// Prove every row, the whole log and the file's structure
+    /// Prove every row, the whole log and the file's structure; list features that lie on no polygon any more
+    ///
+    /// Such features are a problem of the model, not of the file: the store is sound, and predictions leave them out.
     Check {
         /// The store
         store: PathBuf,
@@ -110,7 +112,7 @@ enum Command {
 /// What goes into the log besides a change.
 #[derive(Debug, clap::Args)]
 struct NoteArgs {
-    /// Why, for the log [default: the command]
+    /// Why, for the log [default: the command; of apply the file, or stdin, and the line]
     #[arg(long, value_name = "TEXT")]
     cause: Option<String>,
 
@@ -143,14 +145,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         Command::Info { store, json } => show::info(store, *json)?,
         Command::Log { store, json } => show::log(store, *json)?,
         Command::Undo { store, change, cascade, note } => undo(store, *change, *cascade, note)?,
-        Command::Check { store } => {
-            let info = store::check(store)?;
-            print::data(&format!(
-                "sound: {} objects, {} changes\n",
-                show::live(&info.environment).count(),
-                info.changes
-            ))?;
-        }
+        Command::Check { store } => show::check(store)?,
     }
     Ok(Verdict::Done)
 }
@@ -195,7 +190,9 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
         return print::data("nothing to change\n");
     }
     let mut world = unindexed(environment);
-    let number = store.apply(&mut world, change, &note).map_err(|e| e.in_file(file))?;
+    let mut batch = store.batch(&mut world)?;
+    let number = batch.apply_placed(change, &note).map_err(|e| e.in_file(file))?;
+    batch.commit()?;
     print::data(&format!("change {number}\n"))
 }
 

@@ -4,6 +4,7 @@ use crate::cli::print;
 use crate::environment::{Environment, Object};
 use crate::error::{Error, Result};
 use crate::io::store::{self, LogEntry};
+use crate::placement;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -19,6 +20,7 @@ pub fn live(environment: &Environment) -> impl Iterator<Item = &Object> {
 pub fn info(path: &Path, as_json: bool) -> Result<()> {
     let info = store::info(path)?;
     let environment = &info.environment;
+    let groups = environment.groups();
     let layer = |l: &crate::environment::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
     let value = json!({
         "format": FORMAT,
@@ -29,6 +31,7 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
         "head": info.head,
         "content_hash": environment.content_hash().to_string(),
         "objects": live(environment).map(|o| &o.name).collect::<Vec<_>>(),
+        "groups": groups.keys().collect::<Vec<_>>(),
         "polygons": live(environment).map(|o| o.mesh.polygon_count()).sum::<usize>(),
         "materials": environment.materials().iter().map(|m| &m.name).collect::<Vec<_>>(),
         "layers": environment.layers().iter().map(layer).collect::<Vec<_>>(),
@@ -41,10 +44,21 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
     lines.push(format!("changes    {}, head {}", info.changes, info.head));
     lines.push(format!("content    {}", environment.content_hash()));
     lines.push(format!("objects    {} of {} polygons", live(environment).count(), value["polygons"]));
+    lines.push(format!("groups     {}", groups.len()));
     lines.extend(environment.layers().iter().map(|l| format!("layer      {}: {} features", l.class, l.features.len())));
     lines.push(String::new());
     lines.extend(live(environment).map(|o| format!("  {}", o.name)));
     print::data(&(lines.join("\n") + "\n"))
+}
+
+/// `presight env check`.
+pub fn check(path: &Path) -> Result<()> {
+    let info = store::check(path)?;
+    print::data(&format!("sound: {} objects, {} changes\n", live(&info.environment).count(), info.changes))?;
+    match placement::problem(&info.environment)? {
+        Some(problem) => print::data(&format!("{}\n", problem.to_string().replace('\n', "\n  "))),
+        None => Ok(()),
+    }
 }
 
 /// `presight env log`.

@@ -1,7 +1,8 @@
-//! What [`super::write_glb`] leaves in `extras.presight`, so that nothing is lost: polygons of meshes, poses of nodes.
+//! What [`super::write_glb`] leaves in `extras.presight`, so that nothing is lost: polygons of meshes, poses of objects and
+//! groups.
 
 use super::accessor::Document;
-use super::nodes::MeshNode;
+use super::nodes::SceneNode;
 use super::write::{matrix_of, mesh_hash};
 use crate::environment::{Mesh, NewObject, PolygonOrder, PolygonRecord};
 use crate::geometry::Pose;
@@ -80,33 +81,64 @@ impl Document<'_> {
     }
 }
 
-/// Where our own writer says that an object is.
+/// What our own writer says of a root node.
+pub(super) enum Placed {
+    /// Where an object is.
+    Object(PlacedObject),
+    /// The frame of a group.
+    Group(PlacedGroup),
+}
+
 #[derive(Deserialize)]
-pub(super) struct Placed {
+pub(super) struct PlacedObject {
     world_from_object: [f64; 7],
     object_from_mesh: [f64; 12],
     first_source: u32,
 }
 
+#[derive(Deserialize)]
+pub(super) struct PlacedGroup {
+    world_from_group: [f64; 7],
+}
+
 impl Placed {
     /// Of a node's extras.
     pub fn of(extras: &serde_json::Value) -> Option<Self> {
-        Self::deserialize(extras.get("presight")?).ok()
+        let ours = extras.get("presight")?;
+        let object = PlacedObject::deserialize(ours).ok().map(Self::Object);
+        object.or_else(|| PlacedGroup::deserialize(ours).ok().map(Self::Group))
     }
+}
 
+impl PlacedObject {
     /// The object, if the node is still where it was written.
-    pub fn object(&self, node: &MeshNode, mesh: Arc<Mesh>) -> Option<NewObject> {
-        let [x, y, z, qx, qy, qz, qw] = self.world_from_object;
-        let pose = Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) };
+    pub fn object(&self, node: &SceneNode, path: &str, mesh: Arc<Mesh>) -> Option<NewObject> {
         let new = NewObject {
             object_from_mesh: DAffine3::from_cols_array(&self.object_from_mesh),
             first_source: self.first_source,
-            ..NewObject::new(node.path.clone(), pose, mesh)
+            ..NewObject::new(path, pose(self.world_from_object), mesh)
         };
-        let matrix = matrix_of(&(new.world_from_object.to_affine() * new.object_from_mesh));
-        let column = |i: usize| DVec3::new(matrix[i], matrix[i + 1], matrix[i + 2]);
-        let here = &node.scene_from_mesh;
-        let same = [0, 4, 8].map(column) == [here.matrix3.x_axis, here.matrix3.y_axis, here.matrix3.z_axis];
-        (same && column(12) == here.translation).then_some(new)
+        is_at(node, &(new.world_from_object.to_affine() * new.object_from_mesh)).then_some(new)
     }
+}
+
+impl PlacedGroup {
+    /// The frame, if the node is still where it was written.
+    pub fn frame(&self, node: &SceneNode) -> Option<Pose> {
+        let frame = pose(self.world_from_group);
+        is_at(node, &frame.to_affine()).then_some(frame)
+    }
+}
+
+fn pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
+    Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) }
+}
+
+/// True if a node has the very matrix that is written for this place.
+fn is_at(node: &SceneNode, world_from_node: &DAffine3) -> bool {
+    let matrix = matrix_of(world_from_node);
+    let column = |i: usize| DVec3::new(matrix[i], matrix[i + 1], matrix[i + 2]);
+    let here = &node.scene_from_node;
+    let same = [0, 4, 8].map(column) == [here.matrix3.x_axis, here.matrix3.y_axis, here.matrix3.z_axis];
+    same && column(12) == here.translation
 }

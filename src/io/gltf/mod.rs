@@ -3,13 +3,15 @@
 //! The `gltf` crate parses the file's structure; node transforms are read again as f64, and accessors are read here
 //! with every size checked first, because the crate trusts them. Positions stay the file's f32 bits in the mesh's own
 //! frame; everything else goes into the object's f64 matrix: `world_from_scene` of the sidecar, the turn from y-up
-//! to z-up, and the product of the node matrices.
+//! to z-up, and the product of the node matrices. Nodes with objects below that are none themselves become groups, their
+//! frames the rigid part of that product.
 
 mod accessor;
 mod container;
 mod exact;
 mod mesh;
 mod nodes;
+mod paths;
 mod write;
 
 pub use write::write_glb;
@@ -21,10 +23,11 @@ use crate::geometry::Pose;
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
 use accessor::Document;
+use exact::Placed;
 use glam::{DAffine3, DMat3, DVec3};
 use gltf::json;
 use mesh::mesh_words;
-use nodes::{MeshNode, NodeText};
+use nodes::{NodeText, SceneNode};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -109,8 +112,8 @@ fn import_bytes(
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
 
-    let mesh_nodes = nodes.mesh_nodes()?;
-    let used = used_meshes(&document, &mesh_nodes)?;
+    let nodes = nodes.scene_nodes()?;
+    let used = used_meshes(&document, &nodes)?;
     let mut environment = Environment::new();
     let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
     let built: Vec<Result<Built>> =
@@ -129,7 +132,7 @@ fn import_bytes(
         });
         by_mesh.insert(mesh, built);
     }
-    insert_objects(mesh_nodes, &by_mesh, sidecar, &mut environment, &mut report, &mut book)?;
+    insert_objects(&nodes, &by_mesh, sidecar, &mut environment, &mut report, &mut book)?;
     if environment.slot_count() == 0 {
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
@@ -218,19 +221,17 @@ fn load_buffers<'a>(
 }
 
 /// The meshes of the scene, each once, in the order of their first use; their claims are checked against the limits.
-fn used_meshes(document: &Document<'_>, nodes: &[MeshNode]) -> Result<Vec<usize>> {
+fn used_meshes(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<usize>> {
     let mut claimed: HashMap<usize, u64> = HashMap::new();
     let mut used = Vec::new();
     let (mut stored, mut in_scene) = (0u64, 0u64);
-    for node in nodes {
-        let count = match claimed.get(&node.mesh) {
+    for (node, mesh) in nodes.iter().filter_map(|node| Some((node, node.mesh?))) {
+        let count = match claimed.get(&mesh) {
             Some(&count) => count,
             None => {
-                let count = document
-                    .claimed_triangles(node.mesh)
-                    .map_err(|e| e.at(format!("node {} {}", node.node, quoted(&node.path))))?;
-                claimed.insert(node.mesh, count);
-                used.push(node.mesh);
+                let count = document.claimed_triangles(mesh).map_err(|e| e.at(place_of(node)))?;
+                claimed.insert(mesh, count);
+                used.push(mesh);
                 stored = stored.saturating_add(count);
                 count
             }
@@ -351,8 +352,13 @@ fn largest_stretch(m: &DMat3) -> f64 {
     (longest * longest + 2.0 * skew).sqrt()
 }
 
+/// A node in messages.
+fn place_of(node: &SceneNode) -> String {
+    format!("node {} {}", node.node, quoted(&node.path))
+}
+
 fn insert_objects(
-    nodes: Vec<MeshNode>,
+    nodes: &[SceneNode],
     by_mesh: &HashMap<usize, Built>,
     sidecar: &Sidecar,
     environment: &mut Environment,
@@ -360,45 +366,88 @@ fn insert_objects(
     book: &mut ProblemBook,
 ) -> Result<()> {
     let world_from_gltf = sidecar.world_from_scene.to_affine() * DAffine3::from_mat3(Z_UP_FROM_Y_UP);
+    // Our own writer knows of no sidecar.
+    let exact = sidecar.world_from_scene == Pose::IDENTITY;
+    let built_of = |node: &SceneNode| node.mesh.and_then(|mesh| by_mesh.get(&mesh));
+    let is_object = |node: &SceneNode| built_of(node).is_some_and(|built| built.mesh.polygon_count() > 0);
+    let paths = paths::paths(nodes, is_object);
     let mut first_source = 0u32;
-    for node in nodes {
-        let Some(built) = by_mesh.get(&node.mesh) else { continue };
-        let place = || format!("node {} {}", node.node, quoted(&node.path));
+    for (node, path) in nodes.iter().zip(&paths) {
+        let place = || place_of(node);
+        let Some(built) = built_of(node) else { continue };
         report.triangles_in_scene += u64::from(built.source_count);
         report.polygons_in_scene += built.mesh.polygon_count() as u64;
         if node.skinned {
             book.note(ProblemKind::IgnoredFeature, || format!("{}: skin: its rest pose is used", place()));
         }
-        if built.mesh.polygon_count() == 0 {
-            book.note(ProblemKind::EmptyMesh, place);
-        } else {
-            let world_from_mesh = world_from_gltf * node.scene_from_mesh;
-            let exact = node.placed.as_ref().filter(|_| sidecar.world_from_scene == Pose::IDENTITY);
-            let new = match exact.and_then(|placed| placed.object(&node, built.mesh.clone())) {
-                Some(new) if built.exact => new,
-                // Its triangles are numbered as any other's.
-                Some(new) => NewObject { first_source, ..new },
-                None => NewObject {
-                    first_source,
-                    ..NewObject::from_affine(node.path.clone(), world_from_mesh, built.mesh.clone())
-                        .map_err(|e| e.at(place()))?
-                },
-            };
-            let deviation = built.deviation * largest_stretch(&world_from_mesh.matrix3);
-            report.largest_deviation_m = report.largest_deviation_m.max(deviation);
-            let object = environment.insert(new).map_err(|e| e.at(place()))?;
-            let bounds = environment.objects()[object as usize].world_bounds();
-            let reach = bounds.min.abs().max(bounds.max.abs());
-            if !reach.is_finite() || reach.max_element() > limits::MAX_COORDINATE {
-                return Err(Error::invalid(
-                    format!("it reaches beyond {} m", limits::MAX_COORDINATE),
-                    "check the scale: glTF is in metres",
-                )
-                .at(place()));
+        match path.as_deref().filter(|_| is_object(node)) {
+            None => book.note(ProblemKind::EmptyMesh, place),
+            Some(path) => {
+                let world_from_mesh = world_from_gltf * node.scene_from_node;
+                let new =
+                    object(node, path, built, first_source, (&world_from_mesh, exact)).map_err(|e| e.at(place()))?;
+                let deviation = built.deviation * largest_stretch(&world_from_mesh.matrix3);
+                report.largest_deviation_m = report.largest_deviation_m.max(deviation);
+                insert(environment, new).map_err(|e| e.at(place()))?;
             }
         }
         // Cannot overflow: the sum over all nodes is under the limit on polygons.
         first_source += built.source_count;
     }
+    for (node, path) in nodes.iter().zip(paths).filter(|(node, _)| !is_object(node)) {
+        if let Some(path) = path {
+            let frame = frame_of_group(node, &world_from_gltf, exact);
+            // A matrix without a rigid part gives none: the group then has that of what is above.
+            let _ = environment.set_group(&path, Some(frame));
+        }
+    }
+    environment.settle_groups();
+    for node in nodes.iter().filter(|node| matches!(node.placed, Some(Placed::Group(_)))) {
+        // Our own writer names it by its path; nothing hangs on the node.
+        let free = environment.object(&node.name).is_none() && environment.group(&node.name).is_none();
+        if free && environment.has_below(&node.name) {
+            let _ = environment.set_group(&node.name, Some(frame_of_group(node, &world_from_gltf, exact)));
+        }
+    }
     Ok(())
+}
+
+/// The object that a node is.
+fn object(
+    node: &SceneNode,
+    path: &str,
+    built: &Built,
+    first_source: u32,
+    (world_from_mesh, exact): (&DAffine3, bool),
+) -> Result<NewObject> {
+    let written = match &node.placed {
+        Some(Placed::Object(placed)) if exact => placed.object(node, path, built.mesh.clone()),
+        _ => None,
+    };
+    Ok(match written {
+        Some(new) if built.exact => new,
+        // Its triangles are numbered as any other's.
+        Some(new) => NewObject { first_source, ..new },
+        None => NewObject { first_source, ..NewObject::from_affine(path, *world_from_mesh, built.mesh.clone())? },
+    })
+}
+
+fn insert(environment: &mut Environment, new: NewObject) -> Result<()> {
+    let object = environment.insert(new)?;
+    let bounds = environment.objects()[object as usize].world_bounds();
+    let reach = bounds.min.abs().max(bounds.max.abs());
+    if reach.is_finite() && reach.max_element() <= limits::MAX_COORDINATE {
+        return Ok(());
+    }
+    let what = format!("it reaches beyond {} m", limits::MAX_COORDINATE);
+    Err(Error::invalid(what, "check the scale: glTF is in metres"))
+}
+
+/// The frame of the group that a node is.
+fn frame_of_group(node: &SceneNode, world_from_gltf: &DAffine3, exact: bool) -> Pose {
+    let written = match &node.placed {
+        Some(Placed::Group(group)) if exact => group.frame(node),
+        _ => None,
+    };
+    written.unwrap_or_else(|| Pose::rigid_part(&(*world_from_gltf * node.scene_from_node)))
 }

@@ -8,6 +8,8 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
 const REPAIR: &str = "repair the model or export it again";
+/// The parent of a root.
+const NONE: usize = usize::MAX;
 
 /// The part of a glTF file that must keep f64.
 #[derive(Deserialize)]
@@ -39,31 +41,37 @@ struct Node {
     extras: Option<serde_json::Value>,
 }
 
-/// One node of the default scene that carries a mesh.
-pub(super) struct MeshNode {
+/// A node of the default scene that has a mesh or meshes below, or one that our own writer left for a group.
+pub(super) struct SceneNode {
     /// Index in the file.
     pub node: usize,
-    /// Full node path, "a/b/c".
+    /// Which of the nodes found before holds it.
+    pub parent: Option<usize>,
+    /// Its own name.
+    pub name: String,
+    /// Full node path as the file has it, "a/b/c", for messages: others may have the same.
     pub path: String,
-    pub mesh: usize,
+    pub mesh: Option<usize>,
     /// glTF scene axes, y up.
-    pub scene_from_mesh: DAffine3,
+    pub scene_from_node: DAffine3,
     pub skinned: bool,
     /// What our own writer says besides, of a root.
     pub placed: Option<Placed>,
 }
 
 impl NodeText {
-    /// The mesh nodes of the default scene, depth-first, children in order.
-    pub fn mesh_nodes(&self) -> Result<Vec<MeshNode>> {
-        let roots = self.roots()?;
-        let mut found = Vec::new();
+    /// Those nodes of the default scene, depth-first, children in order.
+    pub fn scene_nodes(&self) -> Result<Vec<SceneNode>> {
+        let parents = self.parents()?;
+        let carries = self.carriers(&parents);
+        let mut found: Vec<SceneNode> = Vec::new();
         let mut seen = vec![false; self.nodes.len()];
         let mut path = String::new();
-        // Iterative: a deep file must not exhaust the stack. (node, depth, length of the parent's path, parent)
-        let mut stack: Vec<(usize, usize, usize, DAffine3)> =
-            roots.iter().rev().map(|&r| (r, 0, 0, DAffine3::IDENTITY)).collect();
-        while let Some((index, depth, parent_length, scene_from_parent)) = stack.pop() {
+        // Iterative: a deep file must not exhaust the stack. (node, depth, length of the parent's path, parent among those
+        // found, parent's place)
+        let mut stack: Vec<(usize, usize, usize, Option<usize>, DAffine3)> =
+            self.roots(&parents)?.iter().rev().map(|&r| (r, 0, 0, None, DAffine3::IDENTITY)).collect();
+        while let Some((index, depth, parent_length, parent, scene_from_parent)) = stack.pop() {
             let node = &self.nodes[index];
             if std::mem::replace(&mut seen[index], true) {
                 return Err(self.error(index, "the scene holds this node twice"));
@@ -72,6 +80,7 @@ impl NodeText {
             if depth > 0 {
                 path.push('/');
             }
+            let start = path.len();
             match node.name.as_deref() {
                 Some(name) if !name.is_empty() => path.push_str(name),
                 _ => path.push_str(&format!("node{index}")),
@@ -87,26 +96,29 @@ impl NodeText {
                 ));
             }
             let scene_from_node = scene_from_parent * node.transform().map_err(|what| self.error(index, what))?;
-            if let Some(mesh) = node.mesh {
-                let skinned = node.skin.is_some();
-                found.push(MeshNode {
+            let placed = node.extras.as_ref().filter(|_| depth == 0).and_then(Placed::of);
+            let mut own = None;
+            if carries[index] || matches!(placed, Some(Placed::Group(_))) {
+                own = Some(found.len());
+                found.push(SceneNode {
                     node: index,
+                    parent,
+                    name: path[start..].to_owned(),
                     path: path.clone(),
-                    mesh,
-                    scene_from_mesh: scene_from_node,
-                    skinned,
-                    placed: node.extras.as_ref().filter(|_| depth == 0).and_then(Placed::of),
+                    mesh: node.mesh,
+                    scene_from_node,
+                    skinned: node.skin.is_some(),
+                    placed,
                 });
             }
             let length = path.len();
-            stack.extend(node.children.iter().rev().map(|&c| (c, depth + 1, length, scene_from_node)));
+            stack.extend(node.children.iter().rev().map(|&c| (c, depth + 1, length, own, scene_from_node)));
         }
         Ok(found)
     }
 
-    /// Roots of the default scene, once the hierarchy is proven to be a forest.
-    fn roots(&self) -> Result<Vec<usize>> {
-        const NONE: usize = usize::MAX;
+    /// The parent of each node, once the hierarchy is proven to be a forest.
+    fn parents(&self) -> Result<Vec<usize>> {
         let count = self.nodes.len();
         let mut parents = vec![NONE; count];
         for (index, node) in self.nodes.iter().enumerate() {
@@ -122,19 +134,36 @@ impl NodeText {
             }
         }
         // With one parent at most, what no root reaches is a cycle.
-        let tops: Vec<usize> = (0..count).filter(|&i| parents[i] == NONE).collect();
         let mut reached = vec![false; count];
-        let mut stack = tops.clone();
+        let mut stack: Vec<usize> = (0..count).filter(|&i| parents[i] == NONE).collect();
         while let Some(i) = stack.pop() {
             reached[i] = true;
             stack.extend(&self.nodes[i].children);
         }
-        if let Some(lost) = reached.iter().position(|r| !r) {
-            return Err(self.error(lost, "it is its own ancestor: the nodes form a cycle"));
+        match reached.iter().position(|r| !r) {
+            Some(lost) => Err(self.error(lost, "it is its own ancestor: the nodes form a cycle")),
+            None => Ok(parents),
         }
+    }
+
+    /// Which nodes have a mesh, or one below.
+    fn carriers(&self, parents: &[usize]) -> Vec<bool> {
+        let mut carries = vec![false; self.nodes.len()];
+        for (index, _) in self.nodes.iter().enumerate().filter(|(_, node)| node.mesh.is_some()) {
+            let mut at = index;
+            while at != NONE && !std::mem::replace(&mut carries[at], true) {
+                at = parents[at];
+            }
+        }
+        carries
+    }
+
+    /// Roots of the default scene.
+    fn roots(&self, parents: &[usize]) -> Result<Vec<usize>> {
+        let count = self.nodes.len();
         let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) else {
             if self.scene.is_none() {
-                return Ok(tops);
+                return Ok((0..count).filter(|&i| parents[i] == NONE).collect());
             }
             let e = Error::invalid(format!("there are {} scenes", self.scenes.len()), REPAIR);
             return Err(e.at(format!("scene {}", self.scene.unwrap_or(0))));

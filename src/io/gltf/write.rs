@@ -1,9 +1,10 @@
 //! An environment as a .glb that [`super::import`] gives back bit for bit, and that every other program can show.
 //!
-//! Objects are root nodes named by their full paths; meshes are triangles by material. What glTF has no words for is in
+//! Objects are root nodes named by their full paths, groups that were given a frame root nodes without a mesh; meshes are
+//! triangles by material. What glTF has no words for is in
 //! `extras.presight`: of a mesh its convex polygons (`rows`: an accessor of three u32 for each, number of corners,
 //! material and source triangle; `corners`: an accessor of all corners; `order`; `blake3` of positions, rows and corners),
-//! of a node its pose apart from its scale, of a material its reflection factor, sides and classes. A mesh whose hash
+//! of a node its pose apart from its scale (`world_from_object`, `world_from_group`), of a material its reflection factor, sides and classes. A mesh whose hash
 //! does not fit, or a node whose matrix is another one, was changed by another program: then triangles and matrix count.
 //!
 //! Not carried: objects without polygons, materials' empty names, numbers of objects and slots, ids of deleted features,
@@ -12,6 +13,7 @@
 use super::Z_UP_FROM_Y_UP;
 use crate::environment::{Environment, Material, Mesh, Object, PolygonOrder};
 use crate::error::{Error, Result};
+use crate::geometry::Pose;
 use crate::io::atomic::write_atomically;
 use glam::{DAffine3, DMat4, DVec3};
 use serde_json::{Value, json};
@@ -35,8 +37,13 @@ const UNSIGNED_INT: u32 = 5125;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the system refuses, [`crate::ErrorKind::Invalid`] if it would be over 4 GiB.
+/// [`crate::ErrorKind::System`] if the system refuses, [`crate::ErrorKind::Invalid`] if it would be over 4 GiB, or there are
+/// no polygons: a scene without any is refused by [`super::import`].
 pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
+    if environment.objects().iter().all(|o| o.mesh.polygon_count() == 0) {
+        let what = "the environment has no polygons, and no scene is read without any";
+        return Err(Error::invalid(what, "insert an object first"));
+    }
     let mut scene = Scene::default();
     let mut numbers: HashMap<*const Mesh, usize> = HashMap::new();
     for object in environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0) {
@@ -50,6 +57,7 @@ pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
         };
         scene.nodes.push(node(object, mesh));
     }
+    scene.nodes.extend(environment.framed_groups().map(|(path, pose)| group(path, pose)));
     let materials: Vec<Value> = environment.materials().iter().map(material).collect();
     let (json, bin) = scene.finish(&materials);
     let length = 12 + 8 + json.len() + 8 + bin.len();
@@ -86,9 +94,21 @@ pub(super) fn mesh_hash(vertices: &[glam::Vec3], rows: &[u32], corners: &[u32]) 
     hasher.finalize().to_hex().to_string()
 }
 
+fn numbers(pose: &Pose) -> Vec<f64> {
+    pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
+}
+
+/// A group as a node of its own: that its objects hang on it is told by their names.
+fn group(path: &str, world_from_group: &Pose) -> Value {
+    json!({
+        "name": path,
+        "matrix": matrix_of(&world_from_group.to_affine()),
+        "extras": {"presight": {"world_from_group": numbers(world_from_group)}},
+    })
+}
+
 fn node(object: &Object, mesh: usize) -> Value {
-    let pose = &object.world_from_object;
-    let pose: Vec<f64> = pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect();
+    let pose = numbers(&object.world_from_object);
     json!({
         "name": object.name,
         "mesh": mesh,

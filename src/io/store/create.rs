@@ -7,7 +7,7 @@ use super::{Meshes, Note, Store};
 use crate::environment::Environment;
 use crate::error::{Error, ErrorKind, Result};
 use rusqlite::Connection;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a page. Meshes fill many, and each takes a step to be found; larger ones would make small commits slower, which
@@ -78,6 +78,7 @@ fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Res
         meta,
         locked: true,
         objects: HashMap::new(),
+        groups: HashSet::new(),
         materials: 0,
         meshes: Meshes { next: 1, ..Meshes::default() },
         ids: HashMap::new(),

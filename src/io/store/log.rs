@@ -4,7 +4,7 @@ use super::hash::{Field, Hash, of_row};
 use super::op::{Op, Touched};
 use super::read::get;
 use super::rows::{Meta, from_json};
-use super::schema::{damaged, refusal};
+use super::schema::{damaged, refusal, version};
 use crate::error::{Error, Result};
 use rusqlite::{Connection, Row};
 use std::collections::BTreeSet;
@@ -27,6 +27,8 @@ pub struct LogEntry {
     pub change: String,
     /// The change that undoes it, as JSON.
     pub inverse: String,
+    /// BLAKE3 of what was said, if it was a line with an id: by that the same line is known again.
+    pub request: Option<[u8; 32]>,
     /// BLAKE3 over the hash before and all of this.
     pub hash: [u8; 32],
 }
@@ -34,6 +36,7 @@ pub struct LogEntry {
 impl LogEntry {
     /// The hash, given that of the entry before.
     pub(super) fn hash_after(&self, before: &Hash) -> Hash {
+        let request = self.request.as_ref().map_or(Field::Null, |hash| Field::Blob(hash));
         let fields = [
             Field::Integer(self.number as i64),
             Field::Real(self.time),
@@ -42,8 +45,11 @@ impl LogEntry {
             self.undoes.map(|n| n as i64).into(),
             Field::Text(&self.change),
             Field::Text(&self.inverse),
+            request,
         ];
-        of_row(before, &fields)
+        // An entry without it has the hash that formats 1 and 2 gave it.
+        let told = if self.request.is_some() { &fields[..] } else { &fields[..7] };
+        of_row(before, told)
     }
 
     fn read(row: &Row<'_>) -> Result<Self> {
@@ -56,7 +62,8 @@ impl LogEntry {
             undoes: get::<Option<i64>>(row, 4)?.map(unsigned).transpose()?,
             change: get(row, 5)?,
             inverse: get(row, 6)?,
-            hash: get(row, 7)?,
+            request: get(row, 7)?,
+            hash: get(row, 8)?,
         })
     }
 }
@@ -69,8 +76,10 @@ pub(super) fn walk(
     mut visit: impl FnMut(LogEntry) -> Result<()>,
 ) -> Result<()> {
     let wrap = |e| refusal(path, "read the log", e);
-    let sql = "SELECT number, time, cause, id, undoes, change, inverse, hash FROM log ORDER BY number";
-    let mut statement = connection.prepare(sql).map_err(wrap)?;
+    let request = if version(connection, path)? >= 3 { "request" } else { "NULL" };
+    let sql =
+        format!("SELECT number, time, cause, id, undoes, change, inverse, {request}, hash FROM log ORDER BY number");
+    let mut statement = connection.prepare(&sql).map_err(wrap)?;
     let mut rows = statement.query([]).map_err(wrap)?;
     let (mut head, mut count) = (meta.first_head(), 0);
     while let Some(row) = rows.next().map_err(wrap)? {

@@ -76,7 +76,7 @@ pub(super) fn mesh_of_file(
     found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new).map_err(|e| e.in_file(path))
 }
 
-/// The changes by which an environment also holds another one: materials, objects, features. What is there already,
+/// The changes by which an environment also holds another one: materials, objects, frames of groups, features. What is there already,
 /// equal in everything, stays as it is. An object of the same path, but another content, gives way if it may be replaced;
 /// features that are given in its frame stay.
 ///
@@ -122,10 +122,29 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
         }));
         changes.append(&mut kept);
     }
+    merge_groups(environment, scene, replace, &mut changes)?;
     for layer in scene.layers() {
         merge_features(environment, layer, &[], &mut changes);
     }
     Ok(Change::Group(changes))
+}
+
+/// The changes that give groups their frames; what is an object here keeps its own.
+fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, to: &mut Vec<Change>) -> Result<()> {
+    for (path, frame) in scene.groups().into_iter().filter(|(path, _)| environment.object(path).is_none()) {
+        let (present, given) = (environment.group(path).copied(), scene.group(path).copied());
+        match (present, given) {
+            (None, None) => continue,
+            (Some(present), _) if present == frame => continue,
+            (Some(_), _) if !replace => {
+                let what = "its frame is there already, another one";
+                let remedy = "give --replace to put that of the file in its place";
+                return Err(Error::invalid(what, remedy).at(format!("group {path:?}")));
+            }
+            _ => to.push(Change::SetGroup { name: path.to_owned(), world_from_group: given }),
+        }
+    }
+    Ok(())
 }
 
 /// What brings back the features and covariances that are given in an object's frame, after it was replaced.

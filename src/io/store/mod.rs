@@ -3,12 +3,13 @@
 //! | table | a row |
 //! |---|---|
 //! | `meta` | the one: `created` (UTC seconds) and `cause`, `genesis` (hash of the content it was created with), `next_object` and `next_slot` (numbers never used so far), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
+//! | `groups` | `path` of what has objects below and is none, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; those only that were given a frame |
 //! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
 //! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, laid out as told in the source of `blob`); shared by objects, kept when no object has it any more, for the log may bring one back |
 //! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
 //! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
 //! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
-//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON as the lines that `presight env apply` reads) |
+//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON as the lines that `presight env apply` reads), `request` (BLAKE3 of the line with an id, as it was said) |
 //!
 //! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`, each
 //! entry of the log in a hash over the entry before and itself; opening compares all of them with what is there.
@@ -19,14 +20,17 @@
 //! is refused at once. Readers load one version in one transaction and work in memory.
 
 mod blob;
+mod context;
 mod create;
 mod hash;
+mod ids;
 mod log;
 mod merge;
 mod op;
 mod read;
 mod rows;
 mod schema;
+mod unique;
 mod write;
 
 pub use create::create;
@@ -42,7 +46,7 @@ use crate::world::World;
 use rows::Meta;
 use rusqlite::Connection;
 use schema::{Access, connect, refusal};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 
@@ -72,6 +76,8 @@ pub struct Store {
     locked: bool,
     /// Stored objects by name.
     objects: HashMap<String, u32>,
+    /// Stored groups.
+    groups: HashSet<String>,
     materials: usize,
     meshes: Meshes,
     /// Entries of the log by their caller's id.
@@ -98,6 +104,12 @@ impl Meshes {
         let number = *self.by_pointer.get(&(Arc::as_ptr(mesh) as usize))?;
         let same = self.by_number.get(&number)?.upgrade().is_some_and(|known| Arc::ptr_eq(&known, mesh));
         same.then_some(number)
+    }
+
+    /// The number of a mesh that is stored, seen before or equal to one that was.
+    fn stored(&self, mesh: &Arc<Mesh>) -> Option<i64> {
+        let equal = || (mesh.name().to_owned(), *blake3::hash(&blob::encode(mesh)).as_bytes());
+        self.known(mesh).or_else(|| self.by_content.get(&equal()).copied())
     }
 }
 
@@ -207,6 +219,7 @@ impl Store {
             meta: loaded.meta.clone(),
             locked: true,
             objects: HashMap::new(),
+            groups: HashSet::new(),
             materials: 0,
             meshes: Meshes::default(),
             ids,
@@ -265,7 +278,8 @@ impl Store {
             let place = |e: Error| e.at(format!("undoing change {n}"));
             let inverse = &entries[n as usize - 1].inverse;
             let change = batch.change_of_log(inverse).map_err(place)?;
-            made.push(batch.record(change, note, Some(n)).map_err(place)?);
+            let entry = write::Entry { undoes: Some(n), ..write::Entry::default() };
+            made.push(batch.record(change, note, &entry).map_err(place)?);
         }
         batch.commit()?;
         Ok(made)
@@ -315,6 +329,7 @@ impl Store {
         self.materials = environment.materials().len();
         let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());
         self.objects = live.map(|(o, number)| (o.name.clone(), number)).collect();
+        self.groups = environment.given_groups().map(|(path, _)| path.to_owned()).collect();
         self.meshes = Meshes { next: 1, ..Meshes::default() };
         for (number, loaded) in meshes {
             self.meshes.next = self.meshes.next.max(number + 1);

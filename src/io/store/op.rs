@@ -2,13 +2,14 @@
 //!
 //! | `op` | keys |
 //! |---|---|
-//! | `move` | `object`, `pose`; what is below the path moves with it |
-//! | `set_pose` | `object`, `pose`; this object alone |
-//! | `delete_object` | `object`; its features go with it |
+//! | `move` | `object`, `pose`; what is below the path moves with it. The path may be that of a group: then its frame gets the pose |
+//! | `set_pose` | `object`, `pose`; this object alone; a group as by `move` |
+//! | `delete_object` | `object`; its features go with it. Of a group all that is below is deleted |
+//! | `set_group` | `group`, `pose`: its frame alone; null or absent: it has none of its own |
 //! | `insert_object` | `object`, `pose` (default: the origin), and one of: `from` (a scene file, relative to the file of changes; `from_object` where it holds several); `vertices` [[x, y, z], ..] with `polygons` [[0, 1, 2], ..] and `material` (a name; default `default`, which is made if there is none); `like` (an object that has the mesh). In the log: `mesh` (number of the row), `object_from_mesh` (12 numbers, column by column), `first_source` |
 //! | `add_material` | `name`, and as wanted `reflection`, `one_sided`, `color` [r, g, b], `classes` {class: `opaque`, `transparent` or `invisible`} |
 //! | `insert_feature`, `set_feature` | `class`, `feature`: as in a layer file |
-//! | `restore_feature` | the same: brings a deleted feature back |
+//! | `restore_feature` | the same: brings a deleted feature back, under its id |
 //! | `delete_feature` | `class`, `feature`: its number |
 //! | `set_tolerance` | `class`, `tolerance` |
 //! | `set_pose_covariance` | `class`, `object`, `covariance`: 36 numbers, or null for none |
@@ -16,17 +17,14 @@
 //!
 //! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 
-use super::merge;
 use crate::change::Change;
-use crate::environment::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use crate::environment::{Appearance, Material, Mesh};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::io::layer::{FeatureFields, from_fields, to_fields};
-use crate::limits;
-use glam::{DAffine3, DQuat, DVec3, Vec3};
+use crate::io::layer::{FeatureFields, to_fields};
+use glam::{DAffine3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::sync::Arc;
 
 #[derive(Deserialize, Serialize)]
@@ -35,6 +33,7 @@ pub(super) enum Op {
     Move { object: String, pose: Vec<f64> },
     SetPose { object: String, pose: Vec<f64> },
     DeleteObject { object: String },
+    SetGroup { group: String, pose: Option<Vec<f64>> },
     InsertObject(Box<InsertObject>),
     AddMaterial(MaterialFields),
     InsertFeature { class: String, feature: Box<FeatureFields> },
@@ -49,27 +48,27 @@ pub(super) enum Op {
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct InsertObject {
-    object: String,
+    pub object: String,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pose: Option<Vec<f64>>,
+    pub pose: Option<Vec<f64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    object_from_mesh: Option<Vec<f64>>,
+    pub object_from_mesh: Option<Vec<f64>>,
     #[serde(default, skip_serializing_if = "is_zero")]
-    first_source: u32,
+    pub first_source: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
-    mesh: Option<i64>,
+    pub mesh: Option<i64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    from: Option<String>,
+    pub from: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    from_object: Option<String>,
+    pub from_object: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    like: Option<String>,
+    pub like: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    vertices: Option<Vec<[f64; 3]>>,
+    pub vertices: Option<Vec<[f64; 3]>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    polygons: Option<Vec<Vec<u32>>>,
+    pub polygons: Option<Vec<Vec<u32>>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    material: Option<String>,
+    pub material: Option<String>,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
@@ -122,7 +121,7 @@ impl MaterialFields {
 /// What a change touches: two that touch the same do not commute.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Key {
-    /// An object's pose, mesh and being there.
+    /// An object's pose, mesh and being there, or a group's frame.
     Object(String),
     /// That there is an object of this name.
     Existence(String),
@@ -156,6 +155,9 @@ impl Op {
                 to.reads.insert(Key::Existence(object.clone()));
             }
             Self::DeleteObject { object } => to.existence(object),
+            Self::SetGroup { group, .. } => {
+                to.writes.insert(Key::Object(group.clone()));
+            }
             Self::InsertObject(new) => to.existence(&new.object),
             Self::AddMaterial(_) => {}
             Self::InsertFeature { class, feature }
@@ -181,7 +183,7 @@ impl Op {
 
     /// What the log keeps of a change; `number_of` tells the row of a mesh.
     pub fn of(change: &Change, number_of: &mut impl FnMut(&Arc<Mesh>) -> Result<i64>) -> Result<Self> {
-        let pose = |p: &Pose| p.translation.to_array().into_iter().chain(p.rotation.to_array()).collect();
+        let pose = pose_fields;
         let boxed = |feature| Box::new(to_fields(feature));
         Ok(match change {
             Change::AddMaterial(material) => Self::AddMaterial(MaterialFields::of(material)),
@@ -200,6 +202,9 @@ impl Op {
                 Self::SetPose { object: name.clone(), pose: pose(world_from_object) }
             }
             Change::DeleteObject { name } => Self::DeleteObject { object: name.clone() },
+            Change::SetGroup { name, world_from_group } => {
+                Self::SetGroup { group: name.clone(), pose: world_from_group.as_ref().map(pose) }
+            }
             Change::InsertFeature { class, feature } => {
                 Self::InsertFeature { class: class.clone(), feature: boxed(feature) }
             }
@@ -253,6 +258,11 @@ pub(super) fn affine_of(fields: Option<&[f64]>) -> Result<DAffine3> {
     Ok(m)
 }
 
+/// A pose as seven numbers.
+pub(super) fn pose_fields(pose: &Pose) -> Vec<f64> {
+    pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
+}
+
 /// A pose of six or seven numbers; a quaternion that is one already keeps its bits, so that what we wrote reads back
 /// equal.
 pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
@@ -266,7 +276,8 @@ pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
         7 => {
             let rotation = DQuat::from_xyzw(numbers[3], numbers[4], numbers[5], numbers[6]);
             let unit = (rotation.length_squared() - 1.0).abs() <= UNIT;
-            Pose { translation: at(0), rotation: if unit { rotation } else { rotation.normalize() } }
+            let scaled = rotation.length().recip().is_normal();
+            Pose { translation: at(0), rotation: if scaled && !unit { rotation.normalize() } else { rotation } }
         }
         n => {
             let what = format!("the pose has {n} numbers");
@@ -278,142 +289,10 @@ pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
     Ok(pose)
 }
 
-fn covariance_of(fields: Option<Vec<f64>>) -> Result<Option<[[f64; 6]; 6]>> {
+pub(super) fn covariance_of(fields: Option<Vec<f64>>) -> Result<Option<[[f64; 6]; 6]>> {
     let Some(fields) = fields else { return Ok(None) };
     if fields.len() != 36 {
         return Err(Error::invalid(format!("the covariance has {} numbers", fields.len()), "give 36, row by row"));
     }
     Ok(Some(std::array::from_fn(|i| std::array::from_fn(|j| fields[6 * i + j]))))
-}
-
-/// What operations mean where they are read.
-pub(super) struct Context<'a> {
-    pub environment: &'a Environment,
-    /// Where files are that lines name; none in the log.
-    pub folder: Option<&'a Path>,
-    /// Meshes by number, for the log.
-    pub mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
-    /// Materials that operations before have added.
-    pub added: Vec<Material>,
-}
-
-impl Context<'_> {
-    /// The change that an operation is.
-    pub fn change(&mut self, op: Op) -> Result<Change> {
-        let tolerance = |class: &str| {
-            let layer = self.environment.layer(class);
-            layer.map_or(crate::environment::DEFAULT_TOLERANCE, |l| l.tolerance)
-        };
-        Ok(match op {
-            Op::Move { object, pose } => Change::MoveObject { name: object, world_from_object: pose_of(&pose)? },
-            Op::SetPose { object, pose } => Change::SetPose { name: object, world_from_object: pose_of(&pose)? },
-            Op::DeleteObject { object } => Change::DeleteObject { name: object },
-            Op::InsertObject(new) => {
-                let place = format!("object {:?}", new.object);
-                self.insert(*new).map_err(|e| e.at(place))?
-            }
-            Op::AddMaterial(fields) => {
-                if fields.name.is_empty() {
-                    return Err(Error::invalid("the material has no name", "give a \"name\""));
-                }
-                let material = fields.material()?;
-                material.check()?;
-                self.added.push(material.clone());
-                Change::AddMaterial(material)
-            }
-            Op::InsertFeature { class, feature } => {
-                let feature = from_fields(*feature, tolerance(&class))?;
-                Change::InsertFeature { class, feature }
-            }
-            Op::SetFeature { class, feature } => {
-                let feature = from_fields(*feature, tolerance(&class))?;
-                Change::SetFeature { class, feature }
-            }
-            Op::RestoreFeature { class, feature } => {
-                // The tolerance may have changed since: applying checks it.
-                let feature = from_fields(*feature, limits::MAX_COORDINATE)?;
-                Change::RestoreFeature { class, feature }
-            }
-            Op::DeleteFeature { class, feature } => Change::DeleteFeature { class, id: feature },
-            Op::SetTolerance { class, tolerance } => Change::SetTolerance { class, tolerance },
-            Op::SetPoseCovariance { class, object, covariance } => {
-                Change::SetPoseCovariance { class, object, covariance: covariance_of(covariance)? }
-            }
-            Op::Group { changes } => {
-                let one = |(i, op)| self.change(op).map_err(|e: Error| e.at(format!("change {} of the group", i + 1)));
-                Change::Group(changes.into_iter().enumerate().map(one).collect::<Result<_>>()?)
-            }
-        })
-    }
-
-    fn insert(&mut self, fields: InsertObject) -> Result<Change> {
-        let name = fields.object.clone();
-        if name.is_empty() || name.len() > limits::MAX_NAME_BYTES {
-            let what = format!("the path has {} bytes", name.len());
-            return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_NAME_BYTES)));
-        }
-        let pose = fields.pose.as_deref().map_or(Ok(Pose::IDENTITY), pose_of)?;
-        let logged = self.folder.is_none();
-        if !logged && self.environment.object(&name).is_some() {
-            return Err(Error::invalid("it exists already", "delete it first, or choose another path"));
-        }
-        let sources = [
-            fields.mesh.is_some() && logged,
-            fields.from.is_some(),
-            fields.like.is_some(),
-            fields.vertices.is_some() && fields.polygons.is_some(),
-        ];
-        if sources.iter().filter(|s| **s).count() != 1 || (fields.mesh.is_some() && !logged) {
-            return Err(Error::invalid(
-                "it has no shape, or more than one",
-                "give one of \"from\", \"like\", and \"vertices\" with \"polygons\"",
-            ));
-        }
-        let mut before = Vec::new();
-        let mut new = NewObject {
-            object_from_mesh: affine_of(fields.object_from_mesh.as_deref())?,
-            first_source: fields.first_source,
-            ..NewObject::new(name, pose, self.shape(&fields, &mut before)?)
-        };
-        if let Some(like) = &fields.like
-            && fields.object_from_mesh.is_none()
-            && let Some(object) = self.environment.object(like)
-        {
-            new.object_from_mesh = object.object_from_mesh;
-        }
-        before.push(Change::InsertObject(new));
-        Ok(Change::of(before))
-    }
-
-    fn shape(&mut self, fields: &InsertObject, before: &mut Vec<Change>) -> Result<Arc<Mesh>> {
-        if let Some(number) = fields.mesh {
-            return (self.mesh)(number);
-        }
-        if let Some(like) = &fields.like {
-            let found = self.environment.object(like);
-            return found.map(|o| o.mesh.clone()).ok_or_else(|| {
-                Error::invalid(format!("there is no object {like:?} to be like"), "presight inspect lists the objects")
-            });
-        }
-        let mut materials = merge::Materials::new(self.environment, &mut self.added);
-        if let (Some(file), Some(folder)) = (&fields.from, self.folder) {
-            return merge::mesh_of_file(&folder.join(file), fields.from_object.as_deref(), &mut materials, before);
-        }
-        let name = fields.material.as_deref().unwrap_or("default");
-        let material = match materials.named(name) {
-            Some(number) => number,
-            None if fields.material.is_none() => materials.number_of(&Material::named(name), before)?,
-            None => {
-                let what = format!("there is no material {name:?}");
-                return Err(Error::invalid(what, "add it with {\"op\":\"add_material\",\"name\":..} first"));
-            }
-        };
-        let vertices: Vec<Vec3> = fields.vertices.iter().flatten().map(|v| DVec3::from_array(*v).as_vec3()).collect();
-        let polygons: Vec<Polygon> =
-            fields.polygons.iter().flatten().map(|corners| Polygon::new(corners.clone(), material)).collect();
-        if polygons.is_empty() {
-            return Err(Error::invalid("it has no polygons", "give lists of corners, such as [[0, 1, 2]]"));
-        }
-        Mesh::new(&fields.object, vertices, polygons, PolygonOrder::Spatial).map(Arc::new)
-    }
 }

@@ -3,10 +3,11 @@
 use super::blob;
 use super::hash::{Digest, Hash};
 use super::op::{MaterialFields, affine_of, pose_of};
-use super::rows::{Meta, feature_hash, from_json, layer_hash, material_hash, mesh_hash, object_hash};
-use super::schema::{damaged, refusal};
+use super::rows::{Meta, feature_hash, from_json, group_hash, layer_hash, material_hash, mesh_hash, object_hash};
+use super::schema::{damaged, refusal, version};
 use crate::environment::{Environment, FeatureLayer, Mesh, NewObject};
 use crate::error::{Error, Result};
+use crate::geometry::Pose;
 use crate::index::{MeshTree, Trees};
 use crate::io::layer::{FeatureFields, from_fields};
 use rusqlite::{Connection, Row};
@@ -72,8 +73,10 @@ impl Reader<'_> {
         let meta = Meta::read(self.connection, self.path)?;
         let mut environment = Environment::new();
         self.materials(&mut environment)?;
-        let (meshes, trees) = self.meshes(environment.materials().len())?;
+        let mut groups = Vec::new();
+        let (meshes, trees) = self.meshes(environment.materials().len(), || self.groups(&mut groups))?;
         self.objects(&mut environment, &meshes)?;
+        environment.restore_groups(groups)?;
         let number = |n: i64| u32::try_from(n).map_err(|_| damaged("a number is out of range"));
         environment.skip_to(number(meta.next_object)?, number(meta.next_slot)?).map_err(damaged)?;
         self.layers(&mut environment)?;
@@ -117,8 +120,12 @@ impl Reader<'_> {
         })
     }
 
-    /// Meshes that no object has are proven and not kept.
-    fn meshes(&self, materials: usize) -> Result<(HashMap<i64, LoadedMesh>, Trees)> {
+    /// Meshes that no object has are proven and not kept. `beside` is done while the last of them are decoded.
+    fn meshes(
+        &self,
+        materials: usize,
+        beside: impl FnOnce() -> Result<()>,
+    ) -> Result<(HashMap<i64, LoadedMesh>, Trees)> {
         let mut used = std::collections::HashSet::new();
         self.each("objects", "mesh", |row| {
             used.insert(get::<i64>(row, 0)?);
@@ -153,7 +160,7 @@ impl Reader<'_> {
                     scope.spawn(move |_| *mesh = Some(decode(row, bytes)));
                 }
             }
-            Ok(())
+            beside()
         })?;
         let (mut meshes, mut trees) = (HashMap::with_capacity(rows.len()), Trees::default());
         for (row, (content, decoded)) in rows.into_iter().zip(done) {
@@ -189,10 +196,10 @@ impl Reader<'_> {
     fn objects(&self, environment: &mut Environment, meshes: &HashMap<i64, LoadedMesh>) -> Result<()> {
         let columns = "number, name, pose, object_from_mesh, mesh, first_slot, first_source, hash";
         self.each("objects", columns, |row| {
-            let (number, name, pose): (i64, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
+            let (number, name, pose): (i64, &str, &str) = (get(row, 0)?, text(row, 1)?, text(row, 2)?);
             let affine: Option<String> = get(row, 3)?;
             let rest: (i64, i64, i64) = (get(row, 4)?, get(row, 5)?, get(row, 6)?);
-            self.prove(object_hash(number, &name, (&pose, affine.as_deref()), rest), get(row, 7)?)?;
+            self.prove(object_hash(number, name, (pose, affine.as_deref()), rest), get(row, 7)?)?;
             let mesh = meshes.get(&rest.0).and_then(|m| m.mesh.clone()).ok_or_else(|| damaged("it has no mesh"))?;
             let affine: Option<Vec<f64>> = affine.as_deref().map(from_json).transpose()?;
             let [number, slot, source] = [number, rest.1, rest.2].map(u32::try_from);
@@ -202,9 +209,23 @@ impl Reader<'_> {
             let new = NewObject {
                 object_from_mesh: affine_of(affine.as_deref())?,
                 first_source,
-                ..NewObject::new(name, pose_of(&from_json::<Vec<f64>>(&pose)?)?, mesh)
+                ..NewObject::new(name, pose_of(&seven(pose)?)?, mesh)
             };
             environment.insert_at(number, slot, new)
+        })
+    }
+
+    /// Frames of groups; older stores have none.
+    fn groups(&self, to: &mut Vec<(String, Pose)>) -> Result<()> {
+        if version(self.connection, self.path)? < 3 {
+            return Ok(());
+        }
+        self.each("groups", "path, pose, hash", |row| {
+            // There are many, and each is soon read: no copies.
+            let (path, pose) = (text(row, 0)?, text(row, 1)?);
+            self.prove(group_hash(path, pose), get(row, 2)?)?;
+            to.push((path.to_owned(), pose_of(&seven(pose)?)?));
+            Ok(())
         })
     }
 
@@ -240,6 +261,17 @@ impl Reader<'_> {
 /// A column; another type than was written is damage.
 pub(super) fn get<T: rusqlite::types::FromSql>(row: &Row<'_>, column: usize) -> Result<T> {
     row.get(column).map_err(|e| damaged(e.to_string()))
+}
+
+/// A column of text, where it lies.
+fn text<'a>(row: &'a Row<'_>, column: usize) -> Result<&'a str> {
+    let value = row.get_ref(column).map_err(|e| damaged(e.to_string()))?;
+    value.as_str().map_err(|e| damaged(e.to_string()))
+}
+
+/// The numbers of a pose.
+fn seven(text: &str) -> Result<[f64; 7]> {
+    from_json(text)
 }
 
 /// A mesh's row alone, proven.

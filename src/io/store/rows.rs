@@ -4,6 +4,7 @@ use super::hash::{Digest, Field, Hash, of_row};
 use super::schema::{damaged, refusal};
 use crate::environment::{Material, Object};
 use crate::error::Result;
+use crate::geometry::Pose;
 use rusqlite::{Connection, Row};
 use std::path::Path;
 
@@ -69,6 +70,14 @@ impl Meta {
     }
 }
 
+/// A pose as a row has it: x, y, z, qx, qy, qz, qw.
+pub(super) fn pose_text(pose: &Pose) -> String {
+    let mut all = [0.0; 7];
+    all[..3].copy_from_slice(&pose.translation.to_array());
+    all[3..].copy_from_slice(&pose.rotation.to_array());
+    numbers(&all)
+}
+
 /// What an object's row says.
 pub(super) struct ObjectRow {
     pub pose: String,
@@ -83,12 +92,8 @@ pub(super) fn numbers(values: &[f64]) -> String {
 
 impl ObjectRow {
     pub fn of(object: &Object) -> Self {
-        let p = &object.world_from_object;
-        let mut pose = [0.0; 7];
-        pose[..3].copy_from_slice(&p.translation.to_array());
-        pose[3..].copy_from_slice(&p.rotation.to_array());
         let object_from_mesh = super::op::affine_fields(&object.object_from_mesh).map(|m| numbers(&m));
-        Self { pose: numbers(&pose), object_from_mesh }
+        Self { pose: pose_text(&object.world_from_object), object_from_mesh }
     }
 }
 
@@ -108,6 +113,10 @@ pub(super) fn object_hash(
         Field::Integer(first_source),
     ];
     of_row(b"objects", &fields)
+}
+
+pub(super) fn group_hash(path: &str, pose: &str) -> Hash {
+    of_row(b"groups", &[Field::Text(path), Field::Text(pose)])
 }
 
 /// The hash of a mesh's row; `content` is that of its blob.

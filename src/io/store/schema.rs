@@ -9,16 +9,20 @@ use std::time::Duration;
 pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
 /// The version that this build writes, and the newest that it reads. Readers take older ones as they are; a writer makes
 /// this one of them first.
-pub(super) const FORMAT: i32 = 2;
+pub(super) const FORMAT: i32 = 3;
 /// How long another program's commit is waited for.
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Text of each table, as SQLite keeps it.
-pub(super) const TABLES: [(&str, &str); 7] = [
+pub(super) const TABLES: [(&str, &str); 8] = [
     (
         "features",
         "CREATE TABLE features(class TEXT NOT NULL, id INTEGER NOT NULL, kind TEXT, object TEXT, feature TEXT, \
          hash BLOB NOT NULL, PRIMARY KEY(class, id)) WITHOUT ROWID",
+    ),
+    (
+        "groups",
+        "CREATE TABLE groups(path TEXT PRIMARY KEY NOT NULL, pose TEXT NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID",
     ),
     (
         "layers",
@@ -28,7 +32,7 @@ pub(super) const TABLES: [(&str, &str); 7] = [
     (
         "log",
         "CREATE TABLE log(number INTEGER PRIMARY KEY, time REAL NOT NULL, cause TEXT NOT NULL, id TEXT, \
-         undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, hash BLOB NOT NULL)",
+         undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, request BLOB, hash BLOB NOT NULL)",
     ),
     (
         "materials",
@@ -58,9 +62,19 @@ pub(super) const TABLES: [(&str, &str); 7] = [
 const MESHES_1: &str = "CREATE TABLE meshes(number INTEGER PRIMARY KEY, name TEXT NOT NULL, vertices INTEGER NOT NULL, \
      polygons INTEGER NOT NULL, content BLOB NOT NULL, hash BLOB NOT NULL)";
 
-/// Text of a table in a version.
-fn text_of(table: &'static str, text: &'static str, version: i32) -> &'static str {
-    if version == 1 && table == "meshes" { MESHES_1 } else { text }
+/// Before format 3 the log did not keep what was said.
+const LOG_2: &str = "CREATE TABLE log(number INTEGER PRIMARY KEY, time REAL NOT NULL, cause TEXT NOT NULL, id TEXT, \
+     undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, hash BLOB NOT NULL)";
+
+/// Names and texts of the tables of a version, by name.
+fn tables(version: i32) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let old = move |(table, text)| match (table, version) {
+        ("meshes", 1) => Some((table, MESHES_1)),
+        ("log", ..=2) => Some((table, LOG_2)),
+        ("groups", ..=2) => None,
+        _ => Some((table, text)),
+    };
+    TABLES.into_iter().filter_map(old)
 }
 
 /// What a connection is for.
@@ -102,7 +116,12 @@ fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name: &str) -> r
     connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
 }
 
-/// Its version.
+/// The version of a store, as the transaction that is open sees it.
+pub(super) fn version(connection: &Connection, path: &Path) -> Result<i32> {
+    pragma(connection, "user_version").map_err(|e| refusal(path, "open the store", e))
+}
+
+/// Its version, if it is a store of one that is read.
 fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
     let wrap = |e| refusal(path, "open the store", e);
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
@@ -110,7 +129,7 @@ fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
         let what = "this SQLite file is not a presight store";
         return Err(Error::invalid(what, "presight env create makes one").in_file(path));
     }
-    let version: i32 = pragma(connection, "user_version").map_err(wrap)?;
+    let version = version(connection, path)?;
     if version > FORMAT {
         let what = format!("format {version} is newer than this presight, which reads format {FORMAT}");
         return Err(Error::new(ErrorKind::Unsupported, what, "update presight").in_file(path));
@@ -122,26 +141,39 @@ fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
     let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
     let found: Vec<(String, String, Option<String>)> =
         statement.query_map([], columns).and_then(Iterator::collect).map_err(wrap)?;
-    let same = found.len() == TABLES.len()
-        && found.iter().zip(TABLES).all(|((kind, name, sql), (table, text))| {
-            kind == "table" && name == table && sql.as_deref() == Some(text_of(table, text, version))
-        });
+    let same = found.len() == tables(version).count()
+        && found
+            .iter()
+            .zip(tables(version))
+            .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
     if same { Ok(version) } else { Err(damaged(format!("its tables are not those of format {version}")).in_file(path)) }
 }
 
-/// Makes [`FORMAT`] of format 1, in one transaction: all of it or nothing.
+/// Makes [`FORMAT`] of an older one, in one transaction: all of it or nothing.
 fn migrate(connection: &Connection, path: &Path) -> Result<()> {
     let wrap = |e| refusal(path, "bring the store to this version", e);
-    let new = TABLES.into_iter().find(|(table, _)| *table == "meshes").map_or("", |(_, text)| text);
     connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
     // Another writer may have been here before.
-    if check_identity(connection, path)? == 1 {
-        let sql = format!(
-            "ALTER TABLE meshes RENAME TO old; {new}; \
-             INSERT INTO meshes SELECT number, name, vertices, polygons, hash, content FROM old; DROP TABLE old; \
-             PRAGMA user_version = {FORMAT};"
-        );
-        connection.execute_batch(&sql).map_err(wrap)?;
+    let from = check_identity(connection, path)?;
+    // What is made anew, and where its columns come from.
+    let steps = [
+        (2, "meshes", "SELECT number, name, vertices, polygons, hash, content FROM old"),
+        (3, "log", "SELECT number, time, cause, id, undoes, change, inverse, NULL, hash FROM old"),
+        (3, "groups", ""),
+    ];
+    let mut sql = String::new();
+    for (_, table, rows) in steps.into_iter().filter(|(version, ..)| from < *version) {
+        let new = TABLES.into_iter().find(|(name, _)| *name == table).map_or("", |(_, text)| text);
+        match rows {
+            "" => sql += &format!("{new}; "),
+            rows => {
+                let copy = format!("INSERT INTO {table} {rows}; DROP TABLE old; ");
+                sql += &format!("ALTER TABLE {table} RENAME TO old; {new}; {copy}");
+            }
+        }
+    }
+    if from < FORMAT {
+        connection.execute_batch(&format!("{sql} PRAGMA user_version = {FORMAT};")).map_err(wrap)?;
     }
     connection.execute_batch("COMMIT").map_err(wrap)
 }

@@ -1,17 +1,21 @@
 //! Changes on their way to the disk.
 
+use super::context::Context;
 use super::hash::Hash;
 use super::log::LogEntry;
-use super::op::{Context, Key, Op, Touched};
+use super::op::{Key, Op, Touched};
 use super::rows::{
-    Meta, ObjectRow, feature_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
+    Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
+    pose_text,
 };
 use super::schema::refusal;
-use super::{Store, blob, read};
+use super::unique::Unique;
+use super::{Store, blob, ids, read};
 use crate::change::Change;
 use crate::environment::{Environment, Mesh};
 use crate::error::{Error, Result};
 use crate::io::layer::to_fields;
+use crate::placement;
 use crate::world::World;
 use rusqlite::{OptionalExtension, Params, ToSql, params};
 use std::path::Path;
@@ -33,6 +37,26 @@ impl Note {
     pub fn new(cause: impl Into<String>, time: f64) -> Self {
         Self { cause: cause.into(), time, ..Self::default() }
     }
+}
+
+/// What becomes of restored features where new ones must lie on polygons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Restored {
+    /// They must, too.
+    Checked,
+    /// They were there before.
+    LetBe,
+}
+
+/// How a change is applied, and what the log says besides.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Entry {
+    /// Its features must lie on polygons.
+    pub placed: Option<Restored>,
+    /// The hash of the line that said it.
+    pub request: Option<[u8; 32]>,
+    /// The entry that it undoes.
+    pub undoes: Option<u64>,
 }
 
 /// Changes that become durable together, by [`Batch::commit`]. Dropped before that, or after the system refused, world
@@ -71,16 +95,27 @@ impl<'a> Batch<'a> {
     /// Applies a change; the answer is its number in the log. One that is there already, by its id, does nothing.
     ///
     /// # Errors
-    /// Those of [`World::apply`], which leave the changes before in the batch; [`crate::ErrorKind::System`] and
-    /// [`crate::ErrorKind::Invalid`] of the store, after which the whole batch is taken back.
+    /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] if the id is that of another change: they leave the
+    /// changes before in the batch; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] of the store, after which
+    /// the whole batch is taken back.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
-        self.record(change, note, None)
+        self.record(change, note, &Entry::default())
     }
 
-    /// [`Batch::apply`] of a change that may undo an entry of the log.
-    pub(super) fn record(&mut self, change: Change, note: &Note, undoes: Option<u64>) -> Result<u64> {
-        if let Some(number) = note.id.as_deref().and_then(|id| self.number_of(id)) {
-            return Ok(number);
+    /// [`Batch::apply`] of a change whose new and altered features must lie on polygons ([`placement::apply`]).
+    ///
+    /// # Errors
+    /// As [`Batch::apply`]; [`crate::ErrorKind::Invalid`] naming class and feature if one does not.
+    pub fn apply_placed(&mut self, change: Change, note: &Note) -> Result<u64> {
+        self.record(change, note, &Entry { placed: Some(Restored::LetBe), ..Entry::default() })
+    }
+
+    /// [`Batch::apply`] of a change, as the log shall have it.
+    pub(super) fn record(&mut self, change: Change, note: &Note, entry: &Entry) -> Result<u64> {
+        if let Some(id) = &note.id
+            && let Some(known) = self.store.known(id)?
+        {
+            return known.same_change(id, self.store.op_of_known_shapes(&change).as_ref());
         }
         if self.taken_back {
             return Err(Error::invalid("the batch was taken back", "begin another one"));
@@ -88,10 +123,13 @@ impl<'a> Batch<'a> {
         if !note.time.is_finite() {
             return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
         }
-        let inverse = self.world.apply(change.clone())?;
+        let inverse = match entry.placed {
+            None => self.world.apply(change.clone())?,
+            Some(restored) => placement::apply(self.world, change.clone(), restored == Restored::Checked)?,
+        };
         self.open = true;
         let environment = self.world.environment().clone();
-        let written = self.store.write(&environment, (&change, &inverse), note, undoes);
+        let written = self.store.write(&environment, (&change, &inverse), note, entry);
         drop(environment);
         match written {
             Ok(number) => {
@@ -109,14 +147,14 @@ impl<'a> Batch<'a> {
     /// its number in the log, and whether it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply`]; [`crate::ErrorKind::Invalid`] if the line is no change.
+    /// As [`Batch::apply_placed`], of restored features, too; [`crate::ErrorKind::Invalid`] if the line is no change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
             Error::invalid(what, "presight env apply --help tells the changes").caused_by(e)
         };
-        let mut value: serde_json::Value = serde_json::from_str(line).map_err(wrong)?;
+        let Unique(mut value) = serde_json::from_str(line).map_err(wrong)?;
         let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
         let cause = match take("cause") {
             None => note.cause.clone(),
@@ -129,15 +167,19 @@ impl<'a> Batch<'a> {
             Some(serde_json::Value::Number(id)) => Some(id.to_string()),
             Some(_) => return Err(Error::invalid("the id is neither text nor number", "give text")),
         };
-        if let Some(number) = id.as_deref().and_then(|id| self.number_of(id)) {
-            return Ok((number, false));
-        }
         let op: Op = serde_json::from_value(value).map_err(wrong)?;
+        if let Some(id) = &id
+            && let Some(known) = self.store.known(id)?
+        {
+            return Ok((known.same_line(id, &op)?, false));
+        }
+        let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are for the log", "give \"like\""));
         let environment = self.world.environment();
-        let mut context = Context { environment, folder: Some(folder), mesh: &mut mesh, added: Vec::new() };
-        let change = context.change(op)?;
-        Ok((self.apply(change, &Note { id, cause, ..note.clone() })?, true))
+        let folder = Some(folder);
+        let change = Context { environment, folder, mesh: &mut mesh, added: Vec::new(), tolerance: None }.change(op)?;
+        let entry = Entry { placed: Some(Restored::Checked), request, undoes: None };
+        Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
     }
 
     /// The change that the log tells by this JSON.
@@ -150,7 +192,7 @@ impl<'a> Batch<'a> {
             None => read::mesh(&store.connection, &store.path, number, materials),
         };
         let op: Op = super::rows::from_json(text)?;
-        Context { environment, folder: None, mesh: &mut mesh, added: Vec::new() }.change(op)
+        Context { environment, folder: None, mesh: &mut mesh, added: Vec::new(), tolerance: None }.change(op)
     }
 
     /// Makes all of them durable: they are on the disk when this returns.
@@ -195,7 +237,7 @@ impl Store {
         now: &Environment,
         (change, inverse): (&Change, &Change),
         note: &Note,
-        undoes: Option<u64>,
+        entry: &Entry,
     ) -> Result<u64> {
         self.write_materials(now)?;
         let (change, inverse) = {
@@ -204,14 +246,23 @@ impl Store {
         };
         for key in Touched::of(&[&change, &inverse]).writes {
             match key {
-                Key::Object(name) => self.write_object(now, &name)?,
+                Key::Object(name) => {
+                    self.write_object(now, &name)?;
+                    self.write_group(now, &name)?;
+                }
                 Key::Feature(class, id) => self.write_feature(now, &class, id)?,
                 Key::Layer(class) => self.write_layer(now, &class)?,
                 Key::Existence(_) => {}
             }
         }
         (self.meta.next_object, self.meta.next_slot) = (now.objects().len() as i64, i64::from(now.slot_count()));
-        self.append((&change, &inverse), note, undoes)
+        self.append((&change, &inverse), note, entry)
+    }
+
+    /// A change in the words of the log; `None` if it brings a shape that is not stored.
+    fn op_of_known_shapes(&self, change: &Change) -> Option<Op> {
+        let unknown = || Error::invalid("this shape is not stored", "");
+        Op::of(change, &mut |mesh: &Arc<Mesh>| self.meshes.stored(mesh).ok_or_else(unknown)).ok()
     }
 
     fn write_materials(&mut self, now: &Environment) -> Result<()> {
@@ -226,7 +277,7 @@ impl Store {
         Ok(())
     }
 
-    fn append(&mut self, (change, inverse): (&Op, &Op), note: &Note, undoes: Option<u64>) -> Result<u64> {
+    fn append(&mut self, (change, inverse): (&Op, &Op), note: &Note, how: &Entry) -> Result<u64> {
         let number = self.meta.changes as u64 + 1;
         let mut entry = LogEntry {
             number,
@@ -234,16 +285,17 @@ impl Store {
             time: note.time + 0.0,
             cause: note.cause.clone(),
             id: note.id.clone(),
-            undoes,
+            undoes: how.undoes,
             change: json(change)?,
             inverse: json(inverse)?,
+            request: how.request,
             hash: [0; 32],
         };
         entry.hash = entry.hash_after(&self.meta.head);
-        let undone = undoes.map(|n| n as i64);
-        let LogEntry { time, cause, id, change, inverse, hash, .. } = &entry;
-        let sql = "INSERT INTO log VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
-        self.run(sql, params![number as i64, time, cause, id, undone, change, inverse, hash])?;
+        let undone = how.undoes.map(|n| n as i64);
+        let LogEntry { time, cause, id, change, inverse, request, hash, .. } = &entry;
+        let sql = "INSERT INTO log VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
+        self.run(sql, params![number as i64, time, cause, id, undone, change, inverse, request, hash])?;
         (self.meta.changes, self.meta.head) = (number as i64, entry.hash);
         self.ids.extend(entry.id.map(|id| (id, number)));
         Ok(number)
@@ -301,6 +353,19 @@ impl Store {
         Ok(())
     }
 
+    /// The frame that a group has now, or none.
+    fn write_group(&mut self, now: &Environment, path: &str) -> Result<()> {
+        if self.groups.remove(path) {
+            self.remove("DELETE FROM groups WHERE path = ?1 RETURNING hash", params![path])?;
+        }
+        let Some(pose) = now.group(path).map(pose_text) else { return Ok(()) };
+        let hash = group_hash(path, &pose);
+        self.run("INSERT INTO groups VALUES(?1, ?2, ?3)", params![path, pose, hash])?;
+        self.groups.insert(path.to_owned());
+        self.meta.digest.add(&hash);
+        Ok(())
+    }
+
     fn write_feature(&mut self, now: &Environment, class: &str, id: u32) -> Result<()> {
         let feature = now.feature(class, id);
         if feature.is_none() && !now.retired(class).any(|retired| retired == id) {
@@ -333,6 +398,9 @@ impl Store {
         self.write_materials(now)?;
         for object in now.objects().iter().filter(|o| !o.is_deleted()) {
             self.write_object(now, &object.name)?;
+        }
+        for (path, _) in now.given_groups() {
+            self.write_group(now, path)?;
         }
         for layer in now.layers() {
             self.write_layer(now, &layer.class)?;

@@ -1,0 +1,128 @@
+//! Changes of objects, and of the groups that they are in.
+
+use super::World;
+use crate::change::Change;
+use crate::environment::{NewObject, check_pose};
+use crate::error::Result;
+use crate::geometry::Pose;
+use std::sync::Arc;
+
+impl World {
+    pub(super) fn insert_object(&mut self, new: NewObject) -> Result<Change> {
+        let frame = self.environment.group(&new.name).copied();
+        let environment = Arc::make_mut(&mut self.environment);
+        let object = environment.insert(new)?;
+        Arc::make_mut(&mut self.index).insert_object(environment, object);
+        let name = environment.objects()[object as usize].name.clone();
+        let mut undo = vec![Change::DeleteObject { name: name.clone() }];
+        if frame.is_some() || environment.has_below(&name) {
+            // Deleting it again would leave its own pose as the frame of what is below.
+            undo.push(Change::SetGroup { name, world_from_group: frame });
+        }
+        Ok(Change::of(undo))
+    }
+
+    pub(super) fn set_pose(&mut self, name: String, world_from_object: Pose) -> Result<Change> {
+        if self.environment.object(&name).is_none() {
+            return self.move_path(&name, world_from_object);
+        }
+        // Refused before anything is copied.
+        check_pose(&world_from_object).map_err(|e| e.at(format!("object {name:?}")))?;
+        let environment = Arc::make_mut(&mut self.environment);
+        let object = environment.index_of(&name)?;
+        let before = environment.objects()[object as usize].world_from_object;
+        environment.set_pose(&name, world_from_object)?;
+        Arc::make_mut(&mut self.index).insert_object(environment, object);
+        Ok(Change::SetPose { name, world_from_object: before })
+    }
+
+    pub(super) fn set_group(&mut self, name: String, world_from_group: Option<Pose>) -> Result<Change> {
+        let world_from_group = Arc::make_mut(&mut self.environment).set_group(&name, world_from_group)?;
+        Ok(Change::SetGroup { name, world_from_group })
+    }
+
+    /// Moves an object or a group, and what is below, by one rigid motion.
+    pub(super) fn move_path(&mut self, path: &str, world_from_path: Pose) -> Result<Change> {
+        let environment = &self.environment;
+        let new_from_old = world_from_path.then(&environment.frame_of(path)?.inverse());
+        let is_object = environment.object(path).is_some();
+        let mut objects: Vec<(String, Pose)> = Vec::new();
+        let mut groups: Vec<(String, Pose)> = Vec::new();
+        // Exactly the pose that is asked for.
+        if is_object { &mut objects } else { &mut groups }.push((path.to_owned(), world_from_path));
+        for index in environment.below(path) {
+            let below = &environment.objects()[index as usize];
+            objects.push((below.name.clone(), new_from_old.then(&below.world_from_object)));
+        }
+        let below = environment.groups_below(path);
+        groups.extend(below.map(|(path, pose)| (path.to_owned(), new_from_old.then(pose))));
+        for (kind, poses) in [("object", &objects), ("group", &groups)] {
+            for (path, pose) in poses {
+                check_pose(pose).map_err(|e| e.at(format!("{kind} {path:?}")))?;
+            }
+        }
+        let mut undo = Vec::with_capacity(objects.len() + groups.len());
+        for (name, pose) in objects {
+            undo.push(self.set_pose(name, pose)?);
+        }
+        for (name, pose) in groups {
+            let world_from_group = Arc::make_mut(&mut self.environment).keep_frame(name.clone(), pose);
+            undo.push(Change::SetGroup { name, world_from_group });
+        }
+        Ok(Change::of(undo))
+    }
+
+    /// Deletes an object alone, or a group with all that is below.
+    pub(super) fn delete_path(&mut self, path: String) -> Result<Change> {
+        if self.environment.object(&path).is_some() {
+            return self.delete_object(path);
+        }
+        let environment = &self.environment;
+        environment.frame_of(&path)?;
+        let mut objects: Vec<String> =
+            environment.below(&path).map(|index| environment.objects()[index as usize].name.clone()).collect();
+        let mut groups: Vec<String> = environment.groups_below(&path).map(|(path, _)| path.to_owned()).collect();
+        groups.push(path);
+        let mut undo = Vec::with_capacity(groups.len() + objects.len());
+        // What is below first: no path then becomes a group by the way.
+        while let Some(name) = objects.pop() {
+            undo.push(self.delete_object(name)?);
+        }
+        for name in groups.into_iter().filter(|name| self.environment.group(name).is_some()).collect::<Vec<_>>() {
+            undo.push(self.set_group(name, None)?);
+        }
+        undo.reverse();
+        Ok(Change::of(undo))
+    }
+
+    fn delete_object(&mut self, name: String) -> Result<Change> {
+        let object = self.environment.index_of(&name)?;
+        let o = &self.environment.objects()[object as usize];
+        let world_from_object = o.world_from_object;
+        let mut undo = vec![Change::InsertObject(NewObject {
+            name: o.name.clone(),
+            world_from_object,
+            object_from_mesh: o.object_from_mesh,
+            mesh: o.mesh.clone(),
+            first_source: o.first_source,
+        })];
+        let environment = Arc::make_mut(&mut self.environment);
+        for (class, covariance, ids) in environment.attached_to(&name) {
+            for id in ids {
+                let feature = environment.delete_feature(&class, id)?;
+                undo.push(Change::RestoreFeature { class: class.clone(), feature });
+            }
+            if covariance {
+                let covariance = environment.set_pose_covariance(&class, &name, None)?;
+                undo.push(Change::SetPoseCovariance { class, object: name.clone(), covariance });
+            }
+        }
+        Arc::make_mut(&mut self.index).remove_object(environment, object);
+        environment.delete(&name)?;
+        if environment.has_below(&name) {
+            // Inserting the object again takes this away.
+            environment.keep_frame(name, world_from_object);
+        }
+        Ok(Change::of(undo))
+    }
+}
