@@ -34,7 +34,8 @@ pub const MAX_FACETS: u32 = 1024;
 pub const MAX_OUTLINE: usize = 512;
 /// Largest scene script or module of one, in bytes.
 pub const MAX_SCRIPT_BYTES: u64 = 1 << 20;
-/// Most operations of a script, its modules included: some seconds. They also bound what maps can grow to by index.
+/// Most operations of a script, its modules included: some seconds. Reading a large value counts by its size. They also bound
+/// what maps can grow to by index.
 pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
 /// Most seconds of a script: the last resort, which no sound script should meet before another limit.
 pub const MAX_SCRIPT_SECONDS: u64 = 120;
@@ -45,11 +46,13 @@ pub const MAX_SCRIPT_NESTING: usize = 128;
 /// Most variables of one call in a script.
 pub const MAX_SCRIPT_VARIABLES: usize = 256;
 /// Most elements of an array in a script, those of arrays in it included.
-pub const MAX_SCRIPT_ARRAY: usize = 16_384;
+pub const MAX_SCRIPT_ARRAY: usize = 4096;
+/// Most copies of a shape that `repeat` makes.
+pub const MAX_SCRIPT_REPEAT: u32 = 16_384;
 /// Most entries of an object map in a script.
-pub const MAX_SCRIPT_MAP: usize = 4096;
+pub const MAX_SCRIPT_MAP: usize = 1024;
 /// Longest string in a script, in bytes.
-pub const MAX_SCRIPT_STRING: usize = 65_536;
+pub const MAX_SCRIPT_STRING: usize = 16_384;
 /// Most modules of a script.
 pub const MAX_SCRIPT_MODULES: usize = 64;
 /// Lines that a script may print; what follows is left out.
@@ -58,7 +61,8 @@ pub const MAX_SCRIPT_MESSAGES: u64 = 1000;
 pub const MAX_SCRIPT_OBJECTS: u64 = 1 << 18;
 /// Most polygons that a script may place, instances counted each.
 pub const MAX_SCRIPT_POLYGONS: u64 = 1 << 26;
-/// Most corners of polygons that shapes of a script may hold at a time: under a gigabyte.
+/// Most corners of polygons that shapes and placed objects of a script may hold at a time, names and features counted by their
+/// size: under a gigabyte.
 pub const MAX_SCRIPT_CORNERS: u64 = 1 << 24;
 /// Most corners of polygons that a script may make in all, those of shapes given up again included: some seconds.
 pub const MAX_SCRIPT_WORK: u64 = 1 << 27;

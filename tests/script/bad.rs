@@ -23,6 +23,13 @@ fn error_in(folder: &Path) -> Error {
     e
 }
 
+/// The error of a script that is not even read.
+fn error_in_any(folder: &Path) -> String {
+    let e = load(&folder.join("scene.rhai")).0.expect_err("a bad script");
+    assert!(e.kind() == ErrorKind::Invalid && e.file().is_some() && !e.remedy().is_empty(), "{e}");
+    e.to_string()
+}
+
 /// Its error holds all parts; the first is the place.
 #[track_caller]
 fn refused(text: &str, parts: &[&str]) {
@@ -125,6 +132,10 @@ fn arguments_of_the_wrong_type_and_number() {
         &["line 1", "in the call of fiducial", "50"],
     );
     refused(
+        "box(1, 1, 1).fiducial(\"video\", pose(), 0.1, \"tag36h11\", 5);",
+        &["line 1", "in the call of fiducial", "tag36h11", "OpenCV"],
+    );
+    refused(
         "let s = box(1, 1, 1).point(\"video\", [0, 0, 1], #{ id: 4 });\nplace(\"a\", s); place(\"b\", s);",
         &["at its end: features for class \"video\"", "id 4 is given twice"],
     );
@@ -145,6 +156,8 @@ fn checks_that_do_not_hold() {
         &["line 1, column 1, in the call of require", "the hall is too small"],
     );
     refused("throw \"oops\";", &["line 1", "throws oops"]);
+    let e = error_in(folder(b"let s = \"x\"; s.pad(9000, \"y\"); throw s;").path()).to_string();
+    assert!(e.len() < 400 && e.contains("(9000 bytes)"), "{e}");
     refused("let a = 1;", &["at its end", "places no polygons"]);
 }
 
@@ -166,13 +179,145 @@ fn syntax_errors() {
 
 #[test]
 fn huge_strings_and_arrays() {
-    refused("let s = \"x\";\nloop { s += s; }", &["line 2", "65536 bytes"]);
-    refused("let s = [1];\nloop { s += s; }", &["line 2", "16384 elements"]);
-    refused("let s = []; s.pad(1000000000, 1);", &["line 1", "16384 elements"]);
-    refused("let s = [1]; loop { s = [s, s]; }", &["line 1", "16384 elements"]);
-    refused("let m = #{}; for i in 0..10000 { let n = #{}; n[`k${i}`] = i; m.mixin(n); }", &["line 1", "4096 entries"]);
+    refused("let s = \"x\";\nloop { s += s; }", &["line 2", "16384 bytes"]);
+    refused("let s = [1];\nloop { s += s; }", &["line 2", "4096 elements"]);
+    refused("let s = []; s.pad(1000000000, 1);", &["line 1", "4096 elements"]);
+    refused("let s = [1]; loop { s = [s, s]; }", &["line 1", "4096 elements"]);
+    refused("let m = #{}; for i in 0..10000 { let n = #{}; n[`k${i}`] = i; m.mixin(n); }", &["line 1", "1024 entries"]);
     let many: String = (0..300).map(|i| format!("let x{i} = 1;\n")).collect();
     refused(&many, &["line 257", "256 variables"]);
+}
+
+/// One step of the language may do the work of many, on large values: it counts as many.
+#[test]
+fn large_values_count_by_their_size() {
+    let full = "let a = []; a.pad(4000, 1);";
+    let map = "let m = #{}; for i in 0..1000 { m[`k${i}`] = i; }";
+    let text = "let s = \"x\"; s.pad(16000, \"y\");";
+    let random = "let a = []; let x = 1; for i in 0..4000 { x = (x * 1103515245 + 12345) & 0xffffff; a.push(x); }";
+    let nested = "let a = []; for i in 0..2000 { a.push([]); }";
+    let start = Instant::now();
+    for loops in [
+        format!("{full}\nloop {{ a == a; }}"),
+        format!("{full}\nloop {{ let b = a; }}"),
+        format!("{full}\nloop {{ a.contains(2); }}"),
+        format!("{nested}\nloop {{ let b = a; }}"),
+        format!("{random}\nloop {{ a.order(); }}"),
+        format!("{map}\nloop {{ m == m; }}"),
+        format!("{map}\nloop {{ m + m; }}"),
+        format!("{text}\nloop {{ s.to_upper(); }}"),
+        format!("fn f(a) {{ 1 }} {full}\nloop {{ f(a); }}"),
+    ] {
+        let before = start.elapsed();
+        refused(&loops, &["line 2", "operations"]);
+        let took = start.elapsed() - before;
+        // Seconds in fact; the clock would end it after two minutes.
+        assert!(took < Duration::from_secs(60), "{took:?}: {loops}");
+    }
+    refused("let a = [];\nfor i in 0..16000 { a = [a]; }", &["line 2", "4096 elements"]);
+    // Reading small ones costs nothing, and large ones can be gone through.
+    let fine = format!(
+        "{full} let sum = 0; for i in 0..4000 {{ sum += a[i]; }} for x in a {{ sum += x; }} place(\"f\", rectangle(sum, 1));"
+    );
+    load(&folder(fine.as_bytes()).path().join("scene.rhai")).0.unwrap();
+}
+
+/// A shape that was placed is kept, even where the script forgets it.
+#[test]
+fn memory_of_placed_things_is_bounded() {
+    refused(
+        "let i = 0;\nloop { i += 1; place(\"s\", sphere(1.0 + i * 0.001, 256)); }",
+        &["line 2", "in the call of place", "hold", "is the limit"],
+    );
+    let long = "let n = \"x\"; n.pad(4000, \"y\"); let b = box(1, 1, 1);";
+    refused(
+        &format!("{long}\nfor i in 0..250000 {{ place(n, b); }}"),
+        &["line 2", "in the call of place", "hold", "is the limit"],
+    );
+    let noted = "let n = \"x\"; n.pad(16000, \"y\"); let b = box(1, 1, 1).point(\"video\", [0, 0, 1], #{ name: n });";
+    refused(
+        &format!("{noted}\nfor i in 0..250000 {{ place(\"b\", b); }}"),
+        &["line 2", "in the call of place", "hold", "is the limit"],
+    );
+}
+
+/// What is added to a copy is lost: whoever places the empty original must hear of it.
+#[test]
+fn assemblies_without_parts() {
+    let explained = ["assembly without parts", "a.add(name, thing)"];
+    for (text, place) in [
+        ("let a = assembly();\nplace(\"a\", a);", "line 2, column 1, in the call of place"),
+        (
+            "let a = [assembly()]; add(a[0], \"x\", box(1, 1, 1));\nplace(\"a\", a[0]);",
+            "line 2, column 1, in the call of place",
+        ),
+        (
+            "let m = #{ a: assembly() }; add(m.a, \"x\", box(1, 1, 1));\nplace(\"a\", m.a);",
+            "line 2, column 1, in the call of place",
+        ),
+        ("let a = assembly();\na.add(\"b\", assembly());", "line 2, column 3, in the call of add"),
+        ("const A = assembly(); add(A, \"x\", box(1, 1, 1));\nplace(\"a\", A);", "line 2"),
+    ] {
+        refused(text, &[&[place][..], &explained].concat());
+    }
+    refused("const A = assembly();\nA.add(\"x\", box(1, 1, 1));", &["line 2, column 3", "constant", "let"]);
+    // As the error says it works.
+    let fine = "let a = [assembly()]; let m = #{ a: assembly() }; a[0].add(\"x\", box(1, 1, 1)); m.a.add(\"x\", box(1, 1, 1)); place(\"a\", a[0]); place(\"m\", m.a);";
+    assert_eq!(load(&folder(fine.as_bytes()).path().join("scene.rhai")).0.unwrap().environment.objects().len(), 2);
+}
+
+/// What is added where nobody looks is told of, even if something else is placed; what is used in any way is not.
+#[test]
+fn parts_that_are_lost() {
+    let start = "let c = assembly(); c.add(\"base\", box(1, 1, 1)); let b = box(1, 1, 1);\n";
+    for (text, column) in [
+        ("let a = [c]; add(a[0], \"x\", b); place(\"a\", a[0]);", 14),
+        ("let m = #{ a: c }; add(m.a, \"x\", b); place(\"a\", m.a);", 20),
+        ("fn f(a) { a.add(\"x\", box(1, 1, 1)); 0 } f(c); place(\"c\", c);", 13),
+        ("place(\"c\", c); c.add(\"x\", b);", 18),
+        ("let d = c; d.add(\"x\", b); place(\"c\", c);", 14),
+        ("let d = assembly(); d.add(\"c\", c); c.add(\"x\", b); place(\"d\", d);", 38),
+    ] {
+        let place = format!("line 2, column {column}, in the call of add");
+        refused(&format!("{start}{text}"), &[&place, "part \"x\" is lost", "write a.add(name, thing)"]);
+    }
+    for text in [
+        "let a = [c]; a[0].add(\"x\", b); place(\"a\", a[0]);",
+        "fn f(a) { a.add(\"x\", box(1, 1, 1)); a } place(\"c\", f(f(c))); place(\"c\", c);",
+        "let d = c; d.add(\"x\", b); let e = d; e.add(\"y\", b); place(\"e\", e);",
+        "place(\"c\", c); c.add(\"x\", b); place(\"c\", c);",
+        "let d = c; d.add(\"x\", b); let e = assembly(); e.add(\"d\", d); place(\"b\", b);",
+        "let d = c; d.add(\"x\", b); require(polygons(d) == 12, \"whole\"); place(\"c\", c);",
+        // One of two that are made is wanted.
+        "let d = assembly(); d.add(\"x\", b); place(\"c\", c);",
+    ] {
+        let folder = folder(format!("{start}{text}").as_bytes());
+        load(&folder.path().join("scene.rhai")).0.unwrap_or_else(|e| panic!("{text}: {e}"));
+    }
+}
+
+#[test]
+fn features_off_their_polygons() {
+    refused(
+        "let s = box(1, 1, 1).point(\"video\", [0, 0, 1.5], #{ name: \"spot\" });\n\n  place(\"a/b\", s, pose(3, 0, 0));",
+        &[
+            "line 3, column 3, in the call of place: class \"video\": feature 1 \"spot\"",
+            "the point is 0.500000 m off its polygons",
+            "object \"a/b\"",
+        ],
+    );
+    // All that is placed counts, whenever it is.
+    let text =
+        "place(\"a\", box(1, 1, 1).point(\"video\", [0, 0, 1.5]));\nplace(\"b\", box(1, 1, 1), pose(0, 0, 1.5));";
+    load(&folder(text.as_bytes()).path().join("scene.rhai")).0.unwrap();
+    let folder = folder(b"import \"m\" as m;\nm::f();");
+    fs::write(
+        folder.path().join("m.rhai"),
+        "fn f() {\n  place(\"a\", box(1, 1, 1).reflector(\"laser\", [9, 0, 0]));\n}",
+    )
+    .unwrap();
+    let e = error_in(folder.path()).to_string();
+    assert!(e.contains("m.rhai: line 2, column 3, in the call of place: class \"laser\": feature 1"), "{e}");
 }
 
 #[test]
@@ -267,6 +412,39 @@ fn modules_at_fault_are_named() {
     assert!(whole.contains("imports itself"), "{whole}");
     let whole = import(b"// \xff");
     assert!(whole.contains("m.rhai: line 1, column 4: this is not UTF-8"), "{whole}");
+}
+
+/// A mark that some editors put before UTF-8 is none of the script's.
+#[test]
+fn a_byte_order_mark_is_skipped() {
+    let text = "\u{feff}import \"m\" as m;\nplace(\"f\", m::f());";
+    let folder = folder(text.as_bytes());
+    fs::write(folder.path().join("m.rhai"), "\u{feff}fn f() { rectangle(1, 1) }").unwrap();
+    load(&folder.path().join("scene.rhai")).0.unwrap();
+    refused("\u{feff}  box(1, 2);", &["line 1, column 3, in the call of box"]);
+}
+
+/// A pipe that nobody writes to would be waited for without end.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file() {
+    let pipe = |name: &str, text: &str| {
+        let folder = folder(text.as_bytes());
+        let path = folder.path().join(name);
+        let _ = fs::remove_file(&path);
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let (e, name) = (error_in_any(folder.path()), path.file_name().unwrap().to_str().unwrap().to_owned());
+        assert!(e.contains("this is a pipe or a device") && e.contains(&name), "{e}");
+    };
+    pipe("scene.rhai", "");
+    pipe("m.rhai", "import \"m\" as m;");
+    pipe("m.glb", "place(\"m\", import_gltf(\"m.glb\"));");
+    for device in ["/dev/zero", "/dev/null"] {
+        let folder = folder(b"");
+        fs::remove_file(folder.path().join("scene.rhai")).unwrap();
+        std::os::unix::fs::symlink(device, folder.path().join("scene.rhai")).unwrap();
+        assert!(error_in_any(folder.path()).contains("this is a pipe or a device"));
+    }
 }
 
 #[test]

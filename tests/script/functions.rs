@@ -268,6 +268,80 @@ fn objects_have_paths_poses_and_shared_meshes() {
     assert_eq!(sources, [0, 12, 24, 44, 64, 76, 88, 108]);
 }
 
+/// Assemblies stand as groups where they were placed; one placed again under its name is another.
+#[test]
+fn assemblies_are_groups_where_they_are_placed() {
+    let scene = run(r#"
+        let body = assembly();
+        body.add("lid", box(1, 1, 0.1), pose(0, 0, 1));
+        body.add("lid", box(1, 1, 0.1), pose(0, 0, 2));
+        let cart = assembly();
+        cart.add("body", body, pose(0, 0, 0.5));
+        cart.add("body", body, pose(0, 5, 0.5));
+        cart.add("wheel", cylinder(0.2, 0.1), pose(1, 0, 0));
+        place("cart", cart, pose(10, 0, 0, 90));
+        place("cart", cart, pose(20, 0, 0));
+        place("cart", box(1, 1, 1), pose(30, 0, 0));
+        place("yard/cart", box(1, 1, 1), pose(40, 0, 0));
+    "#)
+    .unwrap();
+    let e = &scene.environment;
+    let names: Vec<&str> = e.objects().iter().map(|o| o.name.as_str()).collect();
+    let of_cart = ["body/lid", "body/lid#2", "body#2/lid", "body#2/lid#2", "wheel"];
+    let of = |cart: &str| of_cart.map(|part| format!("{cart}/{part}"));
+    assert_eq!(names, [&of("cart")[..], &of("cart#2"), &["cart#3".to_owned(), "yard/cart".to_owned()]].concat());
+    let given: Vec<&str> = e.framed_groups().map(|(path, _)| path).collect();
+    assert_eq!(given, ["cart", "cart#2", "cart#2/body", "cart#2/body#2", "cart/body", "cart/body#2"]);
+    let at = |path: &str| e.frame(path).unwrap().translation;
+    for (path, x, y, z) in [
+        ("cart", 10.0, 0.0, 0.0),
+        ("cart/body#2", 5.0, 0.0, 0.5),
+        ("cart#2/body#2", 20.0, 5.0, 0.5),
+        ("yard", 0.0, 0.0, 0.0),
+    ] {
+        assert!((at(path) - glam::DVec3::new(x, y, z)).length() < 1e-12, "{path}: {}", at(path));
+    }
+    let mut world = presight::World::new(e.clone());
+    let to = presight::Pose::from_xyz_rpy(glam::DVec3::new(20.0, 0.0, 7.0), 0.0, 0.0, 0.0);
+    world.apply(presight::Change::MoveObject { name: "cart#2".into(), world_from_object: to }).unwrap();
+    let moved: Vec<&str> = world
+        .environment()
+        .objects()
+        .iter()
+        .zip(e.objects())
+        .filter(|(a, b)| a.world_from_object != b.world_from_object)
+        .map(|(a, _)| a.name.as_str())
+        .collect();
+    assert_eq!(moved, of("cart#2"));
+}
+
+/// As many things of one name as may be: finding each a number takes no longer than placing it.
+#[test]
+fn many_things_of_one_name() {
+    let start = std::time::Instant::now();
+    let scene = run("let b = rectangle(1, 1); for i in 0..100000 { place(\"b\", b); }").unwrap();
+    assert_eq!(scene.environment.objects().last().unwrap().name, "b#100000");
+    assert!(start.elapsed().as_secs() < 60, "{:?}", start.elapsed());
+}
+
+#[test]
+fn groups_of_imported_models_are_placed_with_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let part =
+        run("let a = assembly(); a.add(\"lid\", box(1, 1, 1), pose(1, 0, 0)); place(\"cart\", a, pose(0, 2, 0));")
+            .unwrap();
+    presight::io::gltf::write_glb(&folder.path().join("part.glb"), &part.environment).unwrap();
+    let path = folder.path().join("scene.rhai");
+    let text = "let p = import_gltf(\"part.glb\"); place(\"a\", p, pose(0, 0, 3, 90)); place(\"a\", p); let q = p; q.add(\"top\", box(1, 1, 1)); place(\"b\", q);";
+    std::fs::write(&path, text).unwrap();
+    let e = load(&path).0.unwrap().environment;
+    let given: Vec<&str> = e.framed_groups().map(|(path, _)| path).collect();
+    assert_eq!(given, ["a", "a#2/cart", "a/cart", "b/cart"], "what stands where its parent does needs no frame");
+    assert!(["a#2", "b"].iter().all(|path| e.frame(path) == Some(presight::Pose::IDENTITY)));
+    let at = e.frame("a/cart").unwrap().translation;
+    assert!((at - glam::DVec3::new(-2.0, 0.0, 3.0)).length() < 1e-12, "{at}");
+}
+
 #[test]
 fn features_move_with_their_shapes_and_are_numbered() {
     let scene = run(r#"

@@ -1,12 +1,15 @@
 //! Assemblies: named parts with poses, themselves parts of larger ones; placed, each becomes objects under one path.
 
 use super::budget::{Budget, Held};
+use super::call::Spot;
+use super::lost::{Added, Lost};
 use super::shape::Shape;
 use crate::environment::Mesh;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use glam::DAffine3;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -34,10 +37,16 @@ pub(super) struct Assembly(Rc<Data>);
 #[derive(Debug)]
 struct Data {
     parts: Vec<Part>,
+    /// Frames of groups inside that are no assemblies: those of a glTF file.
+    groups: Vec<(String, Pose)>,
     objects: u64,
     polygons: u64,
     depth: u32,
     held: Vec<Held>,
+    /// It is a copy, or was placed or added to another: who adds to it now may mean the other one.
+    known_elsewhere: Cell<bool>,
+    /// A part that it got after that, and nothing has been done with.
+    unused: RefCell<Option<Added>>,
 }
 
 /// A named part.
@@ -75,12 +84,54 @@ impl Thing {
             _ => 0,
         }
     }
+
+    /// It is placed, or added to another: what was added to it is not lost, what is added from now on may be.
+    pub fn mark_used(&self) {
+        if let Self::Assembly(Assembly(data)) = self {
+            data.mark_used();
+        }
+    }
+
+    /// Something is asked about it: what was added to it is not lost.
+    pub fn mark_seen(&self) {
+        if let Self::Assembly(Assembly(data)) = self {
+            data.mark_seen();
+        }
+    }
+}
+
+impl Data {
+    fn of(parts: Vec<Part>, groups: Vec<(String, Pose)>) -> Self {
+        let (known_elsewhere, unused) = Default::default();
+        Self { parts, groups, objects: 0, polygons: 0, depth: 1, held: Vec::new(), known_elsewhere, unused }
+    }
+
+    fn mark_used(&self) {
+        self.known_elsewhere.set(true);
+        self.mark_seen();
+    }
+
+    fn mark_seen(&self) {
+        if let Some(added) = self.unused.take() {
+            added.forget();
+        }
+    }
 }
 
 impl Assembly {
     /// Holds nothing.
     pub fn new() -> Self {
-        Self(Rc::new(Data { parts: Vec::new(), objects: 0, polygons: 0, depth: 1, held: Vec::new() }))
+        Self::with_groups(Vec::new())
+    }
+
+    /// Holds nothing but frames, `assembly_from_group`, for what will be below.
+    pub fn with_groups(groups: Vec<(String, Pose)>) -> Self {
+        Self(Rc::new(Data::of(Vec::new(), groups)))
+    }
+
+    /// Those frames.
+    pub fn groups(&self) -> &[(String, Pose)] {
+        &self.0.groups
     }
 
     /// Its parts, in the order they were added.
@@ -88,8 +139,8 @@ impl Assembly {
         &self.0.parts
     }
 
-    /// Adds a part.
-    pub fn add(&mut self, part: Part, budget: &Rc<Budget>) -> Result<()> {
+    /// Adds a part; `lost` is told if nothing comes of it.
+    pub fn add(&mut self, part: Part, budget: &Rc<Budget>, (lost, at): (&Rc<Lost>, &Spot)) -> Result<()> {
         let (objects, polygons) = (part.thing.objects(), part.thing.polygons());
         let depth = self.0.depth.max(part.thing.depth() + 1);
         check_counts(self.0.objects.saturating_add(objects), self.0.polygons.saturating_add(polygons))?;
@@ -99,12 +150,19 @@ impl Assembly {
         }
         let held = budget.take(PART)?;
         if Rc::get_mut(&mut self.0).is_none() {
-            let Data { parts, objects, polygons, depth, .. } = &*self.0;
-            let copied = budget.take(PART * parts.len() as u64)?;
-            let (objects, polygons, depth) = (*objects, *polygons, *depth);
-            self.0 = Rc::new(Data { parts: parts.clone(), objects, polygons, depth, held: vec![copied] });
+            let Data { parts, groups, objects, polygons, depth, .. } = &*self.0;
+            let held = vec![budget.take(PART * (parts.len() + groups.len()) as u64)?];
+            let copy = Data::of(parts.clone(), groups.clone());
+            let copy = Data { objects: *objects, polygons: *polygons, depth: *depth, held, ..copy };
+            self.0.mark_used();
+            copy.known_elsewhere.set(true);
+            self.0 = Rc::new(copy);
         }
+        part.thing.mark_used();
         if let Some(data) = Rc::get_mut(&mut self.0) {
+            if data.known_elsewhere.get() && data.unused.get_mut().is_none() {
+                data.unused = RefCell::new(Some(Added::new(&part.name, at, lost)));
+            }
             data.parts.push(part);
             data.held.push(held);
             data.objects += objects;
@@ -113,6 +171,17 @@ impl Assembly {
         }
         Ok(())
     }
+}
+
+/// That there is something in a thing which is placed or added.
+pub(super) fn check_not_empty(thing: &Thing) -> Result<()> {
+    if thing.objects() > 0 {
+        return Ok(());
+    }
+    let what = "thing is an assembly without parts";
+    let remedy =
+        "add parts before, as a.add(name, thing): add(a[0], ..), add(m.a, ..) and add(CONST, ..) change a copy";
+    Err(Error::invalid(what, remedy))
 }
 
 /// Holds what is to be placed to the limits, before anything is done.

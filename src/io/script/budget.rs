@@ -1,4 +1,4 @@
-//! What shapes and assemblies of a script hold: counted, so that memory and work have a limit.
+//! What shapes, assemblies and placed objects of a script hold: counted, so that memory and work have a limit.
 
 use crate::error::{Error, Result};
 use crate::limits;
@@ -11,6 +11,9 @@ pub(super) struct Budget {
     held: Cell<u64>,
     made: Cell<u64>,
 }
+
+/// So many bytes are worth a corner.
+pub(super) const BYTES_OF_CORNER: usize = 32;
 
 /// A part of the budget, given back on drop.
 #[derive(Debug)]
@@ -25,12 +28,19 @@ impl Budget {
         self.work(corners)?;
         let held = self.held.get().saturating_add(corners);
         if held > limits::MAX_SCRIPT_CORNERS {
-            let what = format!("the script's shapes hold {held} corners of polygons");
-            let remedy = format!("{} is the limit; place a shape many times instead", limits::MAX_SCRIPT_CORNERS);
+            let what = format!("the script's shapes and objects hold {held} corners of polygons");
+            let remedy = format!("{} is the limit; place one shape many times instead", limits::MAX_SCRIPT_CORNERS);
             return Err(Error::invalid(what, remedy));
         }
         self.held.set(held);
         Ok(Held { budget: self.clone(), corners })
+    }
+
+    /// Takes so many corners for good: what is placed stays.
+    pub fn keep(self: &Rc<Self>, corners: u64) -> Result<()> {
+        let mut held = self.take(corners)?;
+        held.corners = 0;
+        Ok(())
     }
 
     /// Counts work that leaves nothing behind.

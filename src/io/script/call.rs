@@ -9,6 +9,7 @@ use crate::geometry::Pose;
 use crate::limits;
 use glam::{DVec2, DVec3};
 use rhai::{Dynamic, Map};
+use std::rc::Rc;
 
 /// A function that scripts can call.
 pub(super) struct Function {
@@ -33,10 +34,32 @@ impl Function {
     }
 }
 
+/// A place in a script.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Spot {
+    /// Its file, as errors name it.
+    pub file: Option<Rc<str>>,
+    pub line: u32,
+    pub column: u32,
+}
+
+impl Spot {
+    /// An error of the call of `function` here.
+    pub fn place(&self, e: Error, function: &str) -> Error {
+        let e = e.at(format!("line {}, column {}, in the call of {function}", self.line, self.column));
+        match &self.file {
+            Some(file) => e.in_file(&**file),
+            None => e,
+        }
+    }
+}
+
 /// One call.
 pub(super) struct Call<'a, 'b> {
     pub studio: &'a Studio,
     pub function: &'static Function,
+    /// Where it is.
+    pub at: Spot,
     pub args: &'a mut [&'b mut Dynamic],
 }
 

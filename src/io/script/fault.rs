@@ -2,6 +2,7 @@
 
 use super::call::Function;
 use super::functions::signatures;
+use super::meter::Ended;
 use crate::error::{Error, ErrorKind};
 use crate::limits;
 use rhai::{Dynamic, EvalAltResult, ParseError, ParseErrorType, Position};
@@ -113,17 +114,11 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
                 let what = what.strip_suffix(&format!("; {remedy}")).map(str::to_owned).unwrap_or(what);
                 (e.kind(), what, remedy, function)
             }
-            None => invalid(format!("the script throws {value}"), "see the script"),
+            None => invalid(format!("the script throws {}", shortened(&value.to_string())), "see the script"),
         },
         E::ErrorFunctionNotFound(signature, _) => unknown_function(signature),
-        E::ErrorTooManyOperations(_) => invalid(
-            format!("the script takes over {} operations", limits::MAX_SCRIPT_OPERATIONS),
-            "look for an endless loop; make parts once and place them often",
-        ),
-        E::ErrorTerminated(..) => invalid(
-            format!("the script takes over {} s", limits::MAX_SCRIPT_SECONDS),
-            "look for an endless loop; make parts once and place them often",
-        ),
+        E::ErrorTooManyOperations(_) => ended(Ended::Operations),
+        E::ErrorTerminated(why, _) => ended(why.clone().try_cast().unwrap_or(Ended::Clock)),
         E::ErrorStackOverflow(_) => invalid(
             format!("calls nest over {} levels", limits::MAX_SCRIPT_CALLS),
             "look for a function that calls itself without end",
@@ -150,6 +145,25 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
             let what = text.split(" (line ").next().unwrap_or(&text).to_owned();
             invalid(what, "correct the script")
         }
+    }
+}
+
+fn ended(why: Ended) -> (ErrorKind, String, String, Option<&'static str>) {
+    let what = match why {
+        Ended::Operations => format!("the script takes over {} operations", limits::MAX_SCRIPT_OPERATIONS),
+        Ended::Clock => format!("the script takes over {} s", limits::MAX_SCRIPT_SECONDS),
+    };
+    let remedy =
+        "look for an endless loop, and for large arrays that are read often; make parts once and place them often";
+    (ErrorKind::Invalid, what, remedy.to_owned(), None)
+}
+
+/// A text for a message, cut where it would not fit a line.
+fn shortened(text: &str) -> String {
+    const LONGEST: usize = 200;
+    match text.char_indices().nth(LONGEST) {
+        None => text.to_owned(),
+        Some((end, _)) => format!("{}.. ({} bytes)", &text[..end], text.len()),
     }
 }
 

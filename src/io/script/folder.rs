@@ -1,8 +1,8 @@
 //! The scene's folder: the only place that scripts read from.
 
 use crate::error::{Error, Result};
+use crate::io::file;
 use crate::limits;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
@@ -50,7 +50,7 @@ impl Folder {
 
 /// The text of a script.
 pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
-    let mut file = File::open(real).map_err(|e| Error::io(shown, "open it", e))?;
+    let mut file = file::open_as(real, shown)?;
     let mut bytes = Vec::new();
     file.by_ref()
         .take(limits::MAX_SCRIPT_BYTES + 1)
@@ -60,7 +60,7 @@ pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
         let what = "the script is too large";
         return Err(Error::invalid(what, format!("give at most {} bytes", limits::MAX_SCRIPT_BYTES)).in_file(shown));
     }
-    String::from_utf8(bytes).map_err(|e| {
+    String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         let good = e.utf8_error().valid_up_to();
         let before = &e.as_bytes()[..good];
         let line = 1 + before.iter().filter(|b| **b == b'\n').count();

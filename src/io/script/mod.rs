@@ -31,8 +31,8 @@
 //!
 //! **The same script gives the same environment on every machine**: trigonometry is `libm`'s, the operator `**` and every
 //! clock are left out, random numbers come from a seed that the script gives. Scripts read files only from their own
-//! folder, symbolic links resolved; they write none. `eval` is off. Limits on operations, depth, sizes, polygons and
-//! memory end a script that asks for too much ([`crate::limits`], `MAX_SCRIPT_..`), with file, line, column and call; the
+//! folder, symbolic links resolved; they write none. `eval` is off. Limits on operations (large values count by their size),
+//! depth, sizes, polygons and memory end a script that asks for too much ([`crate::limits`], `MAX_SCRIPT_..`), with file, line, column and call; the
 //! wall clock is only the last resort.
 //!
 //! `source` ids number the triangles that the polygons are worth, in the order of placing: those that the scene would
@@ -44,6 +44,8 @@ mod call;
 mod fault;
 mod folder;
 mod functions;
+mod lost;
+mod meter;
 mod modules;
 mod random;
 mod shape;
@@ -63,12 +65,11 @@ use rhai::packages::{
     ArithmeticPackage, BasicArrayPackage, BasicFnPackage, BasicIteratorPackage, BasicMapPackage, BasicStringPackage,
     LogicPackage, MoreStringPackage, Package,
 };
-use rhai::{Dynamic, Engine, OptimizationLevel, Scope};
+use rhai::{Engine, OptimizationLevel, Scope};
 use std::cell::{Cell, RefCell};
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::mpsc::{Sender, channel};
-use std::time::{Duration, Instant};
 use studio::Studio;
 
 /// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
@@ -109,7 +110,7 @@ fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Impo
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    studio.finish().map_err(|e| e.at("at its end").in_file(path))
+    studio.finish(path)
 }
 
 /// A script says itself what its materials are; a sidecar beside it would be ignored, which must not be silent. One that
@@ -139,28 +140,9 @@ fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
     engine.disable_symbol("**").disable_symbol("**=").disable_symbol("eval");
     engine.set_optimization_level(OptimizationLevel::None);
     functions::register(&mut engine, studio);
-    limit(&mut engine);
+    meter::limit(&mut engine);
     listen(&mut engine, say);
     engine
-}
-
-fn limit(engine: &mut Engine) {
-    engine
-        .set_max_operations(limits::MAX_SCRIPT_OPERATIONS)
-        .set_max_call_levels(limits::MAX_SCRIPT_CALLS)
-        .set_max_expr_depths(limits::MAX_SCRIPT_NESTING, limits::MAX_SCRIPT_NESTING)
-        .set_max_variables(limits::MAX_SCRIPT_VARIABLES)
-        .set_max_modules(limits::MAX_SCRIPT_MODULES)
-        .set_max_string_size(limits::MAX_SCRIPT_STRING)
-        .set_max_array_size(limits::MAX_SCRIPT_ARRAY)
-        .set_max_map_size(limits::MAX_SCRIPT_MAP);
-    /// Operations between two looks at the clock.
-    const LOOK: u64 = 1 << 14;
-    let start = Instant::now();
-    engine.on_progress(move |operations| {
-        let late = operations % LOOK == 0 && start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS);
-        late.then_some(Dynamic::UNIT)
-    });
 }
 
 /// Hands on what the script prints, up to the limit.

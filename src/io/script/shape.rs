@@ -93,6 +93,16 @@ impl Shape {
         Self::of(solid, self.0.materials.clone(), marks, budget)
     }
 
+    /// Corners of its polygons.
+    pub fn corners(&self) -> u64 {
+        self.0.solid.corner_count() as u64
+    }
+
+    /// True once it was placed.
+    pub fn has_mesh(&self) -> bool {
+        self.0.mesh.get().is_some()
+    }
+
     /// Number of polygons.
     pub fn polygons(&self) -> usize {
         self.0.solid.polygon_count()

@@ -1,18 +1,22 @@
 //! What a running script builds: the environment, its features, and the account of it.
 
-use super::assembly::{Assembly, Imported, Part, Thing, check_counts};
-use super::budget::Budget;
+use super::assembly::{Assembly, Imported, Part, Thing, check_counts, check_not_empty};
+use super::budget::{BYTES_OF_CORNER, Budget};
+use super::call::Spot;
 use super::folder::Folder;
+use super::lost::Lost;
 use super::shape::{Mark, Shape};
 use crate::acquire::{ImportReport, Imported as Outcome, Problem};
-use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer, Material, NewObject};
+use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer, Material, NewObject, Paths};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::io::gltf::{self, ImportOptions};
 use crate::limits;
+use crate::placement;
+use crate::world::World;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -20,6 +24,7 @@ use std::sync::Arc;
 pub(super) struct Studio {
     pub folder: Folder,
     pub budget: Rc<Budget>,
+    pub lost: Rc<Lost>,
     options: ImportOptions,
     built: RefCell<Built>,
 }
@@ -27,19 +32,32 @@ pub(super) struct Studio {
 #[derive(Default)]
 struct Built {
     environment: Environment,
+    /// Those of objects and of placed assemblies.
+    paths: Paths,
     report: ImportReport,
     /// Materials that the script has defined, by name.
     materials: BTreeMap<String, u16>,
     default_material: Option<u16>,
     imports: HashMap<PathBuf, Assembly>,
-    /// By class: the id, if the script gives one.
-    features: BTreeMap<String, Vec<(Option<u32>, Feature)>>,
+    /// By class.
+    features: BTreeMap<String, Vec<Marked>>,
     feature_count: u64,
+    /// Names of the files that features were placed in.
+    files: BTreeSet<Rc<str>>,
+}
+
+/// A feature of a placed object.
+struct Marked {
+    /// If the script gives one.
+    id: Option<u32>,
+    feature: Feature,
+    /// Where the object was placed.
+    at: Spot,
 }
 
 impl Studio {
     pub fn new(folder: Folder, options: &ImportOptions) -> Self {
-        Self { folder, budget: Rc::default(), options: options.clone(), built: RefCell::default() }
+        Self { folder, budget: Rc::default(), lost: Rc::default(), options: options.clone(), built: RefCell::default() }
     }
 
     /// Defines a material; the same again is no error, another of that name is.
@@ -71,12 +89,26 @@ impl Studio {
         })
     }
 
-    /// Places a thing, and all that is in it, under a path.
-    pub fn place(&self, path: &str, thing: &Thing, world_from_thing: &Pose) -> Result<()> {
+    /// The name of a file, of which there are few.
+    pub fn file_name(&self, name: &str) -> Rc<str> {
+        let mut built = self.built.borrow_mut();
+        if let Some(known) = built.files.get(name) {
+            return known.clone();
+        }
+        let new: Rc<str> = name.into();
+        built.files.insert(new.clone());
+        new
+    }
+
+    /// Places a thing, and all that is in it, under a path; `at` is where the script says so.
+    pub fn place(&self, path: &str, thing: &Thing, world_from_thing: &Pose, at: &Spot) -> Result<()> {
+        check_not_empty(thing)?;
+        thing.mark_used();
         let mut built = self.built.borrow_mut();
         let objects = built.environment.objects().len() as u64 + thing.objects();
         check_counts(objects, u64::from(built.environment.slot_count()) + thing.polygons())?;
-        built.place(path, thing, world_from_thing, &self.options)
+        let (options, budget) = (&self.options, &self.budget);
+        Placing { built: &mut built, options, budget, at }.place(path, thing, world_from_thing)
     }
 
     /// The objects of a glTF file as an assembly, read once.
@@ -92,64 +124,141 @@ impl Studio {
         Ok(assembly)
     }
 
-    /// What the script has built.
-    pub fn finish(&self) -> Result<Outcome> {
+    /// What the script `file` has built.
+    pub fn finish(&self, file: &Path) -> Result<Outcome> {
+        self.lost.check().map_err(|e| e.in_file(file))?;
         let mut built = self.built.take();
+        let at_end = |e: Error| e.at("at its end").in_file(file);
         if built.environment.slot_count() == 0 {
             let remedy = "place something: place(\"floor\", rectangle(4, 3))";
-            return Err(Error::invalid("the script places no polygons", remedy));
+            return Err(at_end(Error::invalid("the script places no polygons", remedy)));
         }
+        built.environment.settle_groups();
+        let mut spots = BTreeMap::new();
         for (class, features) in std::mem::take(&mut built.features) {
-            let features = numbered(features).map_err(|e| e.at(format!("features for class {class:?}")))?;
+            let place = |e: Error| at_end(e.at(format!("features for class {class:?}")));
+            let (features, of_features) = numbered(features).map_err(place)?;
+            spots.insert(class.clone(), of_features);
             let layer = FeatureLayer { class, tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() };
-            built.environment.add_layer(layer)?;
+            built.environment.add_layer(layer).map_err(at_end)?;
         }
-        built.report.polygons_in_scene = u64::from(built.environment.slot_count());
-        Ok(Outcome { environment: built.environment, report: built.report })
+        let environment = check_features(built.environment, &spots).map_err(|e| e.in_file(file))?;
+        built.report.polygons_in_scene = u64::from(environment.slot_count());
+        Ok(Outcome { environment, report: built.report })
     }
 }
 
-impl Built {
-    fn place(&mut self, path: &str, thing: &Thing, world_from_thing: &Pose, options: &ImportOptions) -> Result<()> {
+/// That all features lie on polygons, now that all is placed; `spots` says where each was placed, by class and id.
+fn check_features(environment: Environment, spots: &BTreeMap<String, BTreeMap<u32, Spot>>) -> Result<Environment> {
+    if environment.layers().is_empty() {
+        return Ok(environment);
+    }
+    let world = World::new(environment);
+    for layer in world.environment().layers() {
+        let off = placement::find(&world, layer)?.off;
+        let feature = off.first().and_then(|id| world.environment().feature(&layer.class, *id));
+        let why = feature.and_then(|feature| placement::why_off(&world, &layer.class, layer.tolerance, feature));
+        let spot = off.first().and_then(|id| spots.get(&layer.class)?.get(id)).cloned().unwrap_or_default();
+        if let Some(why) = why {
+            return Err(spot.place(why, "place"));
+        }
+    }
+    Ok(Arc::unwrap_or_clone(world.into_environment()))
+}
+
+/// One call of `place`.
+struct Placing<'a> {
+    built: &'a mut Built,
+    options: &'a ImportOptions,
+    budget: &'a Rc<Budget>,
+    at: &'a Spot,
+}
+
+impl Placing<'_> {
+    fn place(&mut self, path: &str, thing: &Thing, world_from_thing: &Pose) -> Result<()> {
         if path.len() > limits::MAX_NAME_BYTES {
             let what = format!("a path is over {} bytes", limits::MAX_NAME_BYTES);
             return Err(Error::invalid(what, "give shorter names"));
         }
+        // Twice in the environment, twice among the paths.
+        self.budget.keep(4 + (4 * path.len() / BYTES_OF_CORNER) as u64)?;
         match thing {
-            Thing::Shape(shape) => self.place_shape(path, shape, world_from_thing, options),
+            Thing::Shape(shape) => self.place_shape(path, shape, world_from_thing),
             Thing::Imported(imported) => {
+                let path = self.built.paths.take(path.to_owned());
                 let object = NewObject {
                     object_from_mesh: imported.object_from_mesh,
                     ..NewObject::new(path, *world_from_thing, imported.mesh.clone())
                 };
-                self.insert(object, imported.triangles).map(|_| ())
+                self.built.insert(object, imported.triangles).map(|_| ())
             }
             Thing::Assembly(assembly) => {
+                let path = self.built.paths.take(path.to_owned());
+                self.built.environment.set_group(&path, Some(*world_from_thing))?;
                 for Part { name, assembly_from_part, thing } in assembly.parts() {
                     let world_from_part = world_from_thing.then(assembly_from_part);
-                    self.place(&format!("{path}/{name}"), thing, &world_from_part, options)?;
+                    self.place(&format!("{path}/{name}"), thing, &world_from_part)?;
+                }
+                for (below, assembly_from_group) in assembly.groups() {
+                    self.frame(format!("{path}/{below}"), &world_from_thing.then(assembly_from_group))?;
                 }
                 Ok(())
             }
         }
     }
 
-    fn place_shape(&mut self, path: &str, shape: &Shape, pose: &Pose, options: &ImportOptions) -> Result<()> {
-        let default = if shape.needs_default() { self.default_material()? } else { 0 };
-        let name = path.rsplit('/').next().unwrap_or(path);
-        let (mesh, new) = shape.mesh(name, default, options).map_err(|e| e.at(format!("object {path:?}")))?;
-        if new {
-            self.report.triangles_stored += u64::from(shape.triangles());
-            self.report.polygons_stored += mesh.polygon_count() as u64;
-        }
-        let object = self.insert(NewObject::new(path, *pose, mesh), shape.triangles())?;
-        if !shape.marks().is_empty() {
-            let path = self.environment.objects()[object as usize].name.clone();
-            shape.marks().iter().try_for_each(|mark| self.mark(mark, &path))?;
+    /// Gives what was placed below a path a frame, unless the script placed something at the path itself.
+    fn frame(&mut self, path: String, world_from_group: &Pose) -> Result<()> {
+        self.budget.keep(4 + (4 * path.len() / BYTES_OF_CORNER) as u64)?;
+        if self.built.paths.reserve(&path) {
+            self.built.environment.set_group(&path, Some(*world_from_group))?;
         }
         Ok(())
     }
 
+    fn place_shape(&mut self, path: &str, shape: &Shape, pose: &Pose) -> Result<()> {
+        let built = &mut *self.built;
+        let default = if shape.needs_default() { built.default_material()? } else { 0 };
+        if !shape.has_mesh() {
+            self.budget.keep(shape.corners())?;
+        }
+        let name = path.rsplit('/').next().unwrap_or(path);
+        let (mesh, new) = shape.mesh(name, default, self.options).map_err(|e| e.at(format!("object {path:?}")))?;
+        if new {
+            built.report.triangles_stored += u64::from(shape.triangles());
+            built.report.polygons_stored += mesh.polygon_count() as u64;
+        }
+        let path = built.paths.take(path.to_owned());
+        built.insert(NewObject::new(path.clone(), *pose, mesh), shape.triangles())?;
+        shape.marks().iter().try_for_each(|mark| self.mark(mark, &path))
+    }
+
+    fn mark(&mut self, mark: &Mark, object: &str) -> Result<()> {
+        self.built.feature_count += mark.classes.len() as u64;
+        if self.built.feature_count > limits::MAX_SCRIPT_FEATURES {
+            let what = format!("{} features are asked for", self.built.feature_count);
+            return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_FEATURES)));
+        }
+        let texts = mark.name.as_ref().map_or(0, String::len) + object.len();
+        let bytes = size_of::<Marked>() + texts + size_of_val(mark.shape.points());
+        for class in &mark.classes {
+            self.budget.keep((bytes / BYTES_OF_CORNER) as u64)?;
+            let feature = Feature {
+                id: 0,
+                name: mark.name.clone(),
+                object: Some(object.to_owned()),
+                shape: mark.shape.clone(),
+                existence: mark.existence,
+                properties: mark.properties.clone(),
+            };
+            let marked = Marked { id: mark.id, feature, at: self.at.clone() };
+            self.built.features.entry(class.clone()).or_default().push(marked);
+        }
+        Ok(())
+    }
+}
+
+impl Built {
     fn insert(&mut self, new: NewObject, triangles: u32) -> Result<u32> {
         let far = !(new.world_from_object.translation.abs().max_element() <= limits::MAX_COORDINATE);
         if far {
@@ -171,26 +280,6 @@ impl Built {
         Ok(index)
     }
 
-    fn mark(&mut self, mark: &Mark, object: &str) -> Result<()> {
-        self.feature_count += mark.classes.len() as u64;
-        if self.feature_count > limits::MAX_SCRIPT_FEATURES {
-            let what = format!("{} features are asked for", self.feature_count);
-            return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_FEATURES)));
-        }
-        for class in &mark.classes {
-            let feature = Feature {
-                id: 0,
-                name: mark.name.clone(),
-                object: Some(object.to_owned()),
-                shape: mark.shape.clone(),
-                existence: mark.existence,
-                properties: mark.properties.clone(),
-            };
-            self.features.entry(class.clone()).or_default().push((mark.id, feature));
-        }
-        Ok(())
-    }
-
     /// Materials and report of an imported scene; its objects as parts.
     fn take_over(&mut self, outcome: Outcome, file: &str, budget: &Rc<Budget>) -> Result<Assembly> {
         let Outcome { environment, report } = outcome;
@@ -199,7 +288,8 @@ impl Built {
             materials.push(self.environment.add_material(material.clone())?);
         }
         let mut meshes: HashMap<*const _, Arc<_>> = HashMap::new();
-        let mut assembly = Assembly::new();
+        let groups = environment.framed_groups().map(|(path, pose)| (path.to_owned(), *pose)).collect();
+        let mut assembly = Assembly::with_groups(groups);
         let ends = environment.objects().iter().skip(1).map(|o| o.first_source);
         let last = u32::try_from(report.triangles_in_scene).unwrap_or(u32::MAX);
         for (object, end) in environment.objects().iter().zip(ends.chain([last])) {
@@ -212,7 +302,7 @@ impl Built {
                 triangles: end - object.first_source,
             });
             let part = Part { name: object.name.clone(), assembly_from_part: object.world_from_object, thing };
-            assembly.add(part, budget)?;
+            assembly.add(part, budget, (&Rc::default(), &Spot::default()))?;
         }
         self.account(&report, file);
         Ok(assembly)
@@ -239,10 +329,11 @@ impl Built {
     }
 }
 
-/// Gives numbers to features that have none: from 1, in the order they were placed, leaving out those in use.
-fn numbered(features: Vec<(Option<u32>, Feature)>) -> Result<Vec<Feature>> {
+/// Gives numbers to features that have none: from 1, in the order they were placed, leaving out those in use. The second
+/// answer is where each was placed.
+fn numbered(features: Vec<Marked>) -> Result<(Vec<Feature>, BTreeMap<u32, Spot>)> {
     let mut taken = BTreeSet::new();
-    for id in features.iter().filter_map(|(id, _)| *id) {
+    for id in features.iter().filter_map(|marked| marked.id) {
         if !taken.insert(id) {
             let remedy =
                 "give each feature of a class an id of its own; one on a shape that is placed often none at all";
@@ -251,10 +342,12 @@ fn numbered(features: Vec<(Option<u32>, Feature)>) -> Result<Vec<Feature>> {
     }
     let mut free = (1u32..).filter(|id| !taken.contains(id));
     let mut all: Vec<Feature> = Vec::with_capacity(features.len());
-    for (id, feature) in features {
+    let mut spots = BTreeMap::new();
+    for Marked { id, feature, at } in features {
         let id = id.or_else(|| free.next()).unwrap_or_default();
         all.push(Feature { id, ..feature });
+        spots.insert(id, at);
     }
     all.sort_by_key(|f| f.id);
-    Ok(all)
+    Ok((all, spots))
 }

@@ -45,7 +45,8 @@ fn check(mark: &Mark) -> Result<()> {
         existence: mark.existence,
         properties: mark.properties.clone(),
     };
-    feature.check(crate::environment::DEFAULT_TOLERANCE)
+    feature.check(crate::environment::DEFAULT_TOLERANCE)?;
+    feature.check_dictionary()
 }
 
 /// From standard deviations along x, y and z, or one for all.

@@ -8,7 +8,7 @@ mod placing;
 mod solids;
 
 use super::assembly::Assembly;
-use super::call::{Call, Function};
+use super::call::{Call, Function, Spot};
 use super::fault::Fault;
 use super::random::Random;
 use super::shape::Shape;
@@ -62,6 +62,14 @@ pub(super) fn signatures(name: &str) -> Vec<&'static str> {
     all.filter(|f| f.name() == name).map(|f| f.signature).collect()
 }
 
+/// Where a call is.
+fn spot(context: &NativeCallContext<'_>, studio: &Studio) -> Spot {
+    let at = context.call_position();
+    let number = |n: Option<usize>| n.and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
+    let file = context.call_source().map(|file| studio.file_name(file));
+    Spot { file, line: number(at.line()), column: number(at.position()) }
+}
+
 /// Makes the functions known to an engine.
 pub(super) fn register(engine: &mut Engine, studio: &Rc<Studio>) {
     engine
@@ -76,7 +84,7 @@ pub(super) fn register(engine: &mut Engine, studio: &Rc<Studio>) {
             function.name(),
             types,
             move |context: NativeCallContext<'_>, args: &mut [&mut Dynamic]| -> Result<Dynamic, Box<EvalAltResult>> {
-                let mut call = Call { studio: &studio, function, args };
+                let mut call = Call { studio: &studio, function, at: spot(&context, &studio), args };
                 (function.run)(&mut call).map_err(|e| Fault::in_call(e, function, context.call_position()))
             },
         );

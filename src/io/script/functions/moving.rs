@@ -45,9 +45,9 @@ fn join(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 
 fn repeat(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let (shape, count) = (c.shape(0)?, c.count(1)?);
-    if !(1..=limits::MAX_SCRIPT_ARRAY as u32).contains(&count) {
+    if !(1..=limits::MAX_SCRIPT_REPEAT).contains(&count) {
         let what = format!("count is {count}");
-        return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_SCRIPT_ARRAY)));
+        return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_SCRIPT_REPEAT)));
     }
     let step = point(c, 2)?;
     // Refused before anything is made.

@@ -3,7 +3,7 @@
 use super::moving::point;
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, quat_deg};
-use crate::io::script::assembly::{Assembly, Part, Thing, check_name};
+use crate::io::script::assembly::{Assembly, Part, Thing, check_name, check_not_empty};
 use crate::io::script::call::{Call, Function};
 use glam::DVec3;
 use rhai::{Dynamic, Map};
@@ -28,20 +28,22 @@ fn pose_or_none(c: &Call<'_, '_>, i: usize) -> Result<Pose> {
 }
 
 fn place(c: &mut Call<'_, '_>) -> Result<Dynamic> {
-    c.studio.place(&name(c, 0)?, &c.arg(1).thing()?, &pose_or_none(c, 2)?)?;
+    c.studio.place(&name(c, 0)?, &c.arg(1).thing()?, &pose_or_none(c, 2)?, &c.at)?;
     Ok(Dynamic::UNIT)
 }
 
 fn add(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let part = Part { name: name(c, 1)?, thing: c.arg(2).thing()?, assembly_from_part: pose_or_none(c, 3)? };
-    // A wrong type is refused in words; a constant cannot change.
-    let wrong = match c.arg(0).thing() {
-        Ok(Thing::Assembly(_)) => Error::invalid("the assembly is a constant", "declare it with let"),
-        Ok(_) => Error::invalid("assembly is a shape", "give an assembly"),
-        Err(e) => e,
-    };
-    let mut assembly = c.args[0].write_lock::<Assembly>().ok_or(wrong)?;
-    assembly.add(part, &c.studio.budget)?;
+    check_not_empty(&part.thing)?;
+    if matches!(c.arg(0).thing()?, Thing::Shape(_)) {
+        return Err(Error::invalid("assembly is a shape", "give an assembly"));
+    }
+    let constant = || Error::invalid("assembly is a constant, which nothing can be added to", "declare it with let");
+    if c.args[0].is_read_only() {
+        return Err(constant());
+    }
+    let mut assembly = c.args[0].write_lock::<Assembly>().ok_or_else(constant)?;
+    assembly.add(part, &c.studio.budget, (&c.studio.lost, &c.at))?;
     Ok(Dynamic::UNIT)
 }
 
@@ -70,7 +72,7 @@ pub(super) const FUNCTIONS: &[Function] = &[
     Function {
         signature: "place(name, thing) -> ()",
         does: "a shape becomes an object, an assembly one for each of its parts, `name/part`; a shape placed again \
-               shares its mesh, a name used again gets `#2`",
+               shares its mesh, a name used again gets `#2`, that of an assembly before its parts: `name#2/part`",
         run: place,
     },
     Function { signature: "place(name, thing, pose) -> ()", does: "the same at a pose in the world", run: place },
@@ -81,7 +83,7 @@ pub(super) const FUNCTIONS: &[Function] = &[
     },
     Function {
         signature: "add(assembly, name, thing) -> ()",
-        does: "adds a named part, a shape or an assembly",
+        does: "adds a named part, a shape or an assembly; of an assembly in an array or a map always as `a[0].add(..)`",
         run: add,
     },
     Function { signature: "add(assembly, name, thing, pose) -> ()", does: "the same at a pose in it", run: add },
@@ -115,6 +117,10 @@ pub(super) const CHECKS: &[Function] = &[
     Function {
         signature: "polygons(thing) -> int",
         does: "polygons of all objects that it becomes",
-        run: |c| Ok(Dynamic::from(c.arg(0).thing()?.polygons() as i64)),
+        run: |c| {
+            let thing = c.arg(0).thing()?;
+            thing.mark_seen();
+            Ok(Dynamic::from(thing.polygons() as i64))
+        },
     },
 ];

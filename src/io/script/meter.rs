@@ -1,0 +1,72 @@
+//! What a script may take: the language's own limits, and operations counted by what they cost.
+
+use crate::limits;
+use rhai::{Dynamic, Engine};
+use std::cell::Cell;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+/// Why a script was ended, as the language's error carries it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ended {
+    /// By the limit on operations.
+    Operations,
+    /// By the clock.
+    Clock,
+}
+
+/// Elements of arrays, half as many of maps, or 256 bytes of strings, that are read for one operation.
+const READ: usize = 16;
+/// Operations between two looks at the clock.
+const LOOK: u64 = 256;
+
+/// Sets all limits.
+///
+/// The language counts its own steps, but not what is done within one: comparing two arrays calls `==` for each pair of
+/// elements, on a copy of the count, and reading a variable copies its value. So each step that is told of counts here, and each
+/// large value that is read.
+pub(super) fn limit(engine: &mut Engine) {
+    engine
+        .set_max_operations(limits::MAX_SCRIPT_OPERATIONS)
+        .set_max_call_levels(limits::MAX_SCRIPT_CALLS)
+        .set_max_expr_depths(limits::MAX_SCRIPT_NESTING, limits::MAX_SCRIPT_NESTING)
+        .set_max_variables(limits::MAX_SCRIPT_VARIABLES)
+        .set_max_modules(limits::MAX_SCRIPT_MODULES)
+        .set_max_string_size(limits::MAX_SCRIPT_STRING)
+        .set_max_array_size(limits::MAX_SCRIPT_ARRAY)
+        .set_max_map_size(limits::MAX_SCRIPT_MAP);
+    let steps = Rc::new(Cell::new(0u64));
+    let start = Instant::now();
+    let counted = steps.clone();
+    engine.on_progress(move |_| {
+        let now = counted.get() + 1;
+        counted.set(now);
+        let late = || start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS);
+        match now {
+            _ if now > limits::MAX_SCRIPT_OPERATIONS => Some(Dynamic::from(Ended::Operations)),
+            _ if now.is_multiple_of(LOOK) && late() => Some(Dynamic::from(Ended::Clock)),
+            _ => None,
+        }
+    });
+    #[expect(deprecated, reason = "it is not, the library says: it may change")]
+    engine.on_var(move |name, _, context| {
+        let large = context.scope().get(name).map_or(0, size) / READ;
+        steps.set(steps.get() + large as u64);
+        Ok(None)
+    });
+}
+
+/// What reading a value costs, about.
+fn size(value: &Dynamic) -> usize {
+    if value.is_int() || value.is_float() || value.is_bool() {
+        return 0;
+    }
+    if let Ok(array) = value.as_array_ref() {
+        return array.len() + array.iter().map(size).sum::<usize>();
+    }
+    if let Ok(map) = value.as_map_ref() {
+        // Its keys are looked for, or copied.
+        return 2 * map.len() + map.values().map(size).sum::<usize>();
+    }
+    value.as_immutable_string_ref().map_or(0, |text| text.len() / 16)
+}
