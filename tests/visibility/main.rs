@@ -10,6 +10,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod occluders;
+mod patches;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, scenes};
@@ -65,25 +66,6 @@ fn edges(environment: &Environment, most: usize, random: &mut Random) -> Vec<Pla
         slots,
     };
     all.into_iter().enumerate().map(place).collect()
-}
-
-/// The same places as patches (the polygons) and points (their corners).
-fn patches_and_points(environment: &Environment, random: &mut Random) -> Vec<PlacedFeature> {
-    let mut all = Vec::new();
-    for _ in 0..40 {
-        let slot = random.below(environment.slot_count() as usize) as u32;
-        let Some(corners) = environment.polygon_in_world(slot) else { continue };
-        let patch = FeatureShape::Patch { corners: corners.clone(), covariance: DMat3::ZERO };
-        let (a, b) = (random.uniform(0.1, 0.4), random.uniform(0.1, 0.4));
-        let at = corners[0] + a * (corners[1] - corners[0]) + b * (corners[2] - corners[0]);
-        for shape in [patch, FeatureShape::Point { at, covariance: DMat3::ZERO }] {
-            let id = all.len() as u32 + 1;
-            let (existence, properties) = (Existence::default(), Properties::default());
-            let feature = Feature { id, name: None, object: None, shape, existence, properties };
-            all.push(PlacedFeature { feature, object: None, slots: vec![slot] });
-        }
-    }
-    all
 }
 
 fn predict(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> (FeaturePrediction, Images) {
@@ -380,145 +362,6 @@ fn planted_faults_are_caught() {
     assert!(check(&oracle, &sensor, &pose, &placed, &dropped, SHORT).wrong_share() > 0.0);
     let before = check(&oracle, &sensor, &pose, &placed, &right, SHORT).wrong.len();
     assert!(check(&oracle, &sensor, &pose, &placed, &dropped, SHORT).wrong.len() > before);
-}
-
-/// What rays to samples see of a point or of a patch that covers few pixels: how many there are, and how many are clear.
-fn clear_samples(corners: &[DVec3], sampler: &Sampler<'_>, hidden: &dyn Fn(DVec3) -> bool) -> (usize, usize) {
-    let (mut inside, mut clear) = (0usize, 0usize);
-    let mut one = |piece: Piece| {
-        if let Piece::Inside(s) = piece {
-            inside += 1;
-            clear += usize::from(!hidden(s.at));
-        }
-    };
-    match corners.len() {
-        1 => one(sampler.point(corners[0])),
-        _ => sampler.patch(corners, &mut one),
-    }
-    (inside, clear)
-}
-
-/// Pixels whose rays meet a convex patch, with where they do; corners and places in the image frame.
-fn pixels_of(sensor: &Sensor, corners: &[DVec3]) -> Vec<(u32, u32, DVec3)> {
-    let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-    let mut all = Vec::new();
-    for (column, row) in (0..sensor.height()).flat_map(|r| (0..sensor.width()).map(move |c| (c, r))) {
-        let Some(ray) = sensor.ray(column, row) else { continue };
-        let at = ray * (n.dot(corners[0]) / n.dot(ray));
-        let side = |k: usize| (corners[(k + 1) % corners.len()] - corners[k]).cross(at - corners[k]).dot(n);
-        if at.dot(ray) > 0.0 && (0..corners.len()).all(|k| side(k) >= 0.0) {
-            all.push((column, row, at));
-        }
-    }
-    all
-}
-
-/// Patches that cover this many pixels are sampled pixel by pixel.
-const MANY: usize = 1024;
-
-#[test]
-fn points_and_patches_agree_with_rays_in_space() {
-    let mut random = Random(env_number("PRESIGHT_SEED", 1));
-    let (mut points, mut patches, mut partly, mut large, mut seams, mut shown) = (0, 0, 0, 0, 0, 0);
-    for _ in 0..4 {
-        let world = scenes::room_world(random.bits(), 30);
-        let placed = patches_and_points(world.environment(), &mut random);
-        let pose = Pose::from_xyz_rpy(DVec3::new(0.3, -0.2, 1.4), 0.0, 0.1, random.uniform(-3.0, 3.0));
-        let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
-        let [_, lens, fisheye, ..] = &sensors()[..] else { unreachable!() };
-        for sensor in [&scenes::camera(200, 150), &scenes::scanner(360, 91), lens, fisheye] {
-            let (prediction, images) = predict(&world, sensor, &pose, &placed);
-            let sampler = Sampler::new(sensor);
-            let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
-            let mut marks = vec![u32::MAX; images.pixels()];
-            for (placed, seen) in placed.iter().zip(&prediction.features) {
-                let corners: Vec<DVec3> =
-                    seen.points_world.iter().map(|p| world_from_image.transpose() * (*p - pose.translation)).collect();
-                let hidden = |at: DVec3| {
-                    let ray = world_from_image * at.normalize();
-                    oracle.hides(pose.translation, ray, at.length() * (1.0 - SHORT), &placed.slots)
-                };
-                let pixels = if corners.len() > 1 { pixels_of(sensor, &corners) } else { Vec::new() };
-                let (inside, clear, most) = if pixels.len() > MANY {
-                    let clear: Vec<_> = pixels.iter().filter(|(.., at)| !hidden(*at)).collect();
-                    for (column, row, _) in &clear {
-                        let mark = &mut marks[(row * sensor.width() + column) as usize];
-                        *mark = (*mark).min(placed.feature.id);
-                    }
-                    large += 1;
-                    // Every pixel is right but for those that an edge runs through.
-                    seams += usize::from(
-                        pixels.iter().any(|p| p.0 == 0) && pixels.iter().any(|p| p.0 + 1 == sensor.width()),
-                    );
-                    (pixels.len(), clear.len(), 1.5 / pixels.len() as f64)
-                } else {
-                    let (inside, clear) = clear_samples(&corners, &sampler, &hidden);
-                    (inside, clear, 0.005 + 2.0 / inside.max(1) as f64)
-                };
-                let share = if inside > 0 { clear as f64 / inside as f64 } else { 0.0 };
-                assert!(
-                    (share - seen.visible_fraction).abs() <= most,
-                    "{} {}: {share} of {inside}, {}",
-                    sensor.spec().name,
-                    seen.feature.id,
-                    seen.visible_fraction
-                );
-                let ends: f64 = seen.visible.iter().map(|v| v.t[1] - v.t[0]).sum::<f64>()
-                    + seen.hidden.iter().map(|h| h.t[1] - h.t[0]).sum::<f64>();
-                assert!((ends - 1.0).abs() < 1e-9, "{ends}");
-                points += usize::from(corners.len() == 1 && inside > 0);
-                patches += usize::from(corners.len() > 1 && inside > 0);
-                partly += usize::from((0.01..0.99).contains(&seen.visible_fraction));
-            }
-            // Where a large patch shows there is its number, that of a lower one, or of something that goes before.
-            let right = |(id, mark): (&u32, &u32)| *mark == u32::MAX || *id != 0 && (id <= mark || *id % 2 == 0);
-            let wrong = prediction.feature_id.iter().zip(&marks).filter(|pair| !right(*pair)).count();
-            assert_eq!(prediction.feature_id.len(), images.pixels());
-            let marked = marks.iter().filter(|mark| **mark != u32::MAX).count();
-            assert!(wrong * 1000 <= marked, "{}: {wrong} of {marked}", sensor.spec().name);
-            shown += marked;
-        }
-    }
-    eprintln!(
-        "{points} points and {patches} patches in view, {large} of them large, {seams} on the seam, {partly} seen in part"
-    );
-    assert!(points > 50 && patches > 50 && partly > 20 && large > 10 && seams > 0 && shown > 10_000);
-}
-
-/// Slats of four pixels with four pixels between them, before a wall: half of it is seen, wherever the slats begin.
-#[test]
-fn a_wall_behind_a_fence_is_seen_by_half() {
-    let sensor = scenes::camera(512, 384);
-    for shift in [0.0, 0.3, 0.5, 0.71] {
-        let mut environment = scenes::empty();
-        let insert = |environment: &mut Environment, name: &str, low: [f32; 3], high: [f32; 3]| {
-            let mesh = std::sync::Arc::new(scenes::cuboid(low.into(), high.into()));
-            environment.insert(presight::NewObject::new(name, Pose::IDENTITY, mesh)).unwrap()
-        };
-        let wall = insert(&mut environment, "wall", [4.0, -3.0, -3.0], [4.1, 3.0, 3.0]);
-        let pixel = {
-            let [a, b] = [0.0, 1.0].map(|u| sensor.ray_at(u, 190.0).unwrap());
-            a.x / a.z - b.x / b.z
-        };
-        for i in -64..64 {
-            let y = (8.0 * f64::from(i) + 8.0 * shift) * pixel.abs() * 2.0;
-            let width = 4.0 * pixel.abs() * 2.0;
-            insert(&mut environment, "slat", [2.0, y as f32, -3.0], [2.001, (y + width) as f32, 3.0]);
-        }
-        let world = World::new(environment);
-        let object = &world.environment().objects()[wall as usize];
-        let front = (0..object.mesh.polygon_count() as u32)
-            .find(|p| object.mesh.plane(*p).normal.x.abs() > 0.9 && object.mesh.corners_of(*p).all(|c| c.x < 4.05))
-            .unwrap();
-        let corners: Vec<DVec3> = object.mesh.corners_of(front).collect();
-        let shape = FeatureShape::Patch { corners, covariance: DMat3::ZERO };
-        let (existence, properties) = (Existence::default(), Properties::default());
-        let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-        let placed = [PlacedFeature { feature, object: None, slots: vec![object.first_slot + front] }];
-        let (prediction, _) = predict(&world, &sensor, &Pose::IDENTITY, &placed);
-        let fraction = prediction.features[0].visible_fraction;
-        assert!((fraction - 0.5).abs() < 0.02, "{shift}: {fraction}");
-    }
 }
 
 /// Layers generated from the model and placed as files are.
