@@ -176,6 +176,13 @@ impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
         self.virtual_sensor.check()?;
+        let files = [
+            ("--out", &self.out, "exr"),
+            ("--png", &self.png, "png"),
+            ("--depth-png", &self.depth_png, "png"),
+            ("--stats", &self.stats, "json"),
+        ];
+        files.into_iter().try_for_each(|(option, path, ending)| check_ending(option, path.as_deref(), ending))?;
         let points_format = self.points.as_deref().map(points_format).transpose()?;
         Ok(Job {
             pose: self.pose.parse()?,
@@ -235,6 +242,19 @@ impl Args {
         let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
         let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
         self.explain || tells || files.iter().any(|f| f.is_some())
+    }
+}
+
+/// A name that promises another format than is written misleads whoever opens the file.
+fn check_ending(option: &str, path: Option<&Path>, written: &str) -> Result<()> {
+    const FORMATS: [&str; 5] = ["exr", "png", "ply", "pcd", "json"];
+    let extension = path.and_then(Path::extension).and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    match (path, extension) {
+        (Some(path), Some(e)) if e != written && FORMATS.contains(&e.as_str()) => {
+            let what = format!("{option} {}: {option} writes .{written}", path.display());
+            Err(Error::usage(what, format!("end the name in .{written}, or see presight predict --help for .{e}")))
+        }
+        _ => Ok(()),
     }
 }
 

@@ -463,6 +463,7 @@ fn wrong_usage() {
             bad(posed("--outputs depth_z"), 2, &["depth_z", "no camera", "; ask for range"]),
             bad(posed("--png-of range"), 2, &["--png", "; see presight predict --help"]),
             bad(posed("--points cloud.xyz"), 2, &["cloud.xyz", "; end the name in .ply or .pcd"]),
+            bad(posed("--png view.exr"), 2, &["view.exr", "writes .png; end the name in .png"]),
             bad(posed("--ids source --merge-tolerance 1e-6"), 2, &["--merge-tolerance", "; drop"]),
             bad(posed("--merge-tolerance nan"), 2, &["merge tolerance", "; give"]),
             bad(
