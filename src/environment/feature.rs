@@ -156,6 +156,11 @@ impl FeatureShape {
         }
     }
 
+    /// True of what has an area.
+    pub(crate) fn is_area(&self) -> bool {
+        matches!(self, Self::Patch { .. } | Self::Fiducial { .. })
+    }
+
     /// The points that define it.
     pub fn points(&self) -> &[DVec3] {
         match self {

@@ -12,7 +12,7 @@ mod straight;
 mod visible;
 
 #[cfg(feature = "gpu")]
-pub(crate) use boxes::{BoxFrame, Kind as ImageKind, Room, set as set_box};
+pub(crate) use boxes::{BoxFrame, Kind as ImageKind, Room};
 pub use boxes::{BoxMethod, BoxOptions, add_boxes, sensor_covariance};
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};

@@ -119,7 +119,8 @@ pub struct SeenFeature {
     pub roi: Option<[f64; 4]>,
     /// How the region was found: `linear`, `set` or `whole_image`.
     pub roi_flag: Option<&'static str>,
-    /// 2 x 2 covariance in the image of every defining point, pixels squared; of what is seen, as the region is.
+    /// 2 x 2 covariance in the image of every defining point, pixels squared; of what is seen, as the region is, and where
+    /// every defining point has an image.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
 }
 

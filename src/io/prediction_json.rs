@@ -13,7 +13,7 @@
 //! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
 //! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
 //! of the prediction) and `history` (null without a store). Of what is not seen at all `range`, `cos_incidence`, `roi`, `roi_flag` and
-//! `image_covariance` are null.
+//! `image_covariance` are null, the last also where a defining point has no image (behind a camera).
 //!
 //! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
 //!

@@ -5,8 +5,8 @@ use super::common::{Random, env_number, scenes};
 use super::{SHORT, predict, sensors};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{Piece, PlacedFeature, Sampler};
-use presight::{Environment, Pose, Sensor, World};
+use presight::features::{BoxOptions, Piece, PlacedFeature, Sampler, add_boxes};
+use presight::{Angles, Environment, Geometry, Pose, Scanner, Sensor, SensorSpec, World};
 
 /// The same places as patches (the polygons) and points (their corners).
 fn patches_and_points(environment: &Environment, random: &mut Random) -> Vec<PlacedFeature> {
@@ -128,6 +128,93 @@ fn points_and_patches_agree_with_rays_in_space() {
         "{points} points and {patches} patches in view, {large} of them large, {seams} on the seam, {partly} seen in part"
     );
     assert!(points > 50 && patches > 50 && partly > 20 && large > 10 && seams > 0 && shown > 10_000);
+}
+
+/// A scanner whose image has no seam or one, elevations up and down to what is asked for.
+fn scanner_over([from, step]: [f64; 2], columns: u32, [low, high]: [f64; 2], rows: u32) -> Sensor {
+    let azimuth = Angles::Uniform { start_deg: from, step_deg: step, count: columns };
+    let step_deg = if rows > 1 { (high - low) / f64::from(rows - 1) } else { 0.0 };
+    let elevation = Angles::Uniform { start_deg: low, step_deg, count: rows };
+    let beam_height_deg = if rows > 1 { None } else { Some(0.0) };
+    let scanner = Scanner { azimuth, elevation, beam_height_deg };
+    Sensor::new(SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner))).unwrap()
+}
+
+/// Whatever of a patch shows, whatever hides the rest, however it lies to border, seam and axis: without errors its box holds it, and
+/// its range is that of the nearest pixel.
+#[test]
+fn boxes_without_errors_hold_all_that_shows() {
+    let mut random = Random(env_number("PRESIGHT_SEED", 1));
+    let [_, lens, fisheye, ..] = &sensors()[..] else { unreachable!() };
+    let around = [-180.0, 1.0];
+    let all = [
+        scenes::camera(200, 150),
+        scanner_over(around, 360, [-45.0, 45.0], 91),
+        scanner_over(around, 360, [-90.0, 90.0], 91),
+        scanner_over(around, 360, [-15.0, 15.0], 31),
+        scanner_over([170.0, -1.0], 360, [-60.0, 20.0], 81),
+        scanner_over([100.0, 0.5], 400, [-30.0, 30.0], 61),
+        scanner_over([-100.0, 0.5], 400, [-30.0, 30.0], 61),
+        scanner_over(around, 360, [0.0, 0.0], 1),
+        scanner_over([100.0, 0.5], 400, [-8.0, -8.0], 1),
+        lens.clone(),
+        fisheye.clone(),
+    ];
+    let (mut large, mut around_axis, mut held) = (0, 0, 0);
+    for _ in 0..6 {
+        let world = scenes::room_world(random.bits(), 30);
+        let placed = patches_and_points(world.environment(), &mut random);
+        let [roll, pitch] = [0, 1].map(|_| 0.2 * random.uniform(-1.0, 1.0));
+        let pose = Pose::from_xyz_rpy(DVec3::new(0.3, -0.2, 1.4), roll, pitch, random.uniform(-3.0, 3.0));
+        let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+        for sensor in &all {
+            let (mut prediction, _) = predict(&world, sensor, &pose, &placed);
+            add_boxes(&mut prediction, &placed, &world, sensor, &pose, &BoxOptions::default()).unwrap();
+            let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
+            for (placed, seen) in placed.iter().zip(&prediction.features).filter(|(_, f)| f.points_world.len() > 2) {
+                let corners: Vec<DVec3> =
+                    seen.points_world.iter().map(|p| world_from_image.transpose() * (*p - pose.translation)).collect();
+                let hidden = |at: DVec3| {
+                    let ray = world_from_image * at.normalize();
+                    oracle.hides(pose.translation, ray, at.length() * (1.0 - SHORT), &placed.slots)
+                };
+                let pixels = pixels_of(sensor, &corners);
+                let clear: Vec<_> = pixels.iter().filter(|(.., at)| !hidden(*at)).collect();
+                let Some([x0, y0, x1, y1]) = seen.roi else { continue };
+                // Samples of small ones lie between pixels.
+                let off = if pixels.len() > MANY { 1e-6 } else { 0.5 };
+                let width = f64::from(sensor.width());
+                let holds = |x: f64, y: f64| {
+                    let column = [0.0, width].iter().any(|turn| (x0 - off..=x1 + off).contains(&(x + turn)));
+                    column && (y0 - off..=y1 + off).contains(&y)
+                };
+                let out = clear.iter().filter(|(c, r, _)| !holds(f64::from(*c), f64::from(*r))).count();
+                // One pixel may be an edge's.
+                assert!(
+                    out <= 1,
+                    "{:?} {}: {out} of {} not in {:?}, {:?} {pose:?} {:?}",
+                    sensor.spec().geometry,
+                    seen.feature.id,
+                    clear.len(),
+                    seen.roi,
+                    seen.visible,
+                    seen.points_world
+                );
+                held += clear.len();
+                around_axis += usize::from(x1 - x0 == width && pixels.iter().any(|p| p.0 == sensor.width() / 2));
+                if pixels.len() > MANY && clear.len() > 1 {
+                    large += 1;
+                    let nearest = clear.iter().map(|p| p.2.length()).fold(f64::INFINITY, f64::min);
+                    let range = seen.range.unwrap();
+                    let nearer: Vec<_> = clear.iter().filter(|p| p.2.length() < range * (1.0 - 1e-9)).collect();
+                    let differ = nearer.len() > 1 || range < nearest * (1.0 - 1e-9);
+                    assert!(!differ, "{:?}: {range} for {nearest}", sensor.spec().geometry);
+                }
+            }
+        }
+    }
+    eprintln!("{held} pixels of patches, {large} of them large, {around_axis} around an axis");
+    assert!(large > 10 && around_axis > 0 && held > 50_000);
 }
 
 /// Slats of four pixels with four pixels between them, before a wall: half of it is seen, wherever the slats begin.

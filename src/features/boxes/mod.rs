@@ -7,7 +7,7 @@ use image::Image;
 #[cfg(feature = "gpu")]
 pub(crate) use image::Kind;
 
-use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Roi, Uncertain, Viewpoint};
+use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Projection as _, Roi, Uncertain, Viewpoint};
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
 use crate::environment::check_covariance;
 use crate::error::{Error, Result};
@@ -86,7 +86,8 @@ pub fn add_boxes(
         }
         let uncertain = frame.uncertain(placed);
         if frame.prepare(seen, &uncertain, room) {
-            set(seen, room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method));
+            let found = room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method);
+            frame.set(seen, found);
         }
     });
     Ok(())
@@ -138,6 +139,16 @@ impl<'a> BoxFrame<'a> {
         Uncertain::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
     }
 
+    /// Writes a box down. A patch that is seen over more than half a turn lies around the axis, and so does its box.
+    pub fn set(&self, seen: &mut SeenFeature, found: Option<Roi>) {
+        let Some(found) = found else { return };
+        let [_, y0, _, y1] = found.bounds;
+        let wide = |turn: f64| seen.visible.iter().any(|v| v.pixels[1].x - v.pixels[0].x > 0.5 * turn);
+        let around = self.image.turn().filter(|turn| seen.feature.shape.is_area() && wide(*turn));
+        seen.roi = Some(around.map_or(found.bounds, |turn| [-0.5, y0, turn - 0.5, y1]));
+        seen.roi_flag = Some(found.flag.name());
+    }
+
     /// Finds the boxes of some features of a prediction.
     #[cfg(feature = "gpu")]
     pub fn finish(&self, prediction: &mut FeaturePrediction, placed: &[PlacedFeature], which: &[u32]) {
@@ -150,7 +161,7 @@ impl<'a> BoxFrame<'a> {
         };
         let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(Room::default, find).collect();
         for (i, found) in which.iter().zip(found) {
-            set(&mut prediction.features[*i as usize], found);
+            self.set(&mut prediction.features[*i as usize], found);
         }
     }
 
@@ -161,14 +172,6 @@ impl<'a> BoxFrame<'a> {
         seen.image_covariance = finder.covariances(&self.image, uncertain, points);
         points::seen(&self.image, uncertain, seen, points);
         !points.is_empty()
-    }
-}
-
-/// Writes a box down.
-pub(crate) fn set(seen: &mut SeenFeature, found: Option<Roi>) {
-    if let Some(found) = found {
-        seen.roi = Some(found.bounds);
-        seen.roi_flag = Some(found.flag.name());
     }
 }
 

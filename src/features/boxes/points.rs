@@ -95,11 +95,18 @@ fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &See
     };
     let straight = matches!(image.kind, Kind::Pinhole(_));
     let parts = if straight && whole { 1 } else { PARTS };
+    // A straight edge is highest, or lowest, in a scanner's image where it passes nearest to the axis.
+    let rises = matches!(image.kind, Kind::Beams(_) | Kind::Scanner);
+    let in_body = |p: &DVec3| uncertain.nominal(&Material::rigid(*p)).p;
     for (k, a) in corners.iter().enumerate() {
         let b = corners[(k + 1) % corners.len()];
         let mut before = (*a, holds(*a));
-        for i in 1..=parts {
-            let p = a.lerp(b, i as f64 / parts as f64);
+        let steps = (1..=parts).map(|i| i as f64 / parts as f64);
+        let highest = if rises { culmination(in_body(a), in_body(&b)) } else { None };
+        let mut stops: Vec<f64> = steps.chain(highest).collect();
+        stops.sort_unstable_by(f64::total_cmp);
+        for t in stops {
+            let p = a.lerp(b, t);
             let here = (p, holds(p));
             if before.1 {
                 into.push(Material::rigid(before.0));
@@ -145,21 +152,19 @@ fn inside(
     let sign = plane.offset.signum();
     let edge = |k: usize| sign * in_body[k].cross(in_body[(k + 1) % in_body.len()] - in_body[k]);
     let edges: Vec<DVec3> = (0..in_body.len()).map(edge).collect();
-    let mut meet = |ray: DVec3| {
+    let meet = |ray: DVec3| {
         let inverse = plane.normal.dot(ray) / plane.offset;
-        if inverse > 0.0 && edges.iter().all(|e| e.dot(ray) >= 0.0) {
-            into.push(Material::rigid(uncertain.in_frame(ray / inverse)));
-        }
+        let meets = inverse > 0.0 && edges.iter().all(|e| e.dot(ray) >= 0.0);
+        meets.then(|| Material::rigid(uncertain.in_frame(ray / inverse)))
     };
     let body_from_image = image.image_from_body.transpose();
-    if let Some(Window { low, high, .. }) = window {
-        for i in 0..=PARTS {
-            let at = low + (high - low) * (i as f64 / PARTS as f64);
-            for pixel in [(at.x, low.y), (at.x, high.y), (low.x, at.y), (high.x, at.y)] {
-                if let Some(ray) = image.sensor.ray_at(pixel.0, pixel.1) {
-                    meet(body_from_image * ray);
-                }
-            }
+    let at = |pixel: DVec2| image.sensor.ray_at(pixel.x, pixel.y).and_then(|ray| meet(body_from_image * ray));
+    if let Some(window) = window {
+        let is_row = image.size().1 == 1;
+        for (seen, beyond) in window.border() {
+            // Outlines cross a row between any two of their points.
+            let beyond = if is_row { DVec2::new(beyond.x, seen.y) } else { beyond };
+            into.extend(at(beyond).or_else(|| if is_row { last_of(seen, beyond, at) } else { at(seen) }));
         }
     }
     if matches!(image.kind, Kind::Beams(_) | Kind::Scanner) {
@@ -167,8 +172,22 @@ fn inside(
             (Some(w), Some(at)) => (w.low.y..=w.high.y).contains(&at[1]),
             _ => true,
         };
-        [DVec3::Z, DVec3::NEG_Z].into_iter().filter(shown).for_each(|axis| meet(body_from_image * axis));
+        let axes = [DVec3::Z, DVec3::NEG_Z].into_iter().filter(shown);
+        into.extend(axes.filter_map(|axis| meet(body_from_image * axis)));
     }
+}
+
+/// The last on the way from one pixel to another, if the first is one.
+fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<Material>) -> Option<Material> {
+    let (mut inside, mut outside, mut last) = (from, to, at(from)?);
+    for _ in 0..12 {
+        let middle = 0.5 * (inside + outside);
+        match at(middle) {
+            Some(found) => (inside, last) = (middle, found),
+            None => outside = middle,
+        }
+    }
+    Some(last)
 }
 
 /// The part of the image in which a patch is seen.
@@ -176,6 +195,8 @@ fn inside(
 struct Window {
     low: DVec2,
     high: DVec2,
+    /// Least and greatest of what is seen.
+    seen: [DVec2; 2],
     turn: Option<f64>,
 }
 
@@ -203,7 +224,20 @@ impl Window {
         if turn.is_none() {
             (low.x, high.x) = (low.x.max(-0.5), high.x.min(most.x));
         }
-        Self { low, high, turn }
+        Self { low, high, seen: visible.pixels, turn }
+    }
+
+    /// Places around what is seen, each with the one beside it where the window ends.
+    fn border(&self) -> impl Iterator<Item = (DVec2, DVec2)> {
+        let around = |low: DVec2, high: DVec2, share: f64| {
+            let at = low + share * (high - low);
+            [(at.x, low.y), (at.x, high.y), (low.x, at.y), (high.x, at.y)].map(DVec2::from)
+        };
+        let ([low, high], beyond) = (self.seen, [self.low, self.high]);
+        (0..=PARTS).flat_map(move |i| {
+            let share = i as f64 / PARTS as f64;
+            around(low, high, share).into_iter().zip(around(beyond[0], beyond[1], share))
+        })
     }
 
     fn holds(&self, [mut u, v]: [f64; 2]) -> bool {

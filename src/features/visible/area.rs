@@ -149,9 +149,11 @@ impl Judge<'_> {
                 else {
                     return vec![(whole, 0.0)];
                 };
-                // The same azimuths lie in the image as often as it goes round.
+                // The same azimuths lie in the image as often as it goes round. Only over a seam do columns go on.
                 let turns = (-1..).map(|k| turn * f64::from(k)).take_while(|by| low + by <= count as f64);
-                turns.map(|by| (between(low + by, high + by), -by)).filter(|(lines, _)| !lines.is_empty()).collect()
+                let goes_on = f64::from(u8::from(self.frame.sampler.turn().is_some()));
+                let lines = turns.map(|by| (between(low + by, high + by), -by * goes_on));
+                lines.filter(|(lines, _)| !lines.is_empty()).collect()
             }
         }
     }
@@ -346,10 +348,14 @@ impl Judge<'_> {
         // The line of the patch that the line of pixels sees, and the foot of the sensor on it.
         let [a, b] = [run.start, last].map(|sample| self.place(line, sample, area));
         let along = b - a;
-        let foot = a - along * (a.dot(along) / along.length_squared());
-        let s = grid.line_from_image() * foot;
+        let share = -a.dot(along) / along.length_squared();
+        // Only what is between the two is known to be before the sensor.
+        if !(share > 0.0 && share < 1.0) {
+            return [if share >= 1.0 { last } else { run.start }; 2];
+        }
+        let s = grid.line_from_image() * (a + share * along);
         let [c0, c1] = grid.lines()[line as usize];
-        let after = grid.samples_below(s.z / (s.x * c0 + s.y * c1)) as u32;
+        let after = grid.samples_below(s.z * (c0 * c0 + c1 * c1) / (s.x * c0 + s.y * c1)) as u32;
         [after.saturating_sub(1), after].map(|sample| sample.clamp(run.start, last))
     }
 }

@@ -106,7 +106,7 @@ impl<'a> Judge<'a> {
     #[cfg(feature = "gpu")]
     pub fn asking(&mut self, placed: &PlacedFeature) -> super::Asking {
         let (own, points) = self.prepare(placed);
-        if is_area(&placed.feature.shape) && self.is_area(&points) {
+        if placed.feature.shape.is_area() && self.is_area(&points) {
             return Vec::new();
         }
         self.sample(&placed.feature.shape, &own, &points);
@@ -125,7 +125,7 @@ impl<'a> Judge<'a> {
         let (own, points) = self.prepare(placed);
         let whole = match shape {
             FeatureShape::Segment { .. } => self.straight([points[0], points[1]], &own, told),
-            shape if is_area(shape) => self.area(&points, &own),
+            shape if shape.is_area() => self.area(&points, &own),
             _ => None,
         };
         let mut tally = whole.unwrap_or_else(|| {
@@ -139,7 +139,7 @@ impl<'a> Judge<'a> {
             }
             tally
         });
-        let (visible, hidden) = if is_area(shape) { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        let (visible, hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         let world_from_object = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
         let in_world = |p: &DVec3| world_from_object.map_or(*p, |pose| pose.transform_point(*p));
         let seen = SeenFeature {
@@ -547,9 +547,4 @@ impl<'a> Judge<'a> {
             self.hide_sample(i, own);
         }
     }
-}
-
-/// True of what has an area in the image.
-fn is_area(shape: &FeatureShape) -> bool {
-    matches!(shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. })
 }

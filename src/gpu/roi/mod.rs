@@ -15,7 +15,7 @@ use super::shaders;
 use super::stage::{Binding, Stage};
 use crate::error::{ErrorKind, Result};
 use crate::features::roi::{Roi, RoiFlag};
-use crate::features::{BoxFrame, BoxOptions, FeaturePrediction, PlacedFeature, Tails, add_boxes, set_box};
+use crate::features::{BoxFrame, BoxOptions, FeaturePrediction, PlacedFeature, Tails, add_boxes};
 use crate::geometry::Pose;
 use crate::sensor::Sensor;
 use crate::world::World;
@@ -166,7 +166,7 @@ impl Engine {
             let good = found.flag == LINEAR && found.bounds.iter().all(|x| x.is_finite());
             if good {
                 let bounds = found.bounds.map(f64::from);
-                set_box(&mut prediction.features[*i as usize], Some(Roi { bounds, flag: RoiFlag::Linear }));
+                frame.set(&mut prediction.features[*i as usize], Some(Roi { bounds, flag: RoiFlag::Linear }));
             } else {
                 beyond.push(*i);
             }
