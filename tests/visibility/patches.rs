@@ -160,7 +160,7 @@ fn boxes_without_errors_hold_all_that_shows() {
         lens.clone(),
         fisheye.clone(),
     ];
-    let (mut large, mut around_axis, mut held) = (0, 0, 0);
+    let (mut large, mut around_axis, mut held, mut caught) = (0, 0, 0, 0);
     for _ in 0..6 {
         let world = scenes::room_world(random.bits(), 30);
         let placed = patches_and_points(world.environment(), &mut random);
@@ -180,15 +180,21 @@ fn boxes_without_errors_hold_all_that_shows() {
                 };
                 let pixels = pixels_of(sensor, &corners);
                 let clear: Vec<_> = pixels.iter().filter(|(.., at)| !hidden(*at)).collect();
-                let Some([x0, y0, x1, y1]) = seen.roi else { continue };
+                let Some(bounds) = seen.roi else { continue };
                 // Samples of small ones lie between pixels.
                 let off = if pixels.len() > MANY { 1e-6 } else { 0.5 };
                 let width = f64::from(sensor.width());
-                let holds = |x: f64, y: f64| {
-                    let column = [0.0, width].iter().any(|turn| (x0 - off..=x1 + off).contains(&(x + turn)));
-                    column && (y0 - off..=y1 + off).contains(&y)
+                let outside = |[x0, y0, x1, y1]: [f64; 4]| {
+                    let holds = |x: f64, y: f64| {
+                        let column = [0.0, width].iter().any(|turn| (x0 - off..=x1 + off).contains(&(x + turn)));
+                        column && (y0 - off..=y1 + off).contains(&y)
+                    };
+                    clear.iter().filter(|(c, r, _)| !holds(f64::from(*c), f64::from(*r))).count()
                 };
-                let out = clear.iter().filter(|(c, r, _)| !holds(f64::from(*c), f64::from(*r))).count();
+                let out = outside(bounds);
+                let mut drawn_in = bounds;
+                drawn_in[held % 4] += if held % 4 < 2 { 3.0 } else { -3.0 };
+                caught += usize::from(outside(drawn_in) > 1);
                 // One pixel may be an edge's.
                 assert!(
                     out <= 1,
@@ -201,7 +207,8 @@ fn boxes_without_errors_hold_all_that_shows() {
                     seen.points_world
                 );
                 held += clear.len();
-                around_axis += usize::from(x1 - x0 == width && pixels.iter().any(|p| p.0 == sensor.width() / 2));
+                around_axis +=
+                    usize::from(bounds[2] - bounds[0] == width && pixels.iter().any(|p| p.0 == sensor.width() / 2));
                 if pixels.len() > MANY && clear.len() > 1 {
                     large += 1;
                     let nearest = clear.iter().map(|p| p.2.length()).fold(f64::INFINITY, f64::min);
@@ -213,8 +220,10 @@ fn boxes_without_errors_hold_all_that_shows() {
             }
         }
     }
-    eprintln!("{held} pixels of patches, {large} of them large, {around_axis} around an axis");
-    assert!(large > 10 && around_axis > 0 && held > 50_000);
+    eprintln!(
+        "{held} pixels of patches, {large} of them large, {around_axis} around an axis, {caught} boxes drawn in caught"
+    );
+    assert!(large > 10 && around_axis > 0 && held > 50_000 && caught > 20);
 }
 
 /// Slats of four pixels with four pixels between them, before a wall: half of it is seen, wherever the slats begin.
