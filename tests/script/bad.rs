@@ -188,6 +188,23 @@ fn huge_strings_and_arrays() {
     refused(&many, &["line 257", "256 variables"]);
 }
 
+/// The language does not know where it is when it looks into a value by index.
+#[test]
+fn limits_are_told_where_values_are_indexed() {
+    refused("let m = [1, 2];\nlet i = 0;\nloop {\n  m[i] = 1;\n}", &["line 4, column", "operations"]);
+    refused("let m = #{a: 1};\nloop {\n  m[\"a\"] = 1;\n}", &["line 3, column", "operations"]);
+    refused("let m = #{a: [1]};\nloop {\n  try { m.a[0] = 1; } catch {}\n}", &["line 3, column", "operations"]);
+    refused("let s = \"ab\";\nloop {\n  s[0] = 'c';\n}", &["line 3, column", "operations"]);
+    // Without any variable.
+    refused("loop {\n  [1, 2][0];\n}", &["line 2, column", "operations"]);
+    // Setting an entry is held to the limit on entries where the map is used next.
+    let filled =
+        |n: u32| format!("let m = #{{}};\nfor i in 0..{n} {{\n  m[`k${{i}}`] = i;\n}}\nplace(\"a\", box(1, 1, 1));");
+    refused(&filled(1026), &["line 3, column", "object map", "1024 entries"]);
+    let full = folder(filled(1024).as_bytes());
+    load(&full.path().join("scene.rhai")).0.expect("a map as large as it may be");
+}
+
 /// One step of the language may do the work of many, on large values: it counts as many.
 #[test]
 fn large_values_count_by_their_size() {

@@ -78,7 +78,8 @@ fn whole(leaf: &EvalAltResult, at: Position, file: &str, text: Option<&str>, cal
     let mut place = match (at.line(), at.position()) {
         (Some(line), Some(column)) => format!("line {line}, column {column}"),
         (Some(line), None) => format!("line {line}"),
-        _ => "at its end".to_owned(),
+        // The language says of some steps not where they are.
+        _ => "at a line that is not known".to_owned(),
     };
     let call = function.map(str::to_owned).or_else(|| text.and_then(|text| name_at(text, at)));
     if let Some(call) = call {

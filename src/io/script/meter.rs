@@ -1,7 +1,7 @@
 //! What a script may take: the language's own limits, and operations counted by what they cost.
 
 use crate::limits;
-use rhai::{Dynamic, Engine};
+use rhai::{Dynamic, Engine, EvalAltResult, Position};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -19,6 +19,9 @@ pub(super) enum Ended {
 const READ: usize = 16;
 /// Operations between two looks at the clock.
 const LOOK: u64 = 256;
+/// Steps after the end within which a variable is waited for: the language knows no place of some steps, such as indexing, but
+/// that of every variable.
+const GRACE: u64 = 1024;
 
 /// Sets all limits.
 ///
@@ -27,7 +30,8 @@ const LOOK: u64 = 256;
 /// large value that is read.
 pub(super) fn limit(engine: &mut Engine) {
     engine
-        .set_max_operations(limits::MAX_SCRIPT_OPERATIONS)
+        // Ours ends the script first, for it counts no less.
+        .set_max_operations(limits::MAX_SCRIPT_OPERATIONS + 2 * GRACE)
         .set_max_call_levels(limits::MAX_SCRIPT_CALLS)
         .set_max_expr_depths(limits::MAX_SCRIPT_NESTING, limits::MAX_SCRIPT_NESTING)
         .set_max_variables(limits::MAX_SCRIPT_VARIABLES)
@@ -37,23 +41,47 @@ pub(super) fn limit(engine: &mut Engine) {
         .set_max_map_size(limits::MAX_SCRIPT_MAP);
     let steps = Rc::new(Cell::new(0u64));
     let start = Instant::now();
-    let counted = steps.clone();
+    let (counted, ended) = (steps.clone(), Rc::new(Cell::new(None)));
+    let (end, grace) = (ended.clone(), Cell::new(GRACE));
     engine.on_progress(move |_| {
         let now = counted.get() + 1;
         counted.set(now);
         let late = || start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS);
         match now {
-            _ if now > limits::MAX_SCRIPT_OPERATIONS => Some(Dynamic::from(Ended::Operations)),
-            _ if now.is_multiple_of(LOOK) && late() => Some(Dynamic::from(Ended::Clock)),
-            _ => None,
+            _ if end.get().is_some() => {}
+            _ if now > limits::MAX_SCRIPT_OPERATIONS => end.set(Some(Ended::Operations)),
+            _ if now.is_multiple_of(LOOK) && late() => end.set(Some(Ended::Clock)),
+            _ => {}
         }
+        let why = end.get()?;
+        grace.set(grace.get().saturating_sub(1));
+        (grace.get() == 0).then(|| Dynamic::from(why))
     });
     #[expect(deprecated, reason = "it is not, the library says: it may change")]
     engine.on_var(move |name, _, context| {
-        let large = context.scope().get(name).map_or(0, size) / READ;
-        steps.set(steps.get() + large as u64);
+        // The language adds the place of the variable to errors.
+        if let Some(why) = ended.get() {
+            return Err(EvalAltResult::ErrorTerminated(Dynamic::from(why), Position::NONE).into());
+        }
+        let Some(value) = context.scope().get(name) else { return Ok(None) };
+        // Its own limit is kept by calls only, not where an entry is set.
+        if let Some(what) = too_large(value) {
+            return Err(EvalAltResult::ErrorDataTooLarge(what.to_owned(), Position::NONE).into());
+        }
+        steps.set(steps.get() + (size(value) / READ) as u64);
         Ok(None)
     });
+}
+
+/// What of a value is over the limits, in the language's words.
+fn too_large(value: &Dynamic) -> Option<&'static str> {
+    if let Ok(array) = value.as_array_ref() {
+        return (array.len() > limits::MAX_SCRIPT_ARRAY).then_some("Size of array");
+    }
+    if let Ok(map) = value.as_map_ref() {
+        return (map.len() > limits::MAX_SCRIPT_MAP).then_some("Size of object map");
+    }
+    None
 }
 
 /// What reading a value costs, about.

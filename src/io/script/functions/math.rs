@@ -36,6 +36,9 @@ fn to_int(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 
 fn uniform(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let (low, high) = (c.number(1)?, c.number(2)?);
+    if low > high {
+        return Err(Error::invalid(format!("there is no number from {low} to {high}"), "give the lower one first"));
+    }
     finite(low + (high - low) * random(c)?.unit())
 }
 
