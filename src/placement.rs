@@ -9,6 +9,7 @@ use crate::features::{PlacedFeature, place, place_lying};
 use crate::index::{Params, Scheme};
 use crate::limits;
 use crate::world::World;
+use std::collections::HashSet;
 
 /// The features of a layer in a version of the world.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,6 +29,22 @@ pub fn find(world: &World, layer: &FeatureLayer) -> Result<Placement> {
     Ok(Placement { placed, off })
 }
 
+/// The features of the environment's own layers that lie on no polygon any more, by class and id.
+///
+/// # Errors
+/// As [`find`].
+pub fn lost(environment: &Environment) -> Result<Vec<(String, u32)>> {
+    let mut lost = Vec::new();
+    if environment.layers().iter().all(|layer| layer.features.is_empty()) {
+        return Ok(lost);
+    }
+    let world = World::new(environment.clone());
+    for layer in environment.layers() {
+        lost.extend(find(&world, layer)?.off.into_iter().map(|id| (layer.class.clone(), id)));
+    }
+    Ok(lost)
+}
+
 /// Why a feature of a class lies on no polygon: an error that names class and feature; `None` if it does lie on some.
 pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) -> Option<Error> {
     let (class_name, features) = (class.to_owned(), vec![feature.clone()]);
@@ -37,14 +54,19 @@ pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) ->
 
 /// Applies a change whose new and altered features must lie on polygons when all of it is done; the answer is the change
 /// that undoes it. A world without an index gets the default one for that. Features that are restored are let be, unless
-/// `restored_too`: they may have lost their surface while they were there.
+/// `restored_too`: they may have lost their surface while they were there. So are those of `lost` (class, id), which are known
+/// to have lost theirs elsewhere.
 ///
 /// # Errors
 /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] naming class and feature if one does not; content and
 /// version then stay as they are.
-pub fn apply(world: &mut World, change: Change, restored_too: bool) -> Result<Change> {
+pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(String, u32)]) -> Result<Change> {
     let mut named = Vec::new();
     name_features(&change, restored_too, &mut named);
+    if !lost.is_empty() {
+        let lost: HashSet<&(String, u32)> = lost.iter().collect();
+        named.retain(|feature| !lost.contains(feature));
+    }
     if named.is_empty() {
         return world.apply(change);
     }
@@ -152,7 +174,7 @@ mod tests {
     #[test]
     fn new_features_must_lie_on_polygons_when_all_is_done() {
         let mut world = world();
-        apply(&mut world, insert(1, 0.5), false).unwrap();
+        apply(&mut world, insert(1, 0.5), false, &[]).unwrap();
         assert_eq!(world.index().scheme(), Scheme::default());
         let alter = |x| Change::SetFeature { class: "video".into(), feature: point(1, x) };
         let restore = Change::RestoreFeature { class: "video".into(), feature: point(9, 3.0) };
@@ -166,14 +188,14 @@ mod tests {
         ];
         let before = (world.environment().content_hash(), world.version());
         for change in refused {
-            let e = apply(&mut world, change.clone(), false).unwrap_err();
+            let e = apply(&mut world, change.clone(), false, &[]).unwrap_err();
             let said = e.to_string();
             assert!(said.starts_with("class \"video\": feature ") && said.contains("off its polygons"), "{said}");
             assert!(!e.remedy().is_empty());
             assert_eq!((world.environment().content_hash(), world.version()), before, "{change:?}");
             world.index().assert_well_formed(world.environment());
         }
-        assert!(apply(&mut world, restore.clone(), true).is_err());
+        assert!(apply(&mut world, restore.clone(), true, &[]).is_err());
         let taken = [
             group(&[insert(2, 2.5), move_to("near", 2.0)]),
             group(&[insert(3, 3.75), Change::DeleteFeature { class: "video".into(), id: 3 }]),
@@ -183,16 +205,16 @@ mod tests {
             move_to("far", 7.0),
         ];
         for change in taken {
-            apply(&mut world, change.clone(), false).unwrap_or_else(|e| panic!("{change:?}: {e}"));
+            apply(&mut world, change.clone(), false, &[]).unwrap_or_else(|e| panic!("{change:?}: {e}"));
         }
     }
 
     #[test]
     fn what_lost_its_surface_is_set_apart_and_told() {
         let mut world = world();
-        apply(&mut world, Change::Group(vec![insert(1, 0.5), insert(2, 5.5), insert(3, 5.25)]), false).unwrap();
+        apply(&mut world, Change::Group(vec![insert(1, 0.5), insert(2, 5.5), insert(3, 5.25)]), false, &[]).unwrap();
         assert_eq!(problem(world.environment()).unwrap(), None);
-        apply(&mut world, move_to("far", 9.0), false).unwrap();
+        apply(&mut world, move_to("far", 9.0), false, &[]).unwrap();
         let layer = world.environment().layer("video").unwrap();
         let found = find(&world, layer).unwrap();
         assert_eq!((found.placed[0].feature.id, found.placed.len(), found.off), (1, 1, vec![2, 3]));

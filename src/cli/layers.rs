@@ -4,6 +4,7 @@ use super::load::Scene;
 use super::pose::GivenPose;
 use super::pose_cov;
 use super::print;
+use crate::environment::{Feature, FeatureLayer};
 use crate::error::{Error, Result};
 use crate::features::roi::PoseCovariance;
 use crate::features::{
@@ -200,18 +201,28 @@ impl LayerArgs {
 type ObjectPoses = Vec<(u32, PoseCovariance)>;
 
 /// Finds where the features of each layer lie, by that layer's tolerance, and what is known of objects' poses. Features of the
-/// scene's own layer may have lost their surface since they were put in, and are set apart; those of a file are to be right.
+/// scene's own layer may have lost their surface since they were put in, and are set apart; those of a file are to be right, but for
+/// those that it says lost theirs.
 /// Errors name the layer's file; of the scene's own layer that is the scene's.
 fn place_all(scene: &Scene, layers: &[LayerFile]) -> Result<(Placement, ObjectPoses)> {
     let (mut all, mut objects) = (Placement::default(), ObjectPoses::new());
-    for LayerFile { layer, path, .. } in layers {
+    for LayerFile { layer, path, lost, .. } in layers {
         let in_file = |e: Error| e.in_file(path.as_ref().unwrap_or(&scene.path));
+        let mut set_apart = |layer: &FeatureLayer| -> Result<()> {
+            let Placement { placed, off } = placement::find(&scene.world, layer).map_err(in_file)?;
+            all.placed.extend(placed);
+            all.off.extend(off);
+            Ok(())
+        };
         match path {
-            Some(_) => all.placed.extend(place(&scene.world, layer).map_err(in_file)?),
-            None => {
-                let Placement { placed, off } = placement::find(&scene.world, layer).map_err(in_file)?;
-                all.placed.extend(placed);
-                all.off.extend(off);
+            None => set_apart(layer)?,
+            Some(_) if lost.is_empty() => all.placed.extend(place(&scene.world, layer).map_err(in_file)?),
+            Some(_) => {
+                let is_lost = |f: &Feature| lost.binary_search(&f.id).is_ok();
+                let (marked, others) = layer.features.iter().cloned().partition(is_lost);
+                set_apart(&FeatureLayer { features: marked, ..layer.clone() })?;
+                let others = FeatureLayer { features: others, ..layer.clone() };
+                all.placed.extend(place(&scene.world, &others).map_err(in_file)?);
             }
         }
         for (object, covariance) in &layer.pose_covariances {
@@ -219,6 +230,7 @@ fn place_all(scene: &Scene, layers: &[LayerFile]) -> Result<(Placement, ObjectPo
         }
     }
     all.placed.sort_by_key(|p| p.feature.id);
+    all.off.sort_unstable();
     Ok((all, objects))
 }
 

@@ -11,6 +11,21 @@ use std::path::Path;
 /// The newest version of the TOML files that this build reads; there is no older one.
 pub(crate) const FORMAT: i64 = 1;
 
+/// A name of one or more path segments, for a new object.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] if a segment is empty or has control characters, or the name is too long.
+#[cfg(any(feature = "script", feature = "store"))]
+pub(crate) fn check_name(name: &str) -> Result<()> {
+    let sound = |segment: &str| !segment.is_empty() && !segment.chars().any(char::is_control);
+    if name.len() <= limits::MAX_NAME_BYTES && name.split('/').all(sound) {
+        return Ok(());
+    }
+    let shown: String = name.chars().take(60).collect();
+    let remedy = format!("give segments such as \"cell1/robot\", at most {} bytes", limits::MAX_NAME_BYTES);
+    Err(Error::invalid(format!("{shown:?} is no name of an object"), remedy))
+}
+
 /// A whole file as text, or what a pipe gives that this process was given.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     let mut file = file::open_or_given(path)?;

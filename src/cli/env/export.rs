@@ -5,12 +5,14 @@ use crate::environment::FeatureLayer;
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::gltf::write_glb;
 use crate::io::{layer, store};
+use crate::placement;
 use std::path::{Path, PathBuf};
 
 /// Write a store as glTF with layer files, which create and import read back without loss
 ///
 /// A folder gets scene.glb and CLASS.layer.json; beside FILE.glb layers are FILE.CLASS.layer.json. In CLASS, what is no letter,
-/// digit, - _ or . is written as %XX. The log stays behind, and so do numbers of objects, ids of deleted features, and objects
+/// digit, - _ or . is written as %XX. Features that lost their surface are marked "surface": "lost". Layer files that are there
+/// already, and would not be written, are refused: what was deleted would come back with them. The log stays behind, and so do numbers of objects, ids of deleted features, and objects
 /// without polygons; a store without any polygon is refused, for no scene is read without one.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -44,16 +46,50 @@ pub fn run(args: &Args) -> Result<()> {
     let full = |l: &&FeatureLayer| !(l.features.is_empty() && l.pose_covariances.is_empty());
     let mut files: Vec<(PathBuf, &FeatureLayer)> = Vec::new();
     for own in environment.layers().iter().filter(full) {
-        files.push((folder.join(format!("{prefix}{}.layer.json", file_name(&own.class))), own));
+        files.push((folder.join(format!("{prefix}{}{SUFFIX}", file_name(&own.class))), own));
     }
+    refuse_others(folder, &prefix, &files)?;
+    let lost = placement::lost(&environment).map_err(|e| e.in_file(&args.store))?;
     write_glb(&scene, &environment).map_err(|e| e.in_file(&args.store))?;
     for (path, own) in &files {
-        layer::write(path, own)?;
+        let lost: Vec<u32> = lost.iter().filter(|(class, _)| *class == own.class).map(|(_, id)| *id).collect();
+        layer::write_with_lost(path, own, &lost)?;
     }
     let mut lines = format!("{}\n", scene.display());
     files.iter().for_each(|(path, _)| lines += &format!("{}\n", path.display()));
     print::data(&lines)
 }
+
+/// Layer files of an export before, of classes that are gone: who imports all that is there would bring back what was deleted.
+/// They are the user's, so they are not removed.
+fn refuse_others(folder: &Path, prefix: &str, files: &[(PathBuf, &FeatureLayer)]) -> Result<()> {
+    const LISTED: usize = 5;
+    let here = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let mut others = Vec::new();
+    // A folder that cannot be listed cannot be written into either, or tells by writing why not.
+    for entry in std::fs::read_dir(here).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let Some(text) = name.to_str() else { continue };
+        let ours = text.starts_with(prefix) && text.len() > prefix.len() + SUFFIX.len() && text.ends_with(SUFFIX);
+        // Beside x.glb, x.y.video.layer.json may be of x.y.glb.
+        let longer = || text.match_indices('.').filter(|(i, _)| *i >= prefix.len()).map(|(i, _)| &text[..i]);
+        let ours = ours && (prefix.is_empty() || !longer().any(|stem| here.join(format!("{stem}.glb")).exists()));
+        if ours && !files.iter().any(|(path, _)| path.file_name() == Some(&name)) {
+            others.push(text.to_owned());
+        }
+    }
+    if others.is_empty() {
+        return Ok(());
+    }
+    others.sort_unstable();
+    let listed = others[..others.len().min(LISTED)].join(", ");
+    let more = if others.len() > LISTED { ", .." } else { "" };
+    let what = format!("there are layer files that this export does not write: {listed}{more}");
+    Err(Error::invalid(what, "move or delete them, or export elsewhere").in_file(here))
+}
+
+/// How names of layer files end.
+const SUFFIX: &str = ".layer.json";
 
 /// A class as a part of a file's name; no two have the same.
 fn file_name(class: &str) -> String {

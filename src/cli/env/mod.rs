@@ -13,6 +13,7 @@ use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use crate::io::layer;
 use crate::io::store::{self, Note, Store};
+use crate::placement;
 use crate::world::World;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -58,7 +59,8 @@ enum Command {
     /// Merge a scene or a layer file (.json), as one change
     ///
     /// What is there already, equal in everything, stays as it is; an object of the same path but another content is an
-    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes; they must lie on polygons.
+    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes; they must lie on polygons,
+    /// but for those that a layer file marks `"surface": "lost"`, and those that lie on none in another store.
     Import {
         /// The store
         store: PathBuf,
@@ -180,6 +182,12 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
         false => (None, Some(environment_of(file)?)),
     };
     let (mut store, environment) = Store::open(path)?;
+    // What the file says lost its surface, or lost it in the other store, is kept as it is there.
+    let lost = match (&layer, &scene) {
+        (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
+        (None, Some(scene)) => placement::lost(scene).map_err(|e| e.in_file(file))?,
+        (None, None) => Vec::new(),
+    };
     let mut changes = Vec::new();
     changes.extend(layer.map(|layer| Store::merging_layer(&environment, &layer)));
     if let Some(scene) = scene {
@@ -191,7 +199,7 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
     }
     let mut world = unindexed(environment);
     let mut batch = store.batch(&mut world)?;
-    let number = batch.apply_placed(change, &note).map_err(|e| e.in_file(file))?;
+    let number = batch.apply_imported(change, lost, &note).map_err(|e| e.in_file(file))?;
     batch.commit()?;
     print::data(&format!("change {number}\n"))
 }

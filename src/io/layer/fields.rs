@@ -52,7 +52,17 @@ pub(crate) struct FeatureFields {
     #[serde(default, deserialize_with = "keyed", skip_serializing_if = "Option::is_none")]
     pub properties: Option<PropertyFields>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<Surface>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub remove: Option<bool>,
+}
+
+/// What is known of the polygons that a feature was put on.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Surface {
+    /// They were moved or deleted since.
+    Lost,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]

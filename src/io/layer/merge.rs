@@ -22,7 +22,7 @@ pub struct Loaded {
 /// Those of [`read`] and [`merge`], for all files alike.
 pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<Loaded> {
     let mut files = Vec::with_capacity(paths.len() + 1);
-    files.extend(own.map(|layer| LayerFile { layer: layer.clone(), removed: Vec::new(), path: None }));
+    files.extend(own.map(|layer| LayerFile { layer: layer.clone(), ..LayerFile::default() }));
     let mut other_classes = 0;
     for path in paths {
         let file = read(path.as_ref())?;
@@ -58,7 +58,8 @@ pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<Vec<LayerFile
         of_id.extend(removed.iter().copied().chain(layer.features.iter().map(|f| f.id)).map(|id| (id, i)));
         of_object.extend(layer.pose_covariances.iter().map(|(object, _)| (object.clone(), i)));
     }
-    for (i, LayerFile { layer, .. }) in files.iter_mut().enumerate() {
+    for (i, LayerFile { layer, lost, .. }) in files.iter_mut().enumerate() {
+        lost.retain(|id| of_id[id] == i);
         layer.features.retain(|f| of_id[&f.id] == i);
         layer.pose_covariances.retain(|(object, _)| of_object[object] == i);
     }

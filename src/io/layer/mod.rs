@@ -32,6 +32,7 @@
 //! | `cross_covariance` | segments: of the first end with the second |
 //! | `existence`, `confirmed`, `rate` | p(t) = existence exp(-rate (t - confirmed)); 1, 0 and 0 if absent; UTC seconds |
 //! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit, of the surface), `family` and `code` of a fiducial: OpenCV's name of the dictionary, and the number in it |
+//! | `surface` | `lost`: what it lay on was moved or deleted since, and it is kept all the same; one that is off its polygons is then no error, but left out of predictions. Stores export it so |
 //! | `remove` | `true`: of layers read before, the feature of this id is dropped; nothing else is given then |
 //!
 //! Absent covariances are zero. `tolerance` (metres, default 0.001) is how far a feature of this file may be off the polygons
@@ -69,7 +70,7 @@ pub use read::{LayerFile, parse, read};
 pub use schema::schema;
 #[cfg(feature = "store")]
 pub(crate) use write::fields as to_fields;
-pub use write::{entry, to_string, write};
+pub use write::{entry, to_string, write, write_with_lost};
 
 /// The newest version that this build reads; there is no older one.
 const FORMAT: u32 = 1;

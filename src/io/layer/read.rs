@@ -1,7 +1,7 @@
 //! From text to features.
 
 use super::FORMAT;
-use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Whole};
+use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Surface, Whole};
 use crate::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use crate::error::{Error, ErrorKind, Result, short};
 use crate::io::text::read_text;
@@ -18,6 +18,8 @@ pub struct LayerFile {
     pub layer: FeatureLayer,
     /// Ids of the features it removes, rising; none of them is in the layer.
     pub removed: Vec<u32>,
+    /// Ids of the features that it says lost their surface, rising: they may be off the polygons.
+    pub lost: Vec<u32>,
     /// Where it was read.
     pub path: Option<PathBuf>,
 }
@@ -46,7 +48,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
         pose_covariances: fields.pose_covariances.0,
     };
     layer.check_header()?;
-    let mut removed = Vec::new();
+    let (mut removed, mut lost) = (Vec::new(), Vec::new());
     let mut first_use: HashMap<u32, usize> = HashMap::with_capacity(fields.features.len());
     for (i, Keyed(entry)) in fields.features.into_iter().enumerate() {
         let id = entry.id;
@@ -55,18 +57,23 @@ pub fn parse(text: &str) -> Result<LayerFile> {
             let what = format!("features[{first}] has this id already");
             return Err(Error::invalid(what, "give each feature an id that was never used").at(place()));
         }
+        let is_lost = entry.surface == Some(Surface::Lost);
         let new = entry.feature(layer.tolerance).and_then(|new| {
             new.as_ref().map_or(Ok(()), Feature::check_dictionary)?;
             Ok(new)
         });
         match new.map_err(|e| e.at(place()))? {
-            Some(feature) => layer.features.push(feature),
+            Some(feature) => {
+                layer.features.push(feature);
+                lost.extend(is_lost.then_some(id));
+            }
             None => removed.push(id),
         }
     }
     layer.features.sort_by_key(|f| f.id);
     removed.sort_unstable();
-    Ok(LayerFile { layer, removed, path: None })
+    lost.sort_unstable();
+    Ok(LayerFile { layer, removed, lost, path: None })
 }
 
 fn from_json<T: DeserializeOwned>(text: &str) -> Result<T> {
@@ -105,6 +112,10 @@ fn check_format(text: &str) -> Result<()> {
 #[cfg(feature = "store")]
 pub(crate) fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
     let id = fields.id;
+    if fields.surface.is_some() {
+        let what = "\"surface\" is for layer files: a change is of features that lie on polygons";
+        return Err(Error::invalid(what, "leave it out").at(format!("feature {id}")));
+    }
     let gone = || Error::invalid("\"remove\" is for layer files", "delete it with delete_feature");
     fields.feature(tolerance)?.ok_or_else(gone).map_err(|e| e.at(format!("feature {id}")))
 }

@@ -1,7 +1,7 @@
 //! From features to text, one feature a line, so that people can edit and compare it.
 
 use super::FORMAT;
-use super::fields::{FeatureFields, Kind, PropertyFields};
+use super::fields::{FeatureFields, Kind, PropertyFields, Surface};
 use crate::environment::{Existence, Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result};
 use crate::io::atomic::write_atomically;
@@ -16,7 +16,16 @@ use std::path::Path;
 /// [`crate::ErrorKind::Invalid`] if the layer is not sound ([`FeatureLayer::check`]): such a file could not be read.
 /// [`crate::ErrorKind::System`] if the system refuses; a file that was there stays as it was.
 pub fn write(path: &Path, layer: &FeatureLayer) -> Result<()> {
-    let text = to_string(layer)?;
+    write_with_lost(path, layer, &[])
+}
+
+/// [`write()`], with the mark of a lost surface on the features of these ids, which rise: they need not lie on polygons when
+/// they are read.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_with_lost(path: &Path, layer: &FeatureLayer, lost: &[u32]) -> Result<()> {
+    let text = text_of(layer, lost)?;
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
@@ -25,6 +34,10 @@ pub fn write(path: &Path, layer: &FeatureLayer) -> Result<()> {
 /// # Errors
 /// As [`write()`], but for the system's.
 pub fn to_string(layer: &FeatureLayer) -> Result<String> {
+    text_of(layer, &[])
+}
+
+fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
     layer.check()?;
     let mut text = format!(
         "{{\n  \"format\": {FORMAT},\n  \"class\": {},\n  \"tolerance\": {},\n",
@@ -42,7 +55,8 @@ pub fn to_string(layer: &FeatureLayer) -> Result<String> {
     text.push_str("  \"features\": [");
     for (i, feature) in layer.features.iter().enumerate() {
         text.push_str(if i == 0 { "\n    " } else { ",\n    " });
-        text.push_str(&json(&fields(feature))?);
+        let surface = lost.binary_search(&feature.id).is_ok().then_some(Surface::Lost);
+        text.push_str(&json(&FeatureFields { surface, ..fields(feature) })?);
     }
     text.push_str(if layer.features.is_empty() { "]\n}\n" } else { "\n  ]\n}\n" });
     Ok(text)

@@ -196,14 +196,3 @@ pub(super) fn check_counts(objects: u64, polygons: u64) -> Result<()> {
     }
     Ok(())
 }
-
-/// A name of one or more path segments.
-pub(super) fn check_name(name: &str) -> Result<()> {
-    let sound = |segment: &str| !segment.is_empty() && !segment.chars().any(char::is_control);
-    if name.len() <= limits::MAX_NAME_BYTES && name.split('/').all(sound) {
-        return Ok(());
-    }
-    let shown: String = name.chars().take(60).collect();
-    let remedy = format!("give segments such as \"cell1/robot\", at most {} bytes", limits::MAX_NAME_BYTES);
-    Err(Error::invalid(format!("{shown:?} is no name of an object"), remedy))
-}

@@ -6,30 +6,48 @@ use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::index::{Params, Scheme};
 use crate::io::layer::from_fields;
+use crate::io::text::check_name;
 use crate::limits;
+use crate::world::World;
 use glam::{DVec3, Vec3};
 use std::path::Path;
 use std::sync::Arc;
 
 /// What operations mean where they are read.
 pub(super) struct Context<'a> {
-    pub environment: &'a Environment,
+    environment: &'a Arc<Environment>,
     /// Where files are that lines name; none in the log.
-    pub folder: Option<&'a Path>,
+    folder: Option<&'a Path>,
     /// Meshes by number, for the log.
-    pub mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
-    /// Materials that operations before have added.
-    pub added: Vec<Material>,
+    mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
+    /// Materials that the operation has added.
+    added: Vec<Material>,
     /// What features may be off, if not what their layer says.
     pub tolerance: Option<f64>,
+    /// Within a group that asks for it: the environment as the changes before have left it.
+    now: Option<World>,
 }
 
-impl Context<'_> {
+impl<'a> Context<'a> {
+    /// Of operations that are read for an environment: from `folder`, or if there is none from the log.
+    pub fn new(
+        environment: &'a Arc<Environment>,
+        folder: Option<&'a Path>,
+        mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
+    ) -> Self {
+        Self { environment, folder, mesh, added: Vec::new(), tolerance: None, now: None }
+    }
+
+    fn environment(&self) -> &Arc<Environment> {
+        self.now.as_ref().map_or(self.environment, World::environment)
+    }
+
     /// The change that an operation is.
     pub fn change(&mut self, op: Op) -> Result<Change> {
         let tolerance = |class: &str| {
-            let of_layer = || self.environment.layer(class).map_or(DEFAULT_TOLERANCE, |l| l.tolerance);
+            let of_layer = || self.environment().layer(class).map_or(DEFAULT_TOLERANCE, |l| l.tolerance);
             self.tolerance.unwrap_or_else(of_layer)
         };
         Ok(match op {
@@ -71,10 +89,36 @@ impl Context<'_> {
                 Change::SetPoseCovariance { class, object, covariance: covariance_of(covariance)? }
             }
             Op::Group { changes } => {
-                let one = |(i, op)| self.change(op).map_err(|e: Error| e.at(format!("change {} of the group", i + 1)));
+                if self.now.is_none() && self.looks_back(&changes) {
+                    let (environment, none) = (Environment::clone(self.environment), Params::default());
+                    self.now = Some(World::with_index(environment, Scheme::None, none));
+                }
+                let one = |(i, op)| self.step(op).map_err(|e: Error| e.at(format!("change {} of the group", i + 1)));
                 Change::Group(changes.into_iter().enumerate().map(one).collect::<Result<_>>()?)
             }
         })
+    }
+
+    /// True if what a change of a group means depends on those before it. The log says everything in full, but for tolerances.
+    fn looks_back(&self, changes: &[Op]) -> bool {
+        changes.iter().any(|op| match op {
+            Op::InsertObject(_) => self.folder.is_some(),
+            Op::SetTolerance { .. } => self.tolerance.is_none(),
+            Op::Group { changes } => self.looks_back(changes),
+            _ => false,
+        })
+    }
+
+    /// A change of a group; those after it see what it did.
+    fn step(&mut self, op: Op) -> Result<Change> {
+        let is_group = matches!(op, Op::Group { .. });
+        let change = self.change(op)?;
+        // Those of a group within it were applied one by one.
+        if let Some(now) = self.now.as_mut().filter(|_| !is_group) {
+            now.apply(change.clone())?;
+            self.added.clear();
+        }
+        Ok(change)
     }
 
     fn insert(&mut self, fields: InsertObject) -> Result<Change> {
@@ -83,9 +127,13 @@ impl Context<'_> {
             let what = format!("the path has {} bytes", name.len());
             return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_NAME_BYTES)));
         }
+        // Models may bring stranger names, and they are logged.
+        if self.folder.is_some() {
+            check_name(&name)?;
+        }
         let pose = fields.pose.as_deref().map_or(Ok(Pose::IDENTITY), pose_of)?;
         let logged = self.folder.is_none();
-        if !logged && self.environment.object(&name).is_some() {
+        if !logged && self.environment().object(&name).is_some() {
             return Err(Error::invalid("it exists already", "delete it first, or choose another path"));
         }
         let sources = [
@@ -108,7 +156,7 @@ impl Context<'_> {
         };
         if let Some(like) = &fields.like
             && fields.object_from_mesh.is_none()
-            && let Some(object) = self.environment.object(like)
+            && let Some(object) = self.environment().object(like)
         {
             new.object_from_mesh = object.object_from_mesh;
         }
@@ -121,12 +169,13 @@ impl Context<'_> {
             return (self.mesh)(number);
         }
         if let Some(like) = &fields.like {
-            let found = self.environment.object(like);
+            let found = self.environment().object(like);
             return found.map(|o| o.mesh.clone()).ok_or_else(|| {
                 Error::invalid(format!("there is no object {like:?} to be like"), "presight inspect lists the objects")
             });
         }
-        let mut materials = merge::Materials::new(self.environment, &mut self.added);
+        let environment = self.now.as_ref().map_or(self.environment, World::environment);
+        let mut materials = merge::Materials::new(environment, &mut self.added);
         if let (Some(file), Some(folder)) = (&fields.from, self.folder) {
             return merge::mesh_of_file(&folder.join(file), fields.from_object.as_deref(), &mut materials, before);
         }

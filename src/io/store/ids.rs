@@ -10,6 +10,7 @@ use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
+use std::sync::Arc;
 
 /// What stands in the log under an id.
 pub(super) struct Known {
@@ -89,15 +90,10 @@ fn outline(op: &Op, without_materials: bool) -> Vec<Part> {
 
 /// A step in the words of the log.
 fn step(op: &Op) -> Result<String> {
-    let none = Environment::new();
+    let none = Arc::new(Environment::new());
     let mut no_mesh = |_| Err(Error::invalid("it has no mesh", ""));
-    let mut context = Context {
-        environment: &none,
-        folder: None,
-        mesh: &mut no_mesh,
-        added: Vec::new(),
-        tolerance: Some(limits::MAX_COORDINATE),
-    };
+    let mut context = Context::new(&none, None, &mut no_mesh);
+    context.tolerance = Some(limits::MAX_COORDINATE);
     let change: Change = context.change(from_json(&json(op)?)?)?;
     json(&Op::of(&change, &mut |_| Ok(0))?)
 }

@@ -206,9 +206,10 @@ pub(super) fn refusal(path: &Path, doing: &str, e: rusqlite::Error) -> Error {
     let system = |what: &str, remedy: &str| Error::new(System, format!("cannot {doing}: {what}"), remedy);
     let said = e.to_string();
     let error = match e.sqlite_error_code() {
-        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::FileLockingProtocolFailed) => {
-            system("another program is writing to it (locked)", "wait until that has ended, or stop it")
-        }
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::FileLockingProtocolFailed) => system(
+            "another program has it open, for writing or reading (locked)",
+            "wait until that has ended, or stop it",
+        ),
         Some(ErrorCode::DiskFull) => system("the disk is full", "free some disk space"),
         Some(ErrorCode::ReadOnly | ErrorCode::PermissionDenied | ErrorCode::CannotOpen) => {
             system(&said, "check the permissions of file and folder")

@@ -53,6 +53,8 @@ pub(super) enum Restored {
 pub(super) struct Entry {
     /// Its features must lie on polygons.
     pub placed: Option<Restored>,
+    /// But for these, by class and id.
+    pub lost: Vec<(String, u32)>,
     /// The hash of the line that said it.
     pub request: Option<[u8; 32]>,
     /// The entry that it undoes.
@@ -110,6 +112,15 @@ impl<'a> Batch<'a> {
         self.record(change, note, &Entry { placed: Some(Restored::LetBe), ..Entry::default() })
     }
 
+    /// [`Batch::apply_placed`] of what was read elsewhere, where the features `lost` (class, id) are known to have lost their
+    /// surface: they need not lie on polygons.
+    ///
+    /// # Errors
+    /// As [`Batch::apply_placed`].
+    pub fn apply_imported(&mut self, change: Change, lost: Vec<(String, u32)>, note: &Note) -> Result<u64> {
+        self.record(change, note, &Entry { placed: Some(Restored::LetBe), lost, ..Entry::default() })
+    }
+
     /// [`Batch::apply`] of a change, as the log shall have it.
     pub(super) fn record(&mut self, change: Change, note: &Note, entry: &Entry) -> Result<u64> {
         if let Some(id) = &note.id
@@ -125,7 +136,7 @@ impl<'a> Batch<'a> {
         }
         let inverse = match entry.placed {
             None => self.world.apply(change.clone())?,
-            Some(restored) => placement::apply(self.world, change.clone(), restored == Restored::Checked)?,
+            Some(restored) => placement::apply(self.world, change.clone(), restored == Restored::Checked, &entry.lost)?,
         };
         self.open = true;
         let environment = self.world.environment().clone();
@@ -176,9 +187,8 @@ impl<'a> Batch<'a> {
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are for the log", "give \"like\""));
         let environment = self.world.environment();
-        let folder = Some(folder);
-        let change = Context { environment, folder, mesh: &mut mesh, added: Vec::new(), tolerance: None }.change(op)?;
-        let entry = Entry { placed: Some(Restored::Checked), request, undoes: None };
+        let change = Context::new(environment, Some(folder), &mut mesh).change(op)?;
+        let entry = Entry { placed: Some(Restored::Checked), request, ..Entry::default() };
         Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
     }
 
@@ -192,7 +202,7 @@ impl<'a> Batch<'a> {
             None => read::mesh(&store.connection, &store.path, number, materials),
         };
         let op: Op = super::rows::from_json(text)?;
-        Context { environment, folder: None, mesh: &mut mesh, added: Vec::new(), tolerance: None }.change(op)
+        Context::new(environment, None, &mut mesh).change(op)
     }
 
     /// Makes all of them durable: they are on the disk when this returns.

@@ -106,6 +106,8 @@ fn wrong_types_and_ranges_do_not_fit() {
         format!(r#"{{"id": 1, "kind": "{kind}", "points": [{points}], "properties": {{}}}}"#)
     };
     assert!(fits_ours(&file_with(&point(""))));
+    let lost = file_with(&point(r#", "surface": "lost""#));
+    assert!(fits_ours(&lost) && parse(&lost).unwrap().lost == [1]);
     let bad = [
         r#"{"kind": "point", "points": [[0, 0, 0]]}"#.to_owned(),
         r#"{"id": 0, "kind": "point", "points": [[0, 0, 0]]}"#.to_owned(),
@@ -113,6 +115,9 @@ fn wrong_types_and_ranges_do_not_fit() {
         r#"{"id": 1, "points": [[0, 0, 0]]}"#.to_owned(),
         r#"{"id": 1, "kind": "point", "points": [[0, 0]]}"#.to_owned(),
         r#"{"id": 1, "remove": true, "name": "x"}"#.to_owned(),
+        r#"{"id": 1, "remove": true, "surface": "lost"}"#.to_owned(),
+        point(r#", "surface": "found""#),
+        point(r#", "surface": true"#),
         of_kind("contour", 1),
         of_kind("point", 2),
         of_kind("reflector", 0),

@@ -3,8 +3,9 @@
 use super::moving::point;
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, quat_deg};
-use crate::io::script::assembly::{Assembly, Part, Thing, check_name, check_not_empty};
+use crate::io::script::assembly::{Assembly, Part, Thing, check_not_empty};
 use crate::io::script::call::{Call, Function};
+use crate::io::text::check_name;
 use glam::DVec3;
 use rhai::{Dynamic, Map};
 
