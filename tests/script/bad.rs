@@ -188,6 +188,14 @@ fn huge_strings_and_arrays() {
     refused(&many, &["line 257", "256 variables"]);
 }
 
+#[test]
+fn random_numbers_from_empty_ranges() {
+    refused("let r = rng(1);\nlet x = uniform(r, 2, 1);", &["line 2, column 9, in the call of uniform", "from 2 to 1"]);
+    refused("let r = rng(1);\nlet x = integer(r, 2, 1);", &["line 2, column 9, in the call of integer", "from 2 to 1"]);
+    // A single number is a range.
+    refused("let r = rng(1);\nuniform(r, 1, 1); integer(r, 1, 1);", &["at its end", "places no polygons"]);
+}
+
 /// The language does not know where it is when it looks into a value by index.
 #[test]
 fn limits_are_told_where_values_are_indexed() {
