@@ -167,6 +167,10 @@ fn section(finding: &Finding) -> Result<Section> {
     }
     parts.push(Part::Heading("Paths".into()));
     parts.extend(tables::errors(&finding.rows).into_iter().map(Part::Table));
+    if !finding.not_measured.is_empty() {
+        parts.push(Part::Heading("Not measured".into()));
+        parts.extend(finding.not_measured.iter().cloned().map(Part::Text));
+    }
     for (title, table) in [
         ("How to take them", tables::how(&finding.notes)),
         ("Stages", tables::stages(&finding.notes)),
