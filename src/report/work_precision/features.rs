@@ -107,9 +107,9 @@ fn paths(one: &mut One<'_>) -> Vec<Timed<Seeing>> {
         }
         let path = |sensor| Seeing { which, visibility, step, view, sensor, worst: 0.0, sum: 0.0, count: 0 };
         // Fewer rays may be too few for features.
-        let seen = view.of(one.sensor).and_then(|seen| {
-            seen.map(|seen| seen.sensor.check_projection().map(|()| seen)).transpose()
-        });
+        let seen = view
+            .of(one.sensor)
+            .and_then(|seen| seen.map(|seen| seen.sensor.check_projection().map(|()| seen)).transpose());
         match seen {
             Ok(Some(seen)) => paths.push(Timed::new(path(seen.sensor))),
             Ok(None) => {}

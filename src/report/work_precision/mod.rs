@@ -251,7 +251,8 @@ impl Study {
                 return Err(Error::invalid("there is no pose", "give at least one").in_file(&scene.name));
             }
             for sensor in &self.sensors {
-                let mut one = One { scene, sensor, effort: &self.effort, engines: &mut engines, not_measured: Vec::new() };
+                let mut one =
+                    One { scene, sensor, effort: &self.effort, engines: &mut engines, not_measured: Vec::new() };
                 let finding = one.run(&mut progress);
                 findings
                     .push(finding.map_err(|e| e.at(format!("sensor {:?}", sensor.spec().name)).in_file(&scene.name))?);
