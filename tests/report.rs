@@ -160,7 +160,7 @@ fn check_csv(csv: &str) {
             }
             "id_mismatch" => assert!(*error <= 1e-3, "{path}: {error}"),
             "range_m" | "silhouette_px" if rough => assert!(*error > 0.0, "{path}"),
-            // Images and rays decide the same of the same samples; finer ones are nearer to the truth.
+            // Images and rays decide the same of the same samples, which all are in the room; finer ones are nearer to the truth.
             kind if kind.starts_with("visible_fraction") && !rough => {
                 let of =
                     |variant: &str| errors[&(sensor.clone(), "cpu".to_owned(), variant.to_owned(), kind.to_owned())];

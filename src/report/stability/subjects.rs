@@ -161,8 +161,8 @@ impl Subject for Gpu {
 /// Of adapters that are programs.
 #[cfg(feature = "gpu")]
 const LEFT_TO_CPU: &str = "gpu: this adapter is a program that plays a GPU, on which the engine leaves regions of interest to the \
-                           CPU: its rows of condition, stiff, their boxes, and indefinite are the CPU's; gpu-32-bit is asked to \
-                           do on the device what it can.";
+                           CPU: its rows of condition-box, stiff-box and indefinite are the CPU's; gpu-32-bit is asked to do on the \
+                           device what it can. Image covariances (condition, stiff) are the CPU's on every device.";
 
 /// Engines under study.
 pub type Subjects = Vec<Box<dyn Subject>>;
