@@ -160,7 +160,7 @@ fn check_csv(csv: &str) {
             }
             "id_mismatch" => assert!(*error <= 1e-3, "{path}: {error}"),
             "range_m" | "silhouette_px" if rough => assert!(*error > 0.0, "{path}"),
-            // Images and rays decide the same of the same samples; finer ones are nearer to the truth.
+            // Images and rays decide the same of the same samples, which all are in the room; finer ones are nearer to the truth.
             kind if kind.starts_with("visible_fraction") && !rough => {
                 let of =
                     |variant: &str| errors[&(sensor.clone(), "cpu".to_owned(), variant.to_owned(), kind.to_owned())];
@@ -205,6 +205,35 @@ fn check_html(html: &str) {
     }
     // There is no such flag here.
     assert!(html.contains("presight doctor says what to install") && !html.contains("use --backend cpu"));
+}
+
+/// A quarter of four rays is one, which features cannot be found by; one ray is none to begin with. The rest is told all the same.
+#[test]
+fn a_path_that_cannot_be_costs_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = |name: &str, rays: &[&str]| {
+        let (width, rays) = (rays.len(), rays.join(", "));
+        let head = format!("format = 1\nkind = \"rays\"\nclass = \"video\"\nwidth = {width}\nheight = 1\n");
+        fs::write(folder.path().join(name), format!("{head}directions = [{rays}]\n")).unwrap();
+    };
+    table("few.toml", &["[1, 0.3, 0]", "[1, 0.1, 0]", "[1, -0.1, 0]", "[1, -0.3, 0]"]);
+    table("lone.toml", &["[1, 0, 0]"]);
+    fs::write(folder.path().join("camera.toml"), CAMERA).unwrap();
+    let room = room();
+    let sensors = ["--sensor", "camera.toml", "--sensor", "few.toml", "--sensor", "lone.toml"];
+    let done = report(folder.path(), &[&[room.as_str(), "--out", "study", "--quick"][..], &sensors].concat());
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let json = json_of(folder.path());
+    let said = |at: usize| json["findings"][at]["not_measured"].to_string();
+    assert_eq!(said(0), "[]");
+    assert!(said(1).contains("features by images, 1/4 resolution: sensor"), "{}", said(1));
+    assert!(said(1).contains("without a nearest ray") && !said(1).contains("1/2"), "{}", said(1));
+    assert!(said(2).contains("features and regions of interest: sensor"), "{}", said(2));
+    for finding in json["findings"].as_array().unwrap() {
+        assert!(finding["rows"].as_array().unwrap().iter().any(|r| r["variant"] == "1 thread"), "{finding}");
+    }
+    let html = fs::read_to_string(folder.path().join("study/index.html")).unwrap();
+    assert_eq!(html.matches("Not measured").count(), 2);
 }
 
 #[test]

@@ -19,7 +19,8 @@ use glam::{DVec2, DVec3};
 pub const STEP: f64 = 0.5;
 /// Most samples of one segment.
 pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
-/// Most samples of one patch: of larger ones they are farther apart than half a pixel, unless images decide pixel by pixel.
+/// Most samples of one patch every half pixel: of larger ones they are farther apart, unless images decide pixel by pixel. Where
+/// samples are to be finer they may be as many more, up to 64 times.
 pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
 /// Most cells of the grid around a patch that has few samples in it.
 const MAX_PATCH_CELLS: usize = 1 << 16;
@@ -400,7 +401,9 @@ impl<'a> Sampler<'a> {
     /// their weight the area that they stand for. Without any in the image, one piece says why. Columns may lie beyond the
     /// seam.
     pub fn patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
-        self.patch_in_cells(corners, MAX_PATCH_SAMPLES, visit);
+        // With as few as every half pixel, finer steps would change nothing of large patches.
+        let times = (STEP / self.step).powi(2).clamp(1.0, 64.0);
+        self.patch_in_cells(corners, (MAX_PATCH_SAMPLES as f64 * times) as usize, visit);
     }
 
     /// The same of a patch that covers few pixels, however long and thin it is.

@@ -46,7 +46,7 @@ impl Machine {
         let build = if self.debug { ", built with assertions: slower than a release" } else { "" };
         let features = self.features.join(", ");
         [
-            ("command", self.command.join(" ")),
+            ("command", self.command.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")),
             ("presight", format!("{}, with {features}{build}", self.version)),
             ("CPU", format!("{}, {} threads", self.cpu, self.threads)),
             ("system", self.system.clone()),
@@ -62,4 +62,25 @@ fn cpu() -> Option<String> {
     let line = text.lines().find(|l| l.starts_with("model name"))?;
     let name = line.split_once(':')?.1.trim();
     (!name.is_empty()).then(|| name.to_owned())
+}
+
+/// As a shell takes it for one word.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::quoted;
+
+    #[test]
+    fn words_are_quoted_where_a_shell_would_split_or_change_them() {
+        let words = ["--out", "a b/c.glb", "it's", "", "$HOME"].map(quoted);
+        assert_eq!(words, ["--out", "'a b/c.glb'", r"'it'\''s'", "''", "'$HOME'"]);
+    }
 }

@@ -31,6 +31,8 @@ pub struct Machine {
     pub any: Option<usize>,
     /// `VARIABLE=value` if the environment tells the Vulkan loader where drivers are.
     pub drivers: Option<String>,
+    /// The same if it tells the loader which drivers to pass over.
+    pub disabled: Option<String>,
 }
 
 impl Machine {
@@ -85,6 +87,11 @@ impl Machine {
         if !self.tried.is_empty() {
             return "--backend gpu finds nothing that it can use: the adapters above can bind too few buffers.".into();
         }
+        if let Some(set) = &self.disabled {
+            return format!(
+                "--backend gpu finds nothing. {set} is set: drivers of these names are passed over. Unset it."
+            );
+        }
         match &self.drivers {
             Some(set) => format!(
                 "--backend gpu finds nothing. {set} is set: drivers are looked for there and nowhere else. Unset it, or name \
@@ -108,7 +115,7 @@ mod tests {
         let one = |hardware, state: Option<State>| state.map(|state| Tried { hardware, state });
         let tried: Vec<Tried> = one(false, software).into_iter().chain(one(true, hardware)).collect();
         let auto = tried.iter().position(|t| t.hardware);
-        Machine { any: auto.or(tried.first().map(|_| 0)), auto, tried, drivers: None }
+        Machine { any: auto.or(tried.first().map(|_| 0)), auto, tried, ..Machine::default() }
     }
 
     #[test]
@@ -138,5 +145,8 @@ mod tests {
         let told = |machine: Machine| Machine { drivers: drivers.clone(), ..machine }.advice();
         assert!(told(machine(None, None)).contains("VK_DRIVER_FILES=/nothing is set"));
         assert!(!told(machine(None, Some(State::Right))).contains("VK_DRIVER_FILES"));
+        let disabled = Some("VK_LOADER_DRIVERS_DISABLE=*".to_owned());
+        let told = Machine { disabled, ..machine(None, None) }.advice();
+        assert!(told.contains("VK_LOADER_DRIVERS_DISABLE=* is set") && !told.contains("install"), "{told}");
     }
 }

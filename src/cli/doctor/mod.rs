@@ -98,7 +98,8 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
     // The loader's own variables; the newer one comes first.
     let set = |name: &'static str| std::env::var(name).ok().map(|value| format!("{name}={value}"));
     let drivers = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].into_iter().find_map(set);
-    let machine = Machine { tried, auto: preferred(true), any: preferred(false), drivers };
+    let disabled = set("VK_LOADER_DRIVERS_DISABLE");
+    let machine = Machine { tried, auto: preferred(true), any: preferred(false), drivers, disabled };
     let _ = writeln!(text, "\n{}", machine.advice());
     machine.is_sound()
 }

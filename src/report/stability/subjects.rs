@@ -158,6 +158,12 @@ impl Subject for Gpu {
     }
 }
 
+/// Of adapters that are programs.
+#[cfg(feature = "gpu")]
+const LEFT_TO_CPU: &str = "gpu: this adapter is a program that plays a GPU, on which the engine leaves regions of interest to the \
+                           CPU: its rows of condition-box, stiff-box and indefinite are the CPU's; gpu-32-bit is asked to do on the \
+                           device what it can. Image covariances (condition, stiff) are the CPU's on every device.";
+
 /// Engines under study.
 pub type Subjects = Vec<Box<dyn Subject>>;
 
@@ -172,6 +178,9 @@ pub fn subjects(threads: usize) -> Result<(Subjects, Vec<String>)> {
     match Gpu::both() {
         Ok(both) => {
             notes.push(format!("gpu: {}", both[0].adapter()));
+            if !both[0].0.adapter().hardware {
+                notes.push(LEFT_TO_CPU.into());
+            }
             both.into_iter().for_each(|g| all.push(Box::new(g)));
         }
         Err(e) => notes.push(format!("SKIPPED: the GPU engine: {}; see presight doctor", e.what())),

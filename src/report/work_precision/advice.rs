@@ -3,11 +3,17 @@
 //! Times are noisy, so advice keeps to what a user gets anyway unless another path is *clearly faster*: its median is below
 //! nine tenths, and three quarters of its runs are faster than three quarters of the other's.
 
-use super::features::ROUNDING;
 use super::{FAULT_SHARE, Row};
 
 /// What is clearly faster takes less than this share of the time.
 const WORTH: f64 = 0.9;
+
+/// What shows another polygon at more than this share of pixels is no answer, however fast.
+const MOST_OTHER: f64 = 0.1;
+
+/// Features are as exact as by rays if neither the greatest nor the mean error of a visible fraction is this much above theirs:
+/// both sample, at other places, and the truth is sampled itself.
+const AS_RAYS: f64 = 1e-3;
 
 /// Fewer features than these say too little.
 const FEW_FEATURES: usize = 10;
@@ -85,6 +91,10 @@ impl<'a> Rows<'a> {
         let Some(rough) = faster.min_by(|a, b| a.error.total_cmp(&b.error)) else {
             return " Nothing less exact is clearly faster.".into();
         };
+        if rough.error > MOST_OTHER {
+            let most = 100.0 * MOST_OTHER;
+            return format!(" What is clearly faster shows another polygon at more than {most} % of the pixels.");
+        }
         let error = |kind| self.error(rough, kind).unwrap_or(0.0);
         let (moved, off) = (error("silhouette_px"), error("range_m"));
         let price = match (rough.error, moved) {
@@ -107,13 +117,23 @@ fn for_features(rows: &[Row], features: usize) -> String {
     if features < FEW_FEATURES {
         return format!(" Features in view are too few for advice on them: {features}.");
     }
-    let as_exact = |r: &&Row| kinds.iter().all(|kind| error(r, kind) <= error(rays, kind) + ROUNDING);
+    let as_exact = |r: &&Row| kinds.iter().all(|kind| error(r, kind) <= error(rays, kind) + AS_RAYS);
     let exact: Vec<&Row> = of_kind(kinds[0]).filter(as_exact).collect();
     let Some(best) = take(&exact) else { return String::new() };
-    let off = if best.error == 0.0 { "no error".into() } else { format!("at most {:.3} of one wrong", best.error) };
-    let how = if best.default { ", which is the default".into() } else { format!(" ({})", best.how) };
+    let off = |r: &Row| match (r.error, error(r, kinds[1])) {
+        (0.0, _) => "no error".to_owned(),
+        (most, mean) => format!("at most {most:.4} of one wrong, {mean:.5} on average"),
+    };
     let seen = format!("by {features} of them");
-    format!(" For features take {}{how}: {off}, in {}, {seen}.", name(best), ms(best.median_ms))
+    let (whose, cost) = (name(best), format!("{}, in {}, {seen}", off(best), ms(best.median_ms)));
+    match of_kind(kinds[0]).find(|r| r.default) {
+        _ if best.default => format!(" For features take {whose}, which is the default: {cost}."),
+        Some(default) => {
+            let price = format!("{}: {}", ms(default.median_ms), off(default));
+            format!(" For features take {whose} ({}): {cost}; the default, {}, takes {price}.", best.how, name(default))
+        }
+        None => format!(" For features take {whose} ({}): {cost}.", best.how),
+    }
 }
 
 fn name(r: &Row) -> String {
@@ -203,6 +223,8 @@ mod tests {
         assert!(text.contains("cpu, half takes 1.00 ms (--take half)"), "{text}");
         let text = advice(&[default(), path("half", 0.0, None, 1.0)]);
         assert!(text.contains("If ranges off by up to 2.0e-2 m, every polygon as in the reference, will do"), "{text}");
+        let text = advice(&[default(), path("quarter", 0.11, None, 0.1)]);
+        assert!(text.contains("faster shows another polygon at more than 10 % of the pixels"), "{text}");
         let text = advice(&[default(), path("half", 0.0, None, 8.5)]);
         assert!(text.contains("Nothing less exact is clearly faster"), "{text}");
         let text = of("hall", "camera", 0.0, 0, &default());
@@ -221,9 +243,21 @@ mod tests {
         let all = [rays.clone(), default.clone(), lucky.clone(), path("finer", 0.01, 0.001, 2.9)].concat();
         assert_eq!(
             for_features(&all, 40),
-            " For features take cpu, default, which is the default: at most 0.020 of one wrong, in 3.00 ms, by 40 of them."
+            " For features take cpu, default, which is the default: at most 0.0200 of one wrong, 0.00200 on \
+             average, in 3.00 ms, by 40 of them."
         );
         assert!(for_features(&all, 9).contains("too few for advice on them: 9"));
+        // A difference that sampling explains does not push the default out; a larger one has its price told.
+        let sampled = path("default", 0.0205, 0.0023, 3.0);
+        let text = for_features(&[rays.clone(), sampled, path("finer", 0.02, 0.001, 3.5)].concat(), 40);
+        assert!(text.contains("take cpu, default, which is the default"), "{text}");
+        let rough = path("default", 0.03, 0.0023, 3.0);
+        let text = for_features(&[rays.clone(), rough, path("finer", 0.02, 0.001, 3.5)].concat(), 40);
+        assert!(text.contains("take cpu, finer (--take finer): at most 0.0200"), "{text}");
+        assert!(
+            text.contains("the default, cpu, default, takes 3.00 ms: at most 0.0300 of one wrong, 0.00230"),
+            "{text}"
+        );
         let text = for_features(&[rays, lucky].concat(), 10);
         assert!(text.contains("features by rays (--take features by rays)"), "{text}");
         assert_eq!(for_features(&default, 40), "");

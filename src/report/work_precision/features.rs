@@ -52,13 +52,17 @@ pub(super) fn rows(
     notes: &mut Vec<PathNotes>,
     progress: Progress<'_>,
 ) -> Result<usize> {
+    if let Err(e) = one.sensor.check_projection() {
+        one.not_measured.push(format!("features and regions of interest: {e}"));
+        return Ok(0);
+    }
     let cases: Vec<Case<'_>> =
         one.scene.poses.iter().zip(truths).map(|(p, t)| case(one, p, t)).collect::<Result<_>>()?;
     let count = cases.iter().map(|c| c.placed.len()).sum();
     if count == 0 {
         return Ok(0);
     }
-    let mut all = paths(one)?;
+    let mut all = paths(one);
     let place = one.sensor.spec().name.clone();
     for case in &cases {
         for Timed { what, timing } in &mut all {
@@ -85,7 +89,7 @@ pub(super) fn rows(
 }
 
 /// All paths that this machine and sensor have.
-fn paths(one: &One<'_>) -> Result<Vec<Timed<Seeing>>> {
+fn paths(one: &mut One<'_>) -> Vec<Timed<Seeing>> {
     use Visibility::{Image, Rays};
     let all = [
         (Which::CpuAll, Rays, STEP, View::Whole),
@@ -101,11 +105,21 @@ fn paths(one: &One<'_>) -> Result<Vec<Timed<Seeing>>> {
         if which == Which::Gpu && !one.engines.has_gpu() {
             continue;
         }
-        let Some(seen) = view.of(one.sensor)? else { continue };
-        let sensor = seen.sensor;
-        paths.push(Timed::new(Seeing { which, visibility, step, view, sensor, worst: 0.0, sum: 0.0, count: 0 }));
+        let path = |sensor| Seeing { which, visibility, step, view, sensor, worst: 0.0, sum: 0.0, count: 0 };
+        // Fewer rays may be too few for features.
+        let seen = view
+            .of(one.sensor)
+            .and_then(|seen| seen.map(|seen| seen.sensor.check_projection().map(|()| seen)).transpose());
+        match seen {
+            Ok(Some(seen)) => paths.push(Timed::new(path(seen.sensor))),
+            Ok(None) => {}
+            Err(e) => {
+                let named = path(one.sensor.clone()).named(one);
+                one.leave_out(&named, &e);
+            }
+        }
     }
-    Ok(paths)
+    paths
 }
 
 impl Seeing {

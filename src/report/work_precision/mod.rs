@@ -188,6 +188,8 @@ pub struct Finding {
     pub rows: Vec<Row>,
     /// Stages and what was left out.
     pub notes: Vec<PathNotes>,
+    /// Paths that could not be measured, and why.
+    pub not_measured: Vec<String>,
     /// The range image of the first pose, a PNG file.
     #[serde(skip)]
     pub preview: Vec<u8>,
@@ -249,7 +251,8 @@ impl Study {
                 return Err(Error::invalid("there is no pose", "give at least one").in_file(&scene.name));
             }
             for sensor in &self.sensors {
-                let mut one = One { scene, sensor, effort: &self.effort, engines: &mut engines };
+                let mut one =
+                    One { scene, sensor, effort: &self.effort, engines: &mut engines, not_measured: Vec::new() };
                 let finding = one.run(&mut progress);
                 findings
                     .push(finding.map_err(|e| e.at(format!("sensor {:?}", sensor.spec().name)).in_file(&scene.name))?);
@@ -297,6 +300,7 @@ mod tests {
             advice: String::new(),
             rows,
             notes: Vec::new(),
+            not_measured: Vec::new(),
             preview: Vec::new(),
         };
         let faults = |rows| Findings { findings: vec![finding(rows)], adapter: String::new() }.faults();

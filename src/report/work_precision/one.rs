@@ -5,7 +5,7 @@ use super::paths::{Engines, Named, Path};
 use super::timing::{Timed, Timing, by_turns};
 use super::views::Seen;
 use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, request};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::index::Params;
 use crate::io::png;
@@ -23,6 +23,8 @@ pub(super) struct One<'a> {
     pub sensor: &'a Sensor,
     pub effort: &'a Effort,
     pub engines: &'a mut Engines,
+    /// Paths that could not be measured, and why: one that is impossible must not cost what the others tell.
+    pub not_measured: Vec<String>,
 }
 
 /// What the reference says at one pose.
@@ -49,6 +51,7 @@ impl One<'_> {
         self.images(&truths, &mut rows, &mut notes, progress)?;
         progress(&format!("features: {place}"));
         let features = features::rows(self, &truths, &mut rows, &mut notes, progress)?;
+        let not_measured = std::mem::take(&mut self.not_measured);
         pareto::mark(&mut rows);
         let (scene, sensor) = (self.scene.name.clone(), self.sensor.spec().name.clone());
         let seen_share = seen_share(&truths);
@@ -61,8 +64,14 @@ impl One<'_> {
             features,
             rows,
             notes,
+            not_measured,
             preview: png::preview_png(&truths[0].images, self.sensor, Output::Range)?,
         })
+    }
+
+    /// Notes that a path cannot be measured.
+    pub fn leave_out(&mut self, path: &Named, why: &Error) {
+        self.not_measured.push(format!("{}, {}: {why}", path.engine, path.variant));
     }
 
     fn place(&self) -> String {
@@ -86,7 +95,15 @@ impl One<'_> {
     ) -> Result<()> {
         let mut all = Vec::new();
         for path in Path::all(self.engines.has_gpu()) {
-            let Some(view) = path.view.of(self.sensor)? else { continue };
+            let view = match path.view.of(self.sensor) {
+                Ok(Some(view)) => view,
+                Ok(None) => continue,
+                Err(e) => {
+                    let named = path.named(self.engines, self.sensor);
+                    self.leave_out(&named, &e);
+                    continue;
+                }
+            };
             let world = match path.index {
                 Some(scheme) => self.scene.world.reindexed(scheme, Params::tuned(scheme)),
                 None => self.scene.world.clone(),
