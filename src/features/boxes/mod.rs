@@ -144,8 +144,9 @@ impl<'a> BoxFrame<'a> {
         let Some(found) = found else { return };
         let [_, y0, _, y1] = found.bounds;
         let wide = |turn: f64| seen.visible.iter().any(|v| v.pixels[1].x - v.pixels[0].x > 0.5 * turn);
-        let around = self.image.turn().filter(|turn| seen.feature.shape.is_area() && wide(*turn));
-        seen.roi = Some(around.map_or(found.bounds, |turn| [-0.5, y0, turn - 0.5, y1]));
+        let is_around = seen.feature.shape.is_area() && self.image.turn().is_some_and(wide);
+        let width = f64::from(self.image.size().0);
+        seen.roi = Some(if is_around { [-0.5, y0, width - 0.5, y1] } else { found.bounds });
         seen.roi_flag = Some(found.flag.name());
     }
 
