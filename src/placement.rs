@@ -112,20 +112,14 @@ fn check(world: &World, class: &str, feature: &Feature) -> Result<()> {
 /// # Errors
 /// As [`find`].
 pub fn problem(environment: &Environment) -> Result<Option<Problem>> {
-    let mut problem = Problem { kind: ProblemKind::LostFeature, total: 0, places: Vec::new() };
-    if environment.layers().iter().all(|layer| layer.features.is_empty()) {
+    let lost = lost(environment)?;
+    if lost.is_empty() {
         return Ok(None);
     }
     let world = World::new(environment.clone());
-    for layer in environment.layers() {
-        let off = find(&world, layer)?.off;
-        problem.total += off.len() as u64;
-        let room = limits::LISTED_PROBLEMS.saturating_sub(problem.places.len());
-        let listed = off.iter().take(room).filter_map(|id| environment.feature(&layer.class, *id));
-        let whys = listed.filter_map(|feature| why_off(&world, &layer.class, layer.tolerance, feature));
-        problem.places.extend(whys.map(|why| why.to_string()));
-    }
-    Ok((problem.total > 0).then_some(problem))
+    let why = |(class, id): &(String, u32)| check(&world, class, environment.feature(class, *id)?).err();
+    let places = lost.iter().take(limits::LISTED_PROBLEMS).filter_map(why).map(|why| why.to_string()).collect();
+    Ok(Some(Problem { kind: ProblemKind::LostFeature, total: lost.len() as u64, places }))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ mod bad;
 mod command;
 mod damage;
 mod durable;
+mod exports;
 mod kill;
 mod random;
 mod undo;

@@ -74,7 +74,7 @@ impl Judge<'_> {
 
     /// True if the image decides about a patch.
     #[cfg(feature = "gpu")]
-    pub(super) fn is_area(&mut self, points: &[DVec3]) -> bool {
+    pub(super) fn decides_area(&mut self, points: &[DVec3]) -> bool {
         self.take_spans(points).is_some()
     }
 
@@ -151,8 +151,8 @@ impl Judge<'_> {
                 };
                 // The same azimuths lie in the image as often as it goes round. Only over a seam do columns go on.
                 let turns = (-1..).map(|k| turn * f64::from(k)).take_while(|by| low + by <= count as f64);
-                let goes_on = f64::from(u8::from(self.frame.sampler.turn().is_some()));
-                let lines = turns.map(|by| (between(low + by, high + by), -by * goes_on));
+                let goes_on = self.frame.sampler.turn().is_some();
+                let lines = turns.map(|by| (between(low + by, high + by), if goes_on { -by } else { 0.0 }));
                 lines.filter(|(lines, _)| !lines.is_empty()).collect()
             }
         }

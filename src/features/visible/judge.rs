@@ -106,7 +106,7 @@ impl<'a> Judge<'a> {
     #[cfg(feature = "gpu")]
     pub fn asking(&mut self, placed: &PlacedFeature) -> super::Asking {
         let (own, points) = self.prepare(placed);
-        if placed.feature.shape.is_area() && self.is_area(&points) {
+        if placed.feature.shape.is_area() && self.decides_area(&points) {
             return Vec::new();
         }
         self.sample(&placed.feature.shape, &own, &points);

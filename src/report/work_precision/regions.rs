@@ -101,11 +101,8 @@ fn paths(one: &One<'_>) -> Vec<Timed<Boxing>> {
 }
 
 fn judged(case: &Case<'_>) -> Judged {
-    // A patch's region is of the part that is seen, which no list of points holds.
-    let judged = |i: &usize| {
-        let patch = matches!(case.placed[*i].feature.shape, FeatureShape::Patch { .. });
-        !patch && !case.truth.features[*i].visible.is_empty()
-    };
+    // The region of what has an area is of the part that is seen, which no list of points holds.
+    let judged = |i: &usize| !case.placed[*i].feature.shape.is_area() && !case.truth.features[*i].visible.is_empty();
     let judged: Vec<usize> = (0..case.placed.len()).filter(judged).collect();
     let features = judged.iter().map(|i| case.truth.features[*i].clone()).collect();
     let seen = FeaturePrediction { features, ..FeaturePrediction::default() };
