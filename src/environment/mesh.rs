@@ -213,7 +213,8 @@ impl Mesh {
         mesh
     }
 
-    /// A mesh as it was, polygons in the order in which they were kept, with their planes if these are known.
+    /// A mesh as it was, polygons in the order in which they were kept, with their planes if these are known. The extents
+    /// of its polygons are told to `visit` one by one, for an index of it needs them as well.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the polygon or vertex: not finite, out of range, no area. That polygons are
@@ -225,22 +226,14 @@ impl Mesh {
         polygons: Vec<PolygonRecord>,
         planes: Option<Vec<Plane>>,
         order: PolygonOrder,
+        mut visit: impl FnMut(usize, (Vec3, Vec3)),
     ) -> Result<Self> {
         check_vertices(&vertices)?;
         let greatest = corners.iter().copied().fold(0, u32::max);
         if greatest as usize >= vertices.len() && !corners.is_empty() {
             return Err(Error::invalid(format!("vertex {greatest} of {}", vertices.len()), ""));
         }
-        let mut end = 0;
-        for (i, record) in polygons.iter().enumerate() {
-            let n = usize::from(record.corner_count);
-            // One polygon after the other.
-            if !(3..=limits::MAX_CORNERS).contains(&n) || record.first_corner as usize != end || end + n > corners.len()
-            {
-                return Err(Error::invalid("its corners are out of range", "").at(format!("polygon {i}")));
-            }
-            end += n;
-        }
+        check_records(&polygons, corners.len())?;
         let plane_of = |(i, record): (usize, &PolygonRecord)| {
             let own = record.corners(&corners);
             let plane = canonical_plane(own.len(), |k| vertices[own[k] as usize].as_dvec3());
@@ -258,9 +251,12 @@ impl Mesh {
         let mut cuts = cuts_of(polygons.len(), order);
         cuts.push(polygons.len());
         let cluster = |pair: &[usize]| {
-            let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-            let own = polygons[pair[0]..pair[1]].iter().map(|r| r.extent(&corners, &vertices));
-            let (min, max) = own.fold(start, |(min, max), (a, b)| (min.min(a), max.max(b)));
+            let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+            for i in pair[0]..pair[1] {
+                let extent = polygons[i].extent(&corners, &vertices);
+                (min, max) = (min.min(extent.0), max.max(extent.1));
+                visit(i, extent);
+            }
             let bounds = Aabb { min: min.as_dvec3(), max: max.as_dvec3() };
             Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds }
         };
@@ -371,10 +367,10 @@ impl Mesh {
 
 fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
     let mut materials: Vec<u16> = Vec::new();
-    for record in records {
-        // Neighbours mostly share theirs.
-        if materials.last() != Some(&record.material) && !materials.contains(&record.material) {
-            materials.push(record.material);
+    // Neighbours mostly share theirs.
+    for run in records.chunk_by(|a, b| a.material == b.material) {
+        if !materials.contains(&run[0].material) {
+            materials.push(run[0].material);
         }
     }
     materials.sort_unstable();
@@ -382,15 +378,36 @@ fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
 }
 
 fn check_vertices(vertices: &[Vec3]) -> Result<()> {
-    let sound = |v: &Vec3| (v.abs().cmple(Vec3::splat(limits::MAX_COORDINATE as f32))).all();
-    let bad = vertices.iter().position(|v| !sound(v));
-    match bad {
+    let sound = |x: &f32| x.abs() <= limits::MAX_COORDINATE as f32;
+    // To the last one: a loop that may end early is not unrolled.
+    let all: &[f32] = bytemuck::cast_slice(vertices);
+    if all.iter().fold(true, |all, x| all & sound(x)) {
+        return Ok(());
+    }
+    match vertices.iter().position(|v| !v.to_array().iter().all(sound)) {
         None => Ok(()),
         Some(i) => Err(Error::invalid(
             format!("vertex {i} is {}, not a finite position", vertices[i]),
             "repair the model and export it again",
         )),
     }
+}
+
+/// Records that were kept: one polygon after the other, of some number of corners each.
+fn check_records(polygons: &[PolygonRecord], corners: usize) -> Result<()> {
+    let follows = |end: &mut usize, record: &PolygonRecord| {
+        let n = usize::from(record.corner_count);
+        let sound = (3..=limits::MAX_CORNERS).contains(&n) & (record.first_corner as usize == *end);
+        *end += n;
+        sound & (*end <= corners)
+    };
+    let mut end = 0;
+    if polygons.iter().fold(true, |all, record| all & follows(&mut end, record)) {
+        return Ok(());
+    }
+    end = 0;
+    let bad = polygons.iter().position(|record| !follows(&mut end, record)).unwrap_or_default();
+    Err(Error::invalid("its corners are out of range", "").at(format!("polygon {bad}")))
 }
 
 fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Plane> {

@@ -3,7 +3,8 @@
 use glam::DVec3;
 
 /// `normal . p = offset` for every point p of the plane; `normal` has unit length.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct Plane {
     /// Unit normal, by the right-hand rule from the winding.
     pub normal: DVec3,

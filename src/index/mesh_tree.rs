@@ -5,7 +5,7 @@ use super::boxes::{Box32, Boxes8, LANES, Shift};
 use super::shapes::Shape;
 use crate::environment::Mesh;
 use crate::geometry::Aabb;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use std::ops::Range;
 
 /// Nodes in preorder.
@@ -14,6 +14,21 @@ pub(crate) struct MeshTree {
     nodes: Vec<Node>,
     /// Of polygons, eight by eight.
     boxes: Vec<Boxes8>,
+}
+
+/// Boxes of a mesh's polygons, eight by eight.
+pub(crate) struct PolygonBoxes(Vec<Boxes8>);
+
+impl PolygonBoxes {
+    /// Of none so far.
+    pub fn new(polygons: usize) -> Self {
+        Self(vec![Boxes8::EMPTY; polygons.div_ceil(LANES)])
+    }
+
+    #[inline]
+    pub fn set(&mut self, polygon: usize, (min, max): (Vec3, Vec3)) {
+        self.0[polygon / LANES].set(polygon % LANES, &Box32 { min: min.to_array(), max: max.to_array() });
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -38,13 +53,16 @@ pub(super) struct Part {
 
 impl MeshTree {
     pub fn new(mesh: &Mesh) -> Self {
-        let polygons = mesh.polygon_count();
-        let mut boxes = vec![Boxes8::EMPTY; polygons.div_ceil(LANES)];
-        let vertices = mesh.vertices();
+        let mut boxes = PolygonBoxes::new(mesh.polygon_count());
         for (i, record) in mesh.polygons().iter().enumerate() {
-            let (min, max) = record.extent(mesh.all_corners(), vertices);
-            boxes[i / LANES].set(i % LANES, &Box32 { min: min.to_array(), max: max.to_array() });
+            boxes.set(i, record.extent(mesh.all_corners(), mesh.vertices()));
         }
+        Self::with_boxes(mesh, boxes)
+    }
+
+    /// The tree of a mesh of which all boxes are known.
+    pub fn with_boxes(mesh: &Mesh, PolygonBoxes(boxes): PolygonBoxes) -> Self {
+        assert_eq!(boxes.len(), mesh.polygon_count().div_ceil(LANES));
         let clusters: Vec<Box32> = mesh.clusters().iter().map(|c| Box32::around(&c.bounds, DVec3::ZERO)).collect();
         let mut tree = Self { nodes: Vec::with_capacity(2 * clusters.len()), boxes };
         if !clusters.is_empty() {

@@ -31,7 +31,10 @@ pub use sector::{Rect, Sector};
 pub use skd::Skd;
 pub use world_index::{ObjectRun, WorldIndex};
 #[cfg(feature = "store")]
-pub(crate) use {mesh_tree::MeshTree, world_index::Trees};
+pub(crate) use {
+    mesh_tree::{MeshTree, PolygonBoxes},
+    world_index::Trees,
+};
 
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;

@@ -28,10 +28,10 @@ fn folder_with_store() -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn a_newer_version_is_refused() {
     let (_folder, path) = folder_with_store();
-    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 4").unwrap();
+    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 5").unwrap();
     for args in [&["env", "info"][..], &["env", "check"], &["inspect"]] {
         let (status, message) = refused(args, &path);
-        assert!(status == Some(1) && message.contains("format 3") && message.contains("update presight"), "{message}");
+        assert!(status == Some(1) && message.contains("format 5") && message.contains("update presight"), "{message}");
     }
     assert_eq!(store::read(&path).unwrap_err().kind(), ErrorKind::Unsupported);
 }
@@ -212,7 +212,7 @@ fn a_store_is_not_written_over() {
 /// Each version, made when it was the newest: later ones must read it, and write on.
 #[test]
 fn old_stores_are_read() {
-    for version in 1..=3 {
+    for version in 1..=4 {
         let old = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/store/version-{version}.presight"));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("old.presight");
@@ -224,7 +224,7 @@ fn old_stores_are_read() {
         assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
         let (mut store, environment) = Store::open(&path).unwrap();
         assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
-        assert_eq!(version_of(&path), 3);
+        assert_eq!(version_of(&path), 4);
         let mut world = presight::World::new(environment);
         store.apply(&mut world, super::numbered(6).0, &super::note(6.0)).unwrap();
         drop(store);
@@ -265,7 +265,7 @@ fn bless_a_version() {
     drop(store);
     let info = store::check(&path).unwrap();
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store");
-    std::fs::copy(&path, to.join("version-3.presight")).unwrap();
-    std::fs::write(to.join("version-3.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
+    std::fs::copy(&path, to.join("version-4.presight")).unwrap();
+    std::fs::write(to.join("version-4.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
     panic!("made; run again without PRESIGHT_BLESS_STORE");
 }

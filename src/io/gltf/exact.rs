@@ -77,7 +77,7 @@ impl Document<'_> {
             Order::Given => PolygonOrder::Given,
         };
         let name = mesh.name.clone().unwrap_or_default();
-        Mesh::restored(name, vertices, corners, records, None, order).ok()
+        Mesh::restored(name, vertices, corners, records, None, order, |_, _| ()).ok()
     }
 }
 

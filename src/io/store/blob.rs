@@ -14,7 +14,8 @@ use super::schema::damaged;
 use crate::environment::{Mesh, PolygonOrder, PolygonRecord};
 use crate::error::Result;
 use crate::geometry::Plane;
-use glam::DVec3;
+use bytemuck::{Pod, cast_slice, cast_slice_mut};
+use glam::{DVec3, Vec3};
 
 pub(super) fn encode(mesh: &Mesh) -> Vec<u8> {
     let corners = mesh.all_corners();
@@ -39,39 +40,86 @@ pub(super) fn encode(mesh: &Mesh) -> Vec<u8> {
     bytes
 }
 
-/// The mesh of a blob, whose hash need not be proven yet; `materials` is how many there are.
-pub(super) fn decode(name: &str, bytes: &[u8], materials: usize) -> Result<Mesh> {
-    let wrong = || damaged(format!("the blob of mesh {name:?} does not hold what it claims"));
-    let (words, _) = bytes.as_chunks::<4>();
-    let word = |w: &[u8; 4]| u32::from_le_bytes(*w);
-    let [v, p, c, spatial] = words.get(..4).ok_or_else(wrong)? else { return Err(wrong()) };
-    let [v, p, c, spatial] = [v, p, c, spatial].map(word);
-    if bytes.len() as u64 != 16 + 24 * u64::from(v) + 44 * u64::from(p) + 4 * u64::from(c) {
-        return Err(wrong());
+/// The parts of a blob where they lie in memory in the end, or nearly: what was read is copied once at most.
+pub(super) struct Parts {
+    /// V, P, C and the order.
+    counts: [u32; 4],
+    positions: Vec<[f64; 3]>,
+    planes: Vec<[f64; 4]>,
+    records: Vec<[u32; 3]>,
+    corners: Vec<u32>,
+}
+
+impl Parts {
+    /// Reads a blob of `size` bytes; `read` fills its argument from an offset on.
+    pub fn read(size: usize, mut read: impl FnMut(&mut [u8], usize) -> Result<()>) -> Result<Self> {
+        let wrong = || damaged("its content is not as long as it claims");
+        let mut counts = [0u32; 4];
+        if size < size_of_val(&counts) {
+            return Err(wrong());
+        }
+        let mut at = 0;
+        let mut fill = |to: &mut [u8]| {
+            at += to.len();
+            read(to, at - to.len())
+        };
+        fill(cast_slice_mut(&mut counts))?;
+        let [v, p, c, _] = counts.map(|n| u64::from(u32::from_le(n)));
+        if size as u64 != 16 + 24 * v + 44 * p + 4 * c {
+            return Err(wrong());
+        }
+        // Memory that comes zeroed is not touched before it is read into.
+        let mut parts = Self {
+            counts,
+            positions: vec![[0.0; 3]; v as usize],
+            planes: vec![[0.0; 4]; p as usize],
+            records: vec![[0; 3]; p as usize],
+            corners: vec![0; c as usize],
+        };
+        fill(cast_slice_mut(&mut parts.positions))?;
+        fill(cast_slice_mut(&mut parts.planes))?;
+        fill(cast_slice_mut(&mut parts.records))?;
+        fill(cast_slice_mut(&mut parts.corners))?;
+        Ok(parts)
     }
-    let (positions, rest) = bytes[16..].split_at(24 * v as usize);
-    let (planes, rest) = rest.split_at(32 * p as usize);
-    let (records, corners) = rest.split_at(12 * p as usize);
-    let float = |eight: &[u8; 8]| f64::from_le_bytes(*eight);
-    let numbers = |bytes: &[u8; 24]| [0, 1, 2].map(|i| float(&bytes.as_chunks::<8>().0[i]));
-    let vertices = positions.as_chunks::<24>().0.iter().map(|p| DVec3::from_array(numbers(p)).as_vec3()).collect();
-    let plane = |bytes: &[u8; 32]| {
-        let [x, y, z, offset] = [0, 1, 2, 3].map(|i| float(&bytes.as_chunks::<8>().0[i]));
-        Plane { normal: DVec3::new(x, y, z), offset }
-    };
-    let planes = planes.as_chunks::<32>().0.iter().map(plane).collect();
-    let corners: Vec<u32> = corners.as_chunks::<4>().0.iter().map(word).collect();
-    let mut first_corner = 0;
-    let mut all = Vec::with_capacity(p as usize);
-    for record in records.as_chunks::<12>().0 {
-        let (three, _) = record.as_chunks::<4>();
-        let (count, material, source) = (word(&three[0]), word(&three[1]), word(&three[2]));
-        let corner_count = u8::try_from(count).map_err(|_| wrong())?;
-        let material = u16::try_from(material).ok().filter(|m| usize::from(*m) < materials).ok_or_else(wrong)?;
-        all.push(PolygonRecord { first_corner, source, material, corner_count });
-        first_corner = first_corner.checked_add(count).ok_or_else(wrong)?;
+
+    /// How many polygons there are.
+    pub fn polygons(&self) -> usize {
+        self.records.len()
     }
-    let order = if spatial == 1 { PolygonOrder::Spatial } else { PolygonOrder::Given };
-    Mesh::restored(name.to_owned(), vertices, corners, all, Some(planes), order)
-        .map_err(|e| e.at(format!("mesh {name:?}")))
+
+    /// The bytes of the blob, piece by piece.
+    pub fn bytes(&self) -> [&[u8]; 5] {
+        let Self { counts, positions, planes, records, corners } = self;
+        [cast_slice(counts), cast_slice(positions), cast_slice(planes), cast_slice(records), cast_slice(corners)]
+    }
+
+    /// The mesh; the extents of its polygons are told to `visit`. Whether its materials are there is not looked at.
+    pub fn into_mesh(mut self, name: &str, visit: impl FnMut(usize, (Vec3, Vec3))) -> Result<Mesh> {
+        from_le(&mut self.counts, u32::from_le);
+        from_le(self.positions.as_flattened_mut(), |x| f64::from_bits(u64::from_le(x.to_bits())));
+        from_le(self.planes.as_flattened_mut(), |x| f64::from_bits(u64::from_le(x.to_bits())));
+        from_le(self.records.as_flattened_mut(), u32::from_le);
+        from_le(&mut self.corners, u32::from_le);
+        let vertices = self.positions.iter().map(|p| DVec3::from_array(*p).as_vec3()).collect();
+        let (mut first_corner, mut fits) = (0u32, true);
+        let record = |&[count, material, source]: &[u32; 3]| {
+            fits &= count <= u32::from(u8::MAX) && material <= u32::from(u16::MAX);
+            let record = PolygonRecord { first_corner, source, material: material as u16, corner_count: count as u8 };
+            first_corner = first_corner.wrapping_add(count);
+            record
+        };
+        let polygons = self.records.iter().map(record).collect();
+        if !fits {
+            return Err(damaged("a polygon has more corners or materials than there can be"));
+        }
+        let planes: Vec<Plane> = bytemuck::allocation::cast_vec(self.planes);
+        let order = if self.counts[3] == 1 { PolygonOrder::Spatial } else { PolygonOrder::Given };
+        Mesh::restored(name.to_owned(), vertices, self.corners, polygons, Some(planes), order, visit)
+    }
+}
+
+/// Numbers as this machine has them; where it is little-endian, nothing is left of it.
+fn from_le<T: Pod>(numbers: &mut [T], native: impl Fn(T) -> T) {
+    numbers.iter_mut().for_each(|x| *x = native(*x));
 }

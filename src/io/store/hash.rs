@@ -1,8 +1,8 @@
 //! Hashes of rows, of all rows together, and of the log.
 //!
 //! The hash of a row is BLAKE3 of the table's name and each column but the hash itself: one byte for its type (0 null,
-//! 1 integer, 2 real, 3 text, 4 blob), for text and blob the length as u64, then the value, little-endian. Of a mesh's
-//! blob its own BLAKE3 hash stands in its place. The digest of all rows is the sum of their hashes, each taken as four
+//! 1 integer, 2 real, 3 text, 4 blob), for text and blob the length as u64, then the value, little-endian. In place of a
+//! mesh's blob stands its XXH3 of 128 bits, least byte first (before format 4: its BLAKE3), which takes a fifth of the time. The digest of all rows is the sum of their hashes, each taken as four
 //! u64, without carries: it follows each change by a subtraction and an addition, whatever the order of rows.
 
 /// BLAKE3.
@@ -83,6 +83,13 @@ impl Digest {
         digest.add(bytes);
         digest
     }
+}
+
+/// The XXH3 of a mesh's blob, in pieces.
+pub(super) fn of_content(pieces: &[&[u8]]) -> u128 {
+    let mut hasher = twox_hash::XxHash3_128::new();
+    pieces.iter().for_each(|piece| hasher.write(piece));
+    hasher.finish_128()
 }
 
 /// As people read it.

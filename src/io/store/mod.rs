@@ -26,6 +26,7 @@ mod hash;
 mod ids;
 mod log;
 mod merge;
+mod meshes;
 mod op;
 mod read;
 mod rows;
@@ -45,7 +46,7 @@ use crate::io::layer::LayerFile;
 use crate::world::World;
 use rows::Meta;
 use rusqlite::Connection;
-use schema::{Access, connect, refusal};
+use schema::{Access, check_identity, connect, refusal};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
@@ -88,7 +89,8 @@ pub struct Store {
 #[derive(Default)]
 struct Meshes {
     next: i64,
-    by_content: HashMap<(String, [u8; 32]), i64>,
+    /// By name and hash of the blob.
+    by_content: HashMap<(String, u128), i64>,
     by_number: HashMap<i64, Weak<Mesh>>,
     by_pointer: HashMap<usize, i64>,
 }
@@ -108,7 +110,7 @@ impl Meshes {
 
     /// The number of a mesh that is stored, seen before or equal to one that was.
     fn stored(&self, mesh: &Arc<Mesh>) -> Option<i64> {
-        let equal = || (mesh.name().to_owned(), *blake3::hash(&blob::encode(mesh)).as_bytes());
+        let equal = || (mesh.name().to_owned(), hash::of_content(&[&blob::encode(mesh)]));
         self.known(mesh).or_else(|| self.by_content.get(&equal()).copied())
     }
 }
@@ -120,7 +122,7 @@ impl Meshes {
 /// version, [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
+    in_one_version(&connection, path, |c, format| read::load(c, path, format, false)).map(|loaded| loaded.environment)
 }
 
 /// [`World::with_index`] of what [`read`] reads, sooner: meshes are indexed while others are read.
@@ -130,7 +132,7 @@ pub fn read(path: &Path) -> Result<Environment> {
 pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> {
     let connection = connect(path, Access::Read)?;
     let with_trees = scheme == Scheme::TwoLevel;
-    let loaded = in_one_version(&connection, path, |c| read::load(c, path, with_trees))?;
+    let loaded = in_one_version(&connection, path, |c, format| read::load(c, path, format, with_trees))?;
     let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &loaded.trees);
     Ok(World::of(index, loaded.environment))
 }
@@ -156,8 +158,8 @@ pub struct Info {
 /// As [`read`].
 pub fn info(path: &Path) -> Result<Info> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| {
-        let read::Loaded { environment, meta, .. } = read::load(c, path, false)?;
+    in_one_version(&connection, path, |c, format| {
+        let read::Loaded { environment, meta, .. } = read::load(c, path, format, false)?;
         log::walk(c, path, &meta, |_| Ok(()))?;
         let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
         Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
@@ -170,7 +172,7 @@ pub fn info(path: &Path) -> Result<Info> {
 /// As [`read`], and those of `visit`.
 pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
+    in_one_version(&connection, path, |c, _| log::walk(c, path, &Meta::read(c, path)?, visit))
 }
 
 /// Proves all that is stored, and SQLite's own structures.
@@ -189,11 +191,16 @@ pub fn check(path: &Path) -> Result<Info> {
     Ok(found)
 }
 
-/// Runs `read` in one transaction: all it sees is of one version.
-fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
+/// Runs `read`, which is told the store's format, in one transaction: all it sees is of one version.
+fn in_one_version<T>(
+    connection: &Connection,
+    path: &Path,
+    read: impl FnOnce(&Connection, i32) -> Result<T>,
+) -> Result<T> {
     let wrap = |e| refusal(path, "read the store", e);
     let transaction = connection.unchecked_transaction().map_err(wrap)?;
-    let answer = read(&transaction)?;
+    let format = check_identity(&transaction, path)?;
+    let answer = read(&transaction, format)?;
     transaction.commit().map_err(wrap)?;
     Ok(answer)
 }
@@ -207,7 +214,9 @@ impl Store {
         let connection = connect(path, Access::Write)?;
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
-        let loaded = read::load(&connection, path, false)?;
+        // Another writer may have been here since.
+        let format = check_identity(&connection, path)?;
+        let loaded = read::load(&connection, path, format, false)?;
         let mut ids = HashMap::new();
         log::walk(&connection, path, &loaded.meta, |entry| {
             ids.extend(entry.id.map(|id| (id, entry.number)));

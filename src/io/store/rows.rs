@@ -68,6 +68,24 @@ impl Meta {
             None => Err(damaged("table meta is not what was written").in_file(path)),
         }
     }
+
+    /// Writes it, in the caller's transaction.
+    pub fn write(&self, connection: &Connection) -> rusqlite::Result<()> {
+        let sql = "INSERT OR REPLACE INTO meta VALUES(1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
+        let (digest, hash) = (self.digest.to_bytes(), self.hash());
+        let standing = rusqlite::params![
+            self.created,
+            self.cause,
+            self.genesis,
+            self.next_object,
+            self.next_slot,
+            self.changes,
+            self.head,
+            digest,
+            hash
+        ];
+        connection.prepare_cached(sql)?.execute(standing).map(drop)
+    }
 }
 
 /// A pose as a row has it: x, y, z, qx, qy, qz, qw.
@@ -119,8 +137,8 @@ pub(super) fn group_hash(path: &str, pose: &str) -> Hash {
     of_row(b"groups", &[Field::Text(path), Field::Text(pose)])
 }
 
-/// The hash of a mesh's row; `content` is that of its blob.
-pub(super) fn mesh_hash(number: i64, name: &str, vertices: i64, polygons: i64, content: &Hash) -> Hash {
+/// The hash of a mesh's row; `content` is that of its blob, its bytes as the format has them.
+pub(super) fn mesh_hash(number: i64, name: &str, (vertices, polygons): (i64, i64), content: &[u8]) -> Hash {
     let fields = [
         Field::Integer(number),
         Field::Text(name),

@@ -9,7 +9,7 @@ use std::time::Duration;
 pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
 /// The version that this build writes, and the newest that it reads. Readers take older ones as they are; a writer makes
 /// this one of them first.
-pub(super) const FORMAT: i32 = 3;
+pub(super) const FORMAT: i32 = 4;
 /// How long another program's commit is waited for.
 const PATIENCE: Duration = Duration::from_secs(3);
 
@@ -86,7 +86,7 @@ pub(super) enum Access {
     Write,
 }
 
-/// Opens a store, proven to be one of a version that is read.
+/// Opens a store; for writing one that is proven to be of a version that is read, and made one of [`FORMAT`].
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
     if !metadata.is_file() {
@@ -99,10 +99,10 @@ pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     connection.set_prepared_statement_cache_capacity(64);
     // Nothing in the file is run as a program.
     connection.execute_batch("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON;").map_err(wrap)?;
-    let version = check_identity(&connection, path)?;
     match access {
         Access::Read => connection.execute_batch("PRAGMA query_only = ON").map_err(wrap)?,
         Access::Write => {
+            let version = check_identity(&connection, path)?;
             make_durable(&connection, path)?;
             if version != FORMAT {
                 migrate(&connection, path)?;
@@ -112,7 +112,7 @@ pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     Ok(connection)
 }
 
-fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name: &str) -> rusqlite::Result<T> {
+pub(super) fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name: &str) -> rusqlite::Result<T> {
     connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
 }
 
@@ -122,7 +122,7 @@ pub(super) fn version(connection: &Connection, path: &Path) -> Result<i32> {
 }
 
 /// Its version, if it is a store of one that is read.
-fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
+pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
     let wrap = |e| refusal(path, "open the store", e);
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
     if application != APPLICATION_ID {
@@ -174,6 +174,8 @@ fn migrate(connection: &Connection, path: &Path) -> Result<()> {
     }
     if from < FORMAT {
         connection.execute_batch(&format!("{sql} PRAGMA user_version = {FORMAT};")).map_err(wrap)?;
+        // Before format 4 contents were proven by BLAKE3.
+        super::meshes::prove_anew(connection, path)?;
     }
     connection.execute_batch("COMMIT").map_err(wrap)
 }

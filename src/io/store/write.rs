@@ -1,16 +1,16 @@
 //! Changes on their way to the disk.
 
 use super::context::Context;
-use super::hash::Hash;
+use super::hash::{Hash, of_content};
 use super::log::LogEntry;
 use super::op::{Key, Op, Touched};
 use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
 };
-use super::schema::refusal;
+use super::schema::{refusal, version};
 use super::unique::Unique;
-use super::{Store, blob, ids, read};
+use super::{Store, blob, ids, meshes, read};
 use crate::change::Change;
 use crate::environment::{Environment, Mesh};
 use crate::error::{Error, Result};
@@ -199,7 +199,7 @@ impl<'a> Batch<'a> {
         let materials = environment.materials().len();
         let mut mesh = |number: i64| match store.meshes.by_number.get(&number).and_then(std::sync::Weak::upgrade) {
             Some(mesh) => Ok(mesh),
-            None => read::mesh(&store.connection, &store.path, number, materials),
+            None => meshes::read(&store.connection, &store.path, number, materials),
         };
         let op: Op = super::rows::from_json(text)?;
         Context::new(environment, None, &mut mesh).change(op)
@@ -317,14 +317,14 @@ impl Store {
             return Ok(number);
         }
         let bytes = blob::encode(mesh);
-        let content = *blake3::hash(&bytes).as_bytes();
+        let content = of_content(&[&bytes]);
         let key = (mesh.name().to_owned(), content);
         let number = match self.meshes.by_content.get(&key) {
             Some(number) => *number,
             None => {
                 let number = self.meshes.next;
-                let (vertices, polygons) = (mesh.vertices().len() as i64, mesh.polygon_count() as i64);
-                let hash = mesh_hash(number, mesh.name(), vertices, polygons, &content);
+                let counts @ (vertices, polygons) = (mesh.vertices().len() as i64, mesh.polygon_count() as i64);
+                let hash = mesh_hash(number, mesh.name(), counts, &content.to_le_bytes());
                 let sql = "INSERT INTO meshes VALUES(?1, ?2, ?3, ?4, ?5, ?6)";
                 self.run(sql, params![number, mesh.name(), vertices, polygons, hash, bytes])?;
                 self.meta.digest.add(&hash);
@@ -452,12 +452,7 @@ impl Store {
     }
 
     pub(super) fn write_meta(&self) -> Result<()> {
-        let m = &self.meta;
-        let sql = "INSERT OR REPLACE INTO meta VALUES(1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
-        let (digest, hash) = (m.digest.to_bytes(), m.hash());
-        let values =
-            params![m.created, m.cause, m.genesis, m.next_object, m.next_slot, m.changes, m.head, digest, hash];
-        self.run(sql, values)
+        self.meta.write(&self.connection).map_err(|e| refusal(&self.path, "write to the store", e))
     }
 
     /// Commits, and takes the write lock again.
@@ -480,7 +475,8 @@ impl Store {
         self.locked = false;
         let locked =
             self.connection.execute_batch("BEGIN IMMEDIATE").is_ok() || self.connection.execute_batch("BEGIN").is_ok();
-        let loaded = read::load(&self.connection, &self.path, false);
+        let loaded = version(&self.connection, &self.path)
+            .and_then(|format| read::load(&self.connection, &self.path, format, false));
         let _ = self.connection.execute_batch("ROLLBACK");
         match loaded {
             Ok(loaded) if locked => Some(self.take_in(loaded)),

@@ -1,0 +1,79 @@
+//! Opening the stored hospital as a command does, once in a process, beside what it cannot do without: reading the
+//! file's bytes, and building the index. Processes take turns; each measures one of the three, its threads started before.
+//! In a loop, where caches and memory stay warm, `store` measures the same.
+#![expect(clippy::print_stdout, reason = "its figures are what it is for")]
+
+use presight::index::{Params, Scheme, WorldIndex};
+use presight::io::store::{self, Note};
+use std::error::Error;
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+const TURNS: usize = 60;
+const MODES: [&str; 3] = ["bytes", "index", "open"];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().collect();
+    if let [_, child, mode, path] = &arguments[..]
+        && child == "--child"
+    {
+        println!("{}", once(mode, Path::new(path))?);
+        return Ok(());
+    }
+    let root = std::env::var_os("PRESIGHT_DATA")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let scene = root.join("env/hospital.glb");
+    if !scene.exists() {
+        println!("skipped: there is no {}", scene.display());
+        return Ok(());
+    }
+    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR"))?;
+    let path = folder.path().join("hospital.presight");
+    let environment = presight::io::gltf::import(scene, &Default::default())?.environment;
+    store::create(&path, &environment, &Note::new("bench", 0.0))?;
+    let mut times = MODES.map(|_| Vec::with_capacity(TURNS));
+    for _ in 0..TURNS {
+        for (mode, times) in MODES.iter().zip(&mut times) {
+            let output = Command::new(std::env::current_exe()?).args(["--child", mode]).arg(&path).output()?;
+            if !output.status.success() {
+                return Err(String::from_utf8_lossy(&output.stderr).into_owned().into());
+            }
+            times.push(String::from_utf8(output.stdout)?.trim().parse::<f64>()?);
+        }
+    }
+    let medians = times.map(|mut times| {
+        times.sort_by(f64::total_cmp);
+        (times[TURNS / 4], times[TURNS / 2], times[3 * TURNS / 4])
+    });
+    for (mode, (low, median, high)) in MODES.iter().zip(medians) {
+        println!("{mode}: median {median:.2} ms, quartiles {low:.2} and {high:.2}");
+    }
+    let [bytes, index, open] = medians.map(|m| m.1);
+    println!("open / (bytes + index): {:.2}", open / (bytes + index));
+    Ok(())
+}
+
+/// Milliseconds of one of the three.
+fn once(mode: &str, path: &Path) -> Result<f64, Box<dyn Error>> {
+    rayon::broadcast(|_| ());
+    let (scheme, params) = (Scheme::default(), Params::tuned(Scheme::default()));
+    match mode {
+        "bytes" => timed(|| Ok(std::fs::read(path)?)),
+        "index" => {
+            let environment = store::read(path)?;
+            timed(|| Ok(WorldIndex::new(&environment, scheme, params)))
+        }
+        _ => timed(|| Ok(store::read_world(path, scheme, params)?)),
+    }
+}
+
+/// Without the time to drop what was made.
+fn timed<T>(make: impl FnOnce() -> Result<T, Box<dyn Error>>) -> Result<f64, Box<dyn Error>> {
+    let start = Instant::now();
+    let made = black_box(make()?);
+    let time = start.elapsed();
+    drop(made);
+    Ok(1e3 * time.as_secs_f64())
+}
