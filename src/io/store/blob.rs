@@ -123,3 +123,95 @@ impl Parts {
 fn from_le<T: Pod>(numbers: &mut [T], native: impl Fn(T) -> T) {
     numbers.iter_mut().for_each(|x| *x = native(*x));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::Polygon;
+    use crate::index::{MeshTree, PolygonBoxes};
+    use proptest::prelude::*;
+
+    /// Quads and triangles in two materials.
+    fn sheet(order: PolygonOrder) -> Mesh {
+        let side = 9u32;
+        let vertices = (0..side * side).map(|i| Vec3::new((i % side) as f32, (i / side) as f32, 0.25)).collect();
+        let places = (0..side * (side - 1)).filter(|i| i % side + 1 < side);
+        let polygon = |a: u32| {
+            let corners = if a % 2 == 0 { vec![a, a + 1, a + side + 1, a + side] } else { vec![a, a + 1, a + side] };
+            Polygon { corners, material: (a / 30) as u16, source: a }
+        };
+        Mesh::new("sheet", vertices, places.map(polygon).collect(), order).unwrap()
+    }
+
+    fn parts(bytes: &[u8]) -> Result<Parts> {
+        Parts::read(bytes.len(), |to, at| {
+            to.copy_from_slice(&bytes[at..at + to.len()]);
+            Ok(())
+        })
+    }
+
+    #[test]
+    fn meshes_come_back() {
+        for order in [PolygonOrder::Spatial, PolygonOrder::Given] {
+            let mesh = sheet(order);
+            let bytes = encode(&mesh);
+            let parts = parts(&bytes).unwrap();
+            assert_eq!(parts.bytes().concat(), bytes);
+            let again = parts.into_mesh("sheet", |_, _| ()).unwrap();
+            assert_eq!(encode(&again), bytes);
+            assert_eq!((again.clusters(), again.bounds()), (mesh.clusters(), mesh.bounds()));
+            assert_eq!((again.planes(), again.materials()), (mesh.planes(), mesh.materials()));
+        }
+    }
+
+    #[test]
+    fn each_word_that_cannot_be_is_refused() {
+        let bytes = encode(&sheet(PolygonOrder::Given));
+        let [v, p] = [81, 64];
+        let records = 16 + 24 * v + 32 * p;
+        let with = |at: usize, word: u32| {
+            let mut bytes = bytes.clone();
+            bytes[at..at + 4].copy_from_slice(&word.to_le_bytes());
+            parts(&bytes).and_then(|parts| parts.into_mesh("sheet", |_, _| ())).map(drop)
+        };
+        assert!(with(16 + 24 * v + 36, 0).is_ok(), "the last bits of a plane");
+        for (at, word, what) in [
+            (0, v as u32 + 1, "vertices"),
+            (4, p as u32 - 1, "polygons"),
+            (8, 7, "corners"),
+            (16 + 4, 0x7ff0_0000, "infinity"),
+            (16 + 24 * v + 32 + 20, 0x7ff8_0000, "a normal that is none"),
+            (records, 2, "two corners"),
+            (records + 12, 200, "more corners than there may be"),
+            (records, 300, "more than can be kept"),
+            (records + 12, 5, "the next polygon's corners, and none left for the last"),
+            (records + 4, 1 << 16, "a material that can't be"),
+            (records + 12 * p + 40, v as u32, "a vertex that is not there"),
+        ] {
+            assert!(with(at, word).is_err(), "{what}");
+        }
+        assert!(parts(&bytes[..bytes.len() - 1]).is_err() && parts(&bytes[..15]).is_err() && parts(&[]).is_err());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        /// Whatever the words are, there is a sound mesh or an error.
+        #[test]
+        fn changed_words_make_no_unsound_mesh(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), prop_oneof![0..90u32, any::<u32>()]), 0..4),
+        ) {
+            let mut bytes = encode(&sheet(PolygonOrder::Spatial));
+            for (at, word) in changes {
+                let at = 4 * at.index(bytes.len() / 4);
+                bytes[at..at + 4].copy_from_slice(&word.to_le_bytes());
+            }
+            let Ok(parts) = parts(&bytes) else { return Ok(()) };
+            let mut boxes = PolygonBoxes::new(parts.polygons());
+            if let Ok(mesh) = parts.into_mesh("sheet", |i, extent| boxes.set(i, extent)) {
+                MeshTree::with_boxes(&mesh, boxes).assert_well_formed(&mesh);
+                prop_assert!((0..mesh.polygon_count() as u32).all(|i| mesh.corners_of(i).all(|p| p.is_finite())));
+            }
+        }
+    }
+}
