@@ -137,7 +137,8 @@ mod tests {
         let vertices = (0..side * side).map(|i| Vec3::new((i % side) as f32, (i / side) as f32, 0.25)).collect();
         let places = (0..side * (side - 1)).filter(|i| i % side + 1 < side);
         let polygon = |a: u32| {
-            let corners = if a % 2 == 0 { vec![a, a + 1, a + side + 1, a + side] } else { vec![a, a + 1, a + side] };
+            let corners =
+                if a.is_multiple_of(2) { vec![a, a + 1, a + side + 1, a + side] } else { vec![a, a + 1, a + side] };
             Polygon { corners, material: (a / 30) as u16, source: a }
         };
         Mesh::new("sheet", vertices, places.map(polygon).collect(), order).unwrap()
