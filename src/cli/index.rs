@@ -1,7 +1,7 @@
 //! `presight index`: what the spatial indexes cost and how well they select.
 
 use super::{Verdict, folder, load, print};
-use crate::error::{ErrorKind, Result};
+use crate::error::Result;
 use crate::free_poses::free_poses;
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme};
@@ -16,7 +16,7 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   presight index hall.glb
-  presight index hall.glb --out study                  index.csv and index.svg besides
+  presight index hall.glb --out study                  index.csv besides
   presight index hall.glb --sweep --sensor vlp-16 --out study";
 
 /// Measure the spatial indexes: build time, memory, access time, selectivity, whole predictions
@@ -29,7 +29,7 @@ pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
-    /// Write index.csv and a plot, index.svg, into this folder
+    /// Write index.csv into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
@@ -105,12 +105,6 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if let Some(folder) = &args.out {
         let csv = index_study::to_csv(&rows, count, seed);
         write_atomically(&folder.join("index.csv"), |file| file.write_all(csv.as_bytes()))?;
-        let title = format!("{}: {count} poses", args.scene.display());
-        match index_study::to_svg(&rows, &title) {
-            Ok(svg) => write_atomically(&folder.join("index.svg"), |file| file.write_all(svg.as_bytes()))?,
-            Err(e) if e.kind() == ErrorKind::Unsupported => print::message(&format!("note: no index.svg: {e}")),
-            Err(e) => return Err(e),
-        }
     }
     Ok(Verdict::Done)
 }

@@ -43,7 +43,7 @@ pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Sce
     Ok(Scene {
         path: path.to_owned(),
         world: World::with_index(imported.environment, scheme, Params::tuned(scheme)),
-        world_from_gltf: world_from_scene.then(&z_up_from_y_up),
+        world_from_gltf: world_from_scene * z_up_from_y_up,
         report: imported.report,
     })
 }

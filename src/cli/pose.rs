@@ -88,13 +88,13 @@ impl GivenPose {
         let mut pose = self.pose;
         if self.frame == PoseFrame::Optical {
             let optical_from_body = body_from_optical_rotation().conjugate();
-            pose = pose.then(&Pose { rotation: optical_from_body, translation: DVec3::ZERO });
+            pose = pose * Pose { rotation: optical_from_body, translation: DVec3::ZERO };
         }
         if self.of == PoseOf::Robot {
-            pose = pose.then(&sensor.mount);
+            pose = pose * sensor.mount;
         }
         if self.world == WorldFrame::Gltf {
-            pose = world_from_gltf.then(&pose);
+            pose = *world_from_gltf * pose;
         }
         pose
     }

@@ -4,6 +4,7 @@ use super::trig;
 use crate::error::{Error, Result};
 use crate::limits;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
+use std::ops::Mul;
 
 /// A rigid transform `a_from_b`: rotation, then translation in metres.
 ///
@@ -75,15 +76,6 @@ impl Pose {
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// `a_from_c` of `a_from_b` and `b_from_c`.
-    #[must_use]
-    pub fn then(&self, b_from_c: &Self) -> Self {
-        Self {
-            rotation: (self.rotation * b_from_c.rotation).normalize(),
-            translation: self.transform_point(b_from_c.translation),
-        }
-    }
-
     /// The point in frame a of a point in frame b.
     pub fn transform_point(&self, p_in_b: DVec3) -> DVec3 {
         self.rotation * p_in_b + self.translation
@@ -108,6 +100,27 @@ impl Pose {
             return (0.0, pitch, (-m.y_axis.x).atan2(m.y_axis.y));
         }
         (m.y_axis.z.atan2(m.z_axis.z), pitch, m.x_axis.y.atan2(m.x_axis.x))
+    }
+}
+
+/// Composition: `a_from_c = a_from_b * b_from_c`, as glam composes transforms. The rotation stays of unit length.
+///
+/// ```
+/// use presight::Pose;
+/// use glam::DVec3;
+/// let world_from_robot = Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 90f64.to_radians());
+/// let robot_from_sensor = Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 0.0);
+/// let world_from_sensor = world_from_robot * robot_from_sensor;
+/// assert!((world_from_sensor.translation - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-15);
+/// ```
+impl Mul for Pose {
+    type Output = Self;
+
+    fn mul(self, b_from_c: Self) -> Self {
+        Self {
+            rotation: (self.rotation * b_from_c.rotation).normalize(),
+            translation: self.transform_point(b_from_c.translation),
+        }
     }
 }
 

@@ -1,8 +1,8 @@
 //! What the two cell schemes share: boxes by id, and filtering a cell.
 
+use super::Found;
 use super::boxes::{Box32, Boxes8, LANES, Shift};
 use super::shapes::Shape;
-use super::{Found, NodeView};
 use crate::geometry::Aabb;
 use glam::DVec3;
 
@@ -80,32 +80,5 @@ impl Boxes {
 
     pub fn bytes(&self) -> usize {
         self.by_id.capacity() * size_of::<Box32>()
-    }
-}
-
-/// Cells that meet a shape, in the order of their distance.
-pub(super) struct NearCells<'a, 'v> {
-    pub boxes: &'a Boxes,
-    pub shift: Shift,
-    /// Box and ids of each cell that may meet it.
-    pub cells: Vec<(Box32, &'a [u32])>,
-    pub visit: &'v mut dyn FnMut(NodeView<'_>) -> bool,
-}
-
-impl super::region::Visit for NearCells<'_, '_> {
-    type Out = ();
-
-    fn visit<S: Shape>(self, shape: &S) {
-        let mut near: Vec<(f64, Box32, &[u32])> = Vec::with_capacity(self.cells.len());
-        for (b, ids) in self.cells {
-            let here = self.shift.apply(&b);
-            if !ids.is_empty() && shape.meets(&here) {
-                near.push((here.distance_squared(DVec3::ZERO).sqrt(), b, ids));
-            }
-        }
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (distance, b, ids) in near {
-            (self.visit)(NodeView { bounds: b.in_world(self.boxes.origin), distance, ids });
-        }
     }
 }

@@ -1,9 +1,9 @@
 //! Uniform grid: equal square cells over x and y, a polygon in every cell it overlaps (paper section 2.2).
 
 use super::boxes::{Box32, Shift};
-use super::cells::{Boxes, NearCells};
+use super::cells::Boxes;
 use super::shapes::Shape;
-use super::{Found, NodeView, Params, Region, SpatialIndex, Walk, ask};
+use super::{Found, Params, Region, SpatialIndex, Walk, ask};
 use crate::geometry::Aabb;
 
 /// A uniform grid.
@@ -236,16 +236,6 @@ impl SpatialIndex for Grid {
 
     fn query(&self, region: &Region, found: &mut Found) {
         ask(self, region, found);
-    }
-
-    fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
-        let mut cells = vec![(self.boxes.reach, self.wide.as_slice())];
-        if let Some([(x0, x1), (y0, y1)]) = self.window(region) {
-            for (x, y) in (y0..=y1).flat_map(|y| (x0..=x1).map(move |x| (x, y))) {
-                cells.push((self.cell_box(x, y), &self.cells[y * self.size[0] + x]));
-            }
-        }
-        region.with(NearCells { boxes: &self.boxes, shift: self.shift(region), cells, visit });
     }
 
     fn bytes(&self) -> usize {

@@ -167,17 +167,6 @@ impl Found {
     }
 }
 
-/// A node on a walk from near to far.
-#[derive(Clone, Copy, Debug)]
-pub struct NodeView<'a> {
-    /// Holds all of the node, world.
-    pub bounds: Aabb,
-    /// Lower bound of the distance from the region's origin, metres.
-    pub distance: f64,
-    /// What a leaf holds; empty for inner nodes.
-    pub ids: &'a [u32],
-}
-
 /// An index over ids (slots of polygons, or objects) with boxes in the world. Boxes are kept in f32, rounded outward.
 pub trait SpatialIndex: std::fmt::Debug + Send + Sync {
     /// Ids held.
@@ -199,9 +188,6 @@ pub trait SpatialIndex: std::fmt::Debug + Send + Sync {
 
     /// Appends to `found` every id whose box meets the region, and hardly any other.
     fn query(&self, region: &Region, found: &mut Found);
-
-    /// Visits nodes that meet the region, nearest first; `visit` says whether to go on into the node.
-    fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool);
 
     /// Memory in bytes.
     fn bytes(&self) -> usize;

@@ -3,9 +3,9 @@
 //! its centroid's slices, and each slice keeps how far its ids extend.
 
 use super::boxes::{Box32, Shift};
-use super::cells::{Boxes, NearCells};
+use super::cells::Boxes;
 use super::shapes::Shape;
-use super::{Found, NodeView, Params, Region, SpatialIndex, Walk, ask};
+use super::{Found, Params, Region, SpatialIndex, Walk, ask};
 use crate::geometry::Aabb;
 
 /// A PLOP hash table over x and y.
@@ -250,13 +250,6 @@ impl SpatialIndex for Plop {
 
     fn query(&self, region: &Region, found: &mut Found) {
         ask(self, region, found);
-    }
-
-    fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
-        let [xs, ys] = self.slices(region);
-        let cell = |x: &Slice, y: &Slice| (self.cell_box(x, y), self.columns[x.address][y.address].as_slice());
-        let cells = xs.iter().flat_map(|x| ys.iter().map(move |y| cell(x, y))).collect();
-        region.with(NearCells { boxes: &self.boxes, shift: self.shift(region), cells, visit });
     }
 
     fn bytes(&self) -> usize {

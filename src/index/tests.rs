@@ -208,27 +208,6 @@ proptest! {
             }
         }
     }
-
-    /// Nodes come nearest first, hold what they promise, and together all that a query finds.
-    #[test]
-    fn walks_come_nearest_first(boxes in boxes(), region in regions()) {
-        let far = boxes.first().map_or(0.0, |b| (b.min.x / 1e6).round() * 1e6);
-        let region = at(&region, far);
-        let items: Vec<(u32, Aabb)> = (0..).zip(boxes).collect();
-        for scheme in FLAT {
-            let index = build(scheme, Params::tuned(scheme), &items).unwrap();
-            let (mut last, mut seen) = (0.0, Vec::new());
-            index.nearest_first(&region, &mut |node| {
-                assert!(node.distance >= last, "{}: not nearest first", scheme.name());
-                last = node.distance;
-                seen.extend_from_slice(node.ids);
-                true
-            });
-            let mut found = Found::default();
-            index.query(&region, &mut found);
-            assert!(found.all().all(|id| seen.contains(&id)), "{}: the walk missed some", scheme.name());
-        }
-    }
 }
 
 proptest! {
@@ -345,9 +324,6 @@ fn a_lost_id_is_noticed() {
         }
         fn query(&self, region: &Region, found: &mut Found) {
             self.0.query(region, found);
-        }
-        fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
-            self.0.nearest_first(region, visit);
         }
         fn bytes(&self) -> usize {
             0

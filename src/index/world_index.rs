@@ -177,17 +177,6 @@ impl WorldIndex {
         }
     }
 
-    /// Visits polygons nearest first, node by node: `visit` gets the slots of a leaf, or none for an inner node, with
-    /// the node's box, and says whether to go on into the node. Schemes without nodes of polygons have none to visit;
-    /// in two levels the nodes are those of the objects.
-    pub fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(super::NodeView<'_>) -> bool) {
-        match &self.kind {
-            Kind::None => {}
-            Kind::Flat(index) => index.nearest_first(region, visit),
-            Kind::TwoLevel { objects, .. } => objects.nearest_first(region, visit),
-        }
-    }
-
     /// Memory in bytes, boxes included.
     pub fn bytes(&self) -> usize {
         match &self.kind {

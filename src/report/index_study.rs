@@ -202,24 +202,6 @@ pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
     text
 }
 
-/// A plot of access time, selectivity and prediction time, as SVG.
-///
-/// # Errors
-/// [`crate::ErrorKind::Unsupported`] in a build without the cargo feature `report`.
-pub fn to_svg(rows: &[Row], title: &str) -> Result<String> {
-    #[cfg(feature = "report")]
-    return super::plot::index_study(rows, title);
-    #[cfg(not(feature = "report"))]
-    {
-        let _ = (rows, title);
-        Err(Error::new(
-            crate::error::ErrorKind::Unsupported,
-            "this presight was built without plots",
-            "build it with the cargo feature `report`",
-        ))
-    }
-}
-
 /// Seconds of the fastest of some runs.
 fn fastest(repeats: usize, mut run: impl FnMut() -> Result<()>) -> Result<f64> {
     let mut best = f64::INFINITY;

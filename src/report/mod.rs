@@ -8,8 +8,6 @@ mod machine;
 #[cfg(feature = "report")]
 pub mod page;
 #[cfg(feature = "report")]
-mod plot;
-#[cfg(feature = "report")]
 pub mod stability;
 #[cfg(feature = "report")]
 pub mod work_precision;

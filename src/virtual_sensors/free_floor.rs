@@ -96,7 +96,7 @@ impl Floor {
 
 pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor> {
     let mut view = View::new(input, of_surfaces())?;
-    let world_from_robot = view.world_from_sensor.then(&view.robot_from_sensor.inverse());
+    let world_from_robot = view.world_from_sensor * view.robot_from_sensor.inverse();
     let floor_z_world = settings.floor_z_world.unwrap_or(world_from_robot.translation.z);
     let height = floor_z_world - view.world_from_sensor.translation.z;
     let floor = Floor { up: view.up, height, range_max: view.sensor.spec().range_max };

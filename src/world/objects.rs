@@ -44,7 +44,7 @@ impl World {
     /// Moves an object or a group, and what is below, by one rigid motion.
     pub(super) fn move_path(&mut self, path: &str, world_from_path: Pose) -> Result<Change> {
         let environment = &self.environment;
-        let new_from_old = world_from_path.then(&environment.frame_of(path)?.inverse());
+        let new_from_old = world_from_path * environment.frame_of(path)?.inverse();
         let is_object = environment.object(path).is_some();
         let mut objects: Vec<(String, Pose)> = Vec::new();
         let mut groups: Vec<(String, Pose)> = Vec::new();
@@ -52,10 +52,10 @@ impl World {
         if is_object { &mut objects } else { &mut groups }.push((path.to_owned(), world_from_path));
         for index in environment.below(path) {
             let below = &environment.objects()[index as usize];
-            objects.push((below.name.clone(), new_from_old.then(&below.world_from_object)));
+            objects.push((below.name.clone(), new_from_old * below.world_from_object));
         }
         let below = environment.groups_below(path);
-        groups.extend(below.map(|(path, pose)| (path.to_owned(), new_from_old.then(pose))));
+        groups.extend(below.map(|(path, pose)| (path.to_owned(), new_from_old * *pose)));
         for (kind, poses) in [("object", &objects), ("group", &groups)] {
             for (path, pose) in poses {
                 check_pose(pose).map_err(|e| e.at(format!("{kind} {path:?}")))?;

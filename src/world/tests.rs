@@ -63,7 +63,7 @@ fn what_is_below_moves_along_and_back_to_the_bit() {
     let to = Pose::from_xyz_rpy(DVec3::new(7.0, 1.0, 2.0), 0.3, 0.2, 1.1);
     let moved = there_and_back(&mut world, Change::MoveObject { name: "cart".into(), world_from_object: to });
     let pose = |world: &World, name: &str| world.environment().object(name).unwrap().world_from_object;
-    let wheel_in_cart = |w: &World| pose(w, "cart").inverse().then(&pose(w, "cart/wheel"));
+    let wheel_in_cart = |w: &World| pose(w, "cart").inverse() * pose(w, "cart/wheel");
     assert!((wheel_in_cart(&moved).translation - wheel_in_cart(&world).translation).length() < 1e-12);
     assert_eq!(pose(&moved, "cartridge"), pose(&world, "cartridge"));
     let alone = there_and_back(&mut world, Change::SetPose { name: "cart".into(), world_from_object: to });
@@ -88,7 +88,7 @@ fn pose_of(world: &World, path: &str) -> Pose {
 
 /// The pose of one path in the frame of another.
 fn relative(world: &World, path: &str, to: &str) -> Pose {
-    pose_of(world, to).inverse().then(&pose_of(world, path))
+    pose_of(world, to).inverse() * pose_of(world, path)
 }
 
 fn apart(a: &Pose, b: &Pose) -> f64 {

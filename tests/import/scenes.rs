@@ -114,10 +114,10 @@ fn paths_above_objects_move_what_is_below() {
         let change = presight::Change::MoveObject { name: path.clone(), world_from_object: to };
         let undo = world.apply(change).unwrap();
         assert_eq!(pose(&world, path), to);
-        let motion = to.then(&old.inverse());
+        let motion = to * old.inverse();
         for (a, b) in start.environment().objects().iter().zip(world.environment().objects()) {
             let below = a.name.strip_prefix(path.as_str()).is_some_and(|rest| rest.starts_with('/'));
-            let expected = if below { motion.then(&a.world_from_object) } else { a.world_from_object };
+            let expected = if below { motion * a.world_from_object } else { a.world_from_object };
             assert!((b.world_from_object.translation - expected.translation).length() < 1e-9, "{path}: {}", a.name);
         }
         world.apply(undo).unwrap();

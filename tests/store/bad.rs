@@ -209,48 +209,47 @@ fn a_store_is_not_written_over() {
     assert_eq!(e.kind(), ErrorKind::Invalid);
 }
 
-/// Each version, made when it was the newest: later ones must read it, and write on.
+/// Made when its format was new: later builds must read it, and write on.
 #[test]
-fn old_stores_are_read() {
-    for version in 1..=4 {
-        let old = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/store/version-{version}.presight"));
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("old.presight");
-        std::fs::copy(&old, &path).unwrap();
-        let info = store::check(&path).unwrap();
-        assert_eq!((info.changes, info.created, info.cause.as_str()), (5, 1.5, "test"));
-        assert_eq!(version_of(&path), version, "reading changes nothing");
-        let told = std::fs::read_to_string(old.with_extension("txt")).unwrap();
-        assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
-        let (mut store, environment) = Store::open(&path).unwrap();
-        assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
-        assert_eq!(version_of(&path), 4);
-        let mut world = presight::World::new(environment);
-        store.apply(&mut world, super::numbered(6).0, &super::note(6.0)).unwrap();
-        drop(store);
-        let after = store::check(&path).unwrap();
-        assert_eq!((after.changes, after.environment.content_hash()), (6, world.environment().content_hash()));
-        // What it did not know, it can keep from now on.
-        let (mut store, environment) = Store::open(&path).unwrap();
-        let mut world = presight::World::new(environment);
-        let note = Note { id: Some("first".into()), ..super::note(7.0) };
-        let frame =
-            presight::Change::SetGroup { name: "b/new".into(), world_from_group: Some(super::at(1.0, 2.0, 3.0)) };
-        store.apply(&mut world, frame, &note).unwrap();
-        let lid = presight::NewObject::new("b/new/lid", super::at(1.0, 2.0, 3.0), super::block("new", 0.5, [0; 6]));
-        store.apply(&mut world, presight::Change::InsertObject(lid), &super::note(8.0)).unwrap();
-        drop(store);
-        let groups = store::check(&path).unwrap().environment.groups().len();
-        assert_eq!(groups, if version < 3 { 1 } else { 3 });
+fn a_stored_environment_is_read_for_good() {
+    let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store/version-4.presight");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.presight");
+    std::fs::copy(&old, &path).unwrap();
+    let info = store::check(&path).unwrap();
+    assert_eq!((info.changes, info.created, info.cause.as_str()), (5, 1.5, "test"));
+    let told = std::fs::read_to_string(old.with_extension("txt")).unwrap();
+    assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
+    let (mut store, environment) = Store::open(&path).unwrap();
+    assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
+    let mut world = presight::World::new(environment);
+    store.apply(&mut world, super::numbered(6).0, &super::note(6.0)).unwrap();
+    drop(store);
+    let after = store::check(&path).unwrap();
+    assert_eq!((after.changes, after.environment.content_hash()), (6, world.environment().content_hash()));
+}
+
+/// Formats 1 to 3 are of versions before the first release.
+#[test]
+fn formats_that_are_no_longer_read_are_refused_with_a_remedy() {
+    for version in [1, 2, 3] {
+        let (_folder, path) = folder_with_store();
+        let connection = rusqlite::Connection::open(&path).unwrap();
+        connection.execute_batch(&format!("PRAGMA user_version = {version}")).unwrap();
+        drop(connection);
+        let before = std::fs::read(&path).unwrap();
+        for e in [store::read(&path).err(), store::check(&path).err(), Store::open(&path).err()] {
+            let e = e.unwrap();
+            assert_eq!((e.kind(), e.file()), (ErrorKind::Unsupported, Some(path.as_path())), "{e}");
+            let told = e.to_string();
+            assert!(told.contains(&format!("format {version}")) && e.remedy().contains("presight env create"), "{e}");
+            assert!(!told.contains('\n'));
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), before);
     }
 }
 
-fn version_of(path: &Path) -> i32 {
-    let connection = rusqlite::Connection::open(path).unwrap();
-    connection.query_row("PRAGMA user_version", [], |row| row.get(0)).unwrap()
-}
-
-/// Makes the files of the test above, once for each version: `PRESIGHT_BLESS_STORE=1`.
+/// Makes the file of the first test above, once for each version: `PRESIGHT_BLESS_STORE=1`.
 #[test]
 fn bless_a_version() {
     if std::env::var_os("PRESIGHT_BLESS_STORE").is_none() {

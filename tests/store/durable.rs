@@ -8,7 +8,7 @@
 use super::{create, note, numbered, presight, small};
 use presight::World;
 use presight::io::store::{self, Store};
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -257,54 +257,6 @@ fn what_was_acknowledged_survives_a_power_cut() {
         !lost_after_power_cuts(disk, &creations_synced).is_empty(),
         "a journal that comes back takes changes along"
     );
-}
-
-/// A store of an older version, brought to this one by the first that writes to it: at every moment it is of either, with
-/// the same content. Planted: a journal that is lost.
-#[test]
-fn a_migration_survives_a_power_cut() {
-    let Some(shim) = shim() else { return };
-    for version in [1, 2, 3] {
-        migrated_with_power_cuts(shim, version);
-    }
-}
-
-fn migrated_with_power_cuts(shim: &Path, version: u32) {
-    let outer = tempfile::tempdir().unwrap();
-    let folder = outer.path().join("disk");
-    std::fs::create_dir(&folder).unwrap();
-    let path = folder.join("env.presight");
-    let old = format!("tests/store/version-{version}.presight");
-    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(old), &path).unwrap();
-    let told = |path: &Path| {
-        let info = store::check(path)?;
-        Ok::<_, presight::Error>((info.environment.content_hash().to_string(), info.head, info.changes))
-    };
-    let before = told(&path).unwrap();
-    let mut disk = Disk::with(&path);
-    let mut command = presight();
-    command.args(["env", "apply"]).arg(&path).arg("-").stdin(Stdio::null()).stdout(Stdio::null());
-    let trace = traced(&mut command, shim, &folder);
-    assert!(command.status().unwrap().success());
-    let (mut cuts, mut lost, mut versions) = (0, 0, BTreeSet::new());
-    for event in &events(&trace) {
-        disk.see(event);
-        for all in [false, true] {
-            let (folder, without) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-            let path = disk.after_power_cut(all, folder.path());
-            let bytes = std::fs::read(&path).unwrap();
-            let alone = without.path().join("env.presight");
-            std::fs::write(&alone, &bytes).unwrap();
-            lost += usize::from(told(&alone).map_or(true, |now| now != before));
-            assert_eq!(told(&path).unwrap(), before, "cut {cuts}, all {all}");
-            let rolled_back = std::fs::read(&path).unwrap();
-            // SQLite's user_version.
-            versions.insert(u32::from_be_bytes(rolled_back[60..64].try_into().unwrap()));
-            cuts += 1;
-        }
-    }
-    assert!(cuts > 20 && versions == BTreeSet::from([version, 4]), "{cuts} cuts, versions {versions:?}");
-    assert!(lost > 0, "without its journal the store is whole at every moment");
 }
 
 #[test]

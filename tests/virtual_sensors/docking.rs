@@ -22,7 +22,7 @@ fn spatial() -> SensorSpec {
 
 fn docking(spec: &SensorSpec, features: Vec<Feature>) -> (Docking, Prediction) {
     let world = World::new(scenes::empty());
-    let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 0.4), 0.0, 0.0, 0.5).then(&spec.mount);
+    let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 0.4), 0.0, 0.0, 0.5) * spec.mount;
     let prediction = predict(&world, &Sensor::new(spec.clone()).unwrap(), &pose);
     let seen = seen(&world, &prediction, features);
     match of(VirtualSensor::Docking, world.environment(), &prediction, Some(&seen), &Settings::default()) {

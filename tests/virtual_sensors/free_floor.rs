@@ -127,7 +127,7 @@ fn outlines_hold_just_the_marked_pixels_with_any_lens() {
         spec.mount = Pose::from_xyz_rpy(DVec3::new(0.3, -0.1, 1.6), 0.05, 0.6, -0.2);
         let sensor = Sensor::new(spec).unwrap();
         let world_from_robot = Pose::from_xyz_rpy(DVec3::new(-1.0, 0.5, 0.0), 0.0, 0.0, 2.0);
-        let pose = world_from_robot.then(&sensor.spec().mount);
+        let pose = world_from_robot * sensor.spec().mount;
         let found = floor(&scene, &sensor, &pose, &Settings::default());
         assert!(found.pixels > 500, "{}", numbers(&found));
         let holds = |mask: &Mask| (footprints(mask, &sensor, &pose, 0.0) - found.area).abs() < 1e-9 * found.area;

@@ -58,7 +58,7 @@ fn a_pillar_cuts_the_wall_behind_it_and_lines_are_in_the_robots_frame() {
     let mut spec = radar(3600);
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.4, -0.3, 0.9), 0.0, 0.0, 0.7);
     let world_from_sensor = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.9), 0.0, 0.0, 0.3);
-    let world_from_robot = world_from_sensor.then(&spec.mount.inverse());
+    let world_from_robot = world_from_sensor * spec.mount.inverse();
     let (found, _) = lines(&room, spec, &world_from_sensor);
     let by_object = |name: &str| found.lines.iter().filter(|l| l.objects == [name.to_owned()]).collect::<Vec<_>>();
     let (walls, pillar) = (by_object("wall"), by_object("pillar"));
@@ -109,7 +109,7 @@ proptest! {
         let mut spec = radar(720);
         spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.1, 0.5), 0.1, -0.2, 1.0);
         let pose = Pose::from_xyz_rpy(DVec3::new(x, y, z), 0.03, -0.02, yaw);
-        let world_from_robot = pose.then(&spec.mount.inverse());
+        let world_from_robot = pose * spec.mount.inverse();
         let (mut found, prediction) = lines(&room, spec, &pose);
         let hits = prediction.images.range.iter().filter(|r| r.is_finite()).count();
         prop_assert_eq!(found.lines.iter().map(|l| l.beams as usize).sum::<usize>() + found.single_beams, hits);
@@ -257,7 +257,7 @@ fn landmarks_that_are_seen_are_placed() {
     let mut spec = radar(3600);
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.3, 0.0, 1.0), 0.0, 0.0, 1.0);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.0), 0.0, 0.0, 0.2);
-    let world_from_robot = pose.then(&spec.mount.inverse());
+    let world_from_robot = pose * spec.mount.inverse();
     let prediction = predict(&scene, &Sensor::new(spec).unwrap(), &pose);
     let open = DVec3::new(4.0, 2.0, 1.0);
     let features = seen(&scene, &prediction, vec![reflector(3, open), reflector(4, DVec3::new(4.0, 0.0, 1.0))]);

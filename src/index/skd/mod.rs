@@ -5,7 +5,7 @@ mod build;
 mod query;
 
 use super::boxes::{Box32, Boxes8, LANES};
-use super::{Found, NodeView, Params, Region, SpatialIndex, ask};
+use super::{Found, Params, Region, SpatialIndex, ask};
 use crate::geometry::Aabb;
 use glam::DVec3;
 
@@ -324,10 +324,6 @@ impl<const K: usize> SpatialIndex for Skd<K> {
 
     fn query(&self, region: &Region, found: &mut Found) {
         ask(self, region, found);
-    }
-
-    fn nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
-        self.walk_nearest_first(region, visit);
     }
 
     fn bytes(&self) -> usize {

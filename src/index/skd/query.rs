@@ -1,12 +1,9 @@
-//! Queries and walks through a tree.
+//! Queries of a tree.
 
 use super::{LEAF, NOWHERE, Node, Skd};
 use crate::index::boxes::{Box32, LANES, Shift};
-use crate::index::region::Visit;
 use crate::index::shapes::Shape;
-use crate::index::{Found, NodeView, Region, Walk};
-use glam::DVec3;
-use std::collections::BinaryHeap;
+use crate::index::{Found, Region, Walk};
 
 impl<const K: usize> Walk for Skd<K> {
     #[inline(always)]
@@ -118,67 +115,6 @@ impl<const K: usize> Skd<K> {
             while met != 0 {
                 found.ids.push(ids[met.trailing_zeros() as usize]);
                 met &= met - 1;
-            }
-        }
-    }
-
-    /// See [`crate::index::SpatialIndex::nearest_first`].
-    pub(super) fn walk_nearest_first(&self, region: &Region, visit: &mut dyn FnMut(NodeView<'_>) -> bool) {
-        region.with(NearestFirst { tree: self, shift: self.shift(region), visit });
-    }
-}
-
-struct NearestFirst<'a, 'v, const K: usize> {
-    tree: &'a Skd<K>,
-    shift: Shift,
-    visit: &'v mut dyn FnMut(NodeView<'_>) -> bool,
-}
-
-/// A node in the queue; the heap's greatest is the nearest.
-struct Near(f64, u32, Box32);
-
-impl PartialEq for Near {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Near {}
-impl PartialOrd for Near {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Near {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
-    }
-}
-
-impl<const K: usize> Visit for NearestFirst<'_, '_, K> {
-    type Out = ();
-
-    fn visit<S: Shape>(self, shape: &S) {
-        let tree = self.tree;
-        let near = |at: u32, b: Box32| {
-            let b = if at & LEAF == 0 { b } else { tree.buckets[(at & !LEAF) as usize].bounds };
-            let here = self.shift.apply(&b);
-            shape.meets(&here).then(|| Near(here.distance_squared(DVec3::ZERO).sqrt(), at, b))
-        };
-        let mut queue = BinaryHeap::new();
-        if tree.root != NOWHERE {
-            queue.extend(near(tree.root, tree.reach));
-        }
-        while let Some(Near(distance, at, b)) = queue.pop() {
-            let bounds = b.in_world(tree.origin);
-            if at & LEAF != 0 {
-                let bucket = (at & !LEAF) as usize;
-                let ids = &tree.ids[bucket * tree.capacity()..][..tree.buckets[bucket].count as usize];
-                (self.visit)(NodeView { bounds, distance, ids });
-            } else if (self.visit)(NodeView { bounds, distance, ids: &[] }) {
-                let node = &tree.nodes[at as usize];
-                let (low, high) = Skd::<K>::halves(node, &b);
-                queue.extend(near(node.low, low));
-                queue.extend(near(node.high, high));
             }
         }
     }

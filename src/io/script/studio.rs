@@ -196,11 +196,11 @@ impl Placing<'_> {
                 let path = self.built.paths.take(path.to_owned());
                 self.built.environment.set_group(&path, Some(*world_from_thing))?;
                 for Part { name, assembly_from_part, thing } in assembly.parts() {
-                    let world_from_part = world_from_thing.then(assembly_from_part);
+                    let world_from_part = *world_from_thing * *assembly_from_part;
                     self.place(&format!("{path}/{name}"), thing, &world_from_part)?;
                 }
                 for (below, assembly_from_group) in assembly.groups() {
-                    self.frame(format!("{path}/{below}"), &world_from_thing.then(assembly_from_group))?;
+                    self.frame(format!("{path}/{below}"), &(*world_from_thing * *assembly_from_group))?;
                 }
                 Ok(())
             }

@@ -4,7 +4,7 @@ use super::hash::{Field, Hash, of_row};
 use super::op::{Op, Touched};
 use super::read::get;
 use super::rows::{Meta, from_json};
-use super::schema::{damaged, refusal, version};
+use super::schema::{damaged, refusal};
 use crate::error::{Error, Result};
 use rusqlite::{Connection, Row};
 use std::collections::BTreeSet;
@@ -47,7 +47,7 @@ impl LogEntry {
             Field::Text(&self.inverse),
             request,
         ];
-        // An entry without it has the hash that formats 1 and 2 gave it.
+        // An entry without it is hashed as before there were any: stored hashes stay good.
         let told = if self.request.is_some() { &fields[..] } else { &fields[..7] };
         of_row(before, told)
     }
@@ -76,10 +76,8 @@ pub(super) fn walk(
     mut visit: impl FnMut(LogEntry) -> Result<()>,
 ) -> Result<()> {
     let wrap = |e| refusal(path, "read the log", e);
-    let request = if version(connection, path)? >= 3 { "request" } else { "NULL" };
-    let sql =
-        format!("SELECT number, time, cause, id, undoes, change, inverse, {request}, hash FROM log ORDER BY number");
-    let mut statement = connection.prepare(&sql).map_err(wrap)?;
+    let sql = "SELECT number, time, cause, id, undoes, change, inverse, request, hash FROM log ORDER BY number";
+    let mut statement = connection.prepare(sql).map_err(wrap)?;
     let mut rows = statement.query([]).map_err(wrap)?;
     let (mut head, mut count) = (meta.first_head(), 0);
     while let Some(row) = rows.next().map_err(wrap)? {

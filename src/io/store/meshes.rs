@@ -3,8 +3,8 @@
 use super::blob::Parts;
 use super::hash::{Hash, of_content};
 use super::read::{Reader, get};
-use super::rows::{Meta, mesh_hash};
-use super::schema::{FORMAT, damaged, pragma, refusal};
+use super::rows::mesh_hash;
+use super::schema::{damaged, pragma, refusal};
 use crate::environment::Mesh;
 use crate::error::{Error, Result};
 use crate::index::{MeshTree, PolygonBoxes, Trees};
@@ -33,23 +33,10 @@ struct MeshRow {
 }
 
 impl MeshRow {
-    fn hash_with(&self, proof: &[u8]) -> Hash {
-        mesh_hash(self.number, &self.name, self.counts, proof)
-    }
-
     /// The hash of its content, if that is what was written.
-    fn prove(&self, content: &Parts, format: i32) -> Result<u128> {
-        let pieces = content.bytes();
-        let hash = of_content(&pieces);
-        let found = if format < 4 {
-            let mut hasher = blake3::Hasher::new();
-            for piece in pieces {
-                hasher.update(piece);
-            }
-            self.hash_with(hasher.finalize().as_bytes())
-        } else {
-            self.hash_with(&hash.to_le_bytes())
-        };
+    fn prove(&self, content: &Parts) -> Result<u128> {
+        let hash = of_content(&content.bytes());
+        let found = mesh_hash(self.number, &self.name, self.counts, &hash.to_le_bytes());
         if found == self.hash { Ok(hash) } else { Err(damaged("it is not what was written")) }
     }
 
@@ -88,9 +75,9 @@ impl Reader<'_> {
         rows.sort_by_key(|row| std::cmp::Reverse(row.size));
         self.check_sizes(&rows)?;
         let mut done: Vec<_> = rows.iter().map(|_| None).collect();
-        let (with_trees, format) = (self.with_trees, self.format);
+        let with_trees = self.with_trees;
         let decode = move |row: &MeshRow, parts: Parts, used: bool| {
-            let content = row.prove(&parts, format)?;
+            let content = row.prove(&parts)?;
             if !used {
                 return Ok((content, None, None));
             }
@@ -158,32 +145,13 @@ fn row_of(connection: &Connection, path: &Path, number: i64) -> Result<MeshRow> 
     connection.query_row(sql, [number], columns).map_err(|e| refusal(path, "read the store", e))
 }
 
-/// A mesh alone, proven; the store is of the newest format.
+/// A mesh alone, proven.
 pub(super) fn read(connection: &Connection, path: &Path, number: i64, materials: usize) -> Result<Arc<Mesh>> {
     let row = row_of(connection, path, number)?;
     let mesh = || {
         let parts = row.content(connection, path)?;
-        row.prove(&parts, FORMAT)?;
+        row.prove(&parts)?;
         known_materials(Arc::new(parts.into_mesh(&row.name, |_, _| ())?), materials)
     };
     mesh().map_err(|e| row.place(e).in_file(path))
-}
-
-/// Gives every mesh the hash of format 4, where the one that it has proves it.
-pub(super) fn prove_anew(connection: &Connection, path: &Path) -> Result<()> {
-    let wrap = |e| refusal(path, "bring the store to this version", e);
-    let mut meta = Meta::read(connection, path)?;
-    let numbers: rusqlite::Result<Vec<i64>> = connection
-        .prepare("SELECT number FROM meshes")
-        .and_then(|mut statement| statement.query_map([], |row| row.get(0))?.collect());
-    for number in numbers.map_err(wrap)? {
-        let row = row_of(connection, path, number)?;
-        let content = row.content(connection, path).and_then(|parts| row.prove(&parts, 3));
-        let content = content.map_err(|e| row.place(e).in_file(path))?;
-        let hash = row.hash_with(&content.to_le_bytes());
-        connection.execute("UPDATE meshes SET hash = ?2 WHERE number = ?1", (number, hash)).map_err(wrap)?;
-        meta.digest.subtract(&row.hash);
-        meta.digest.add(&hash);
-    }
-    meta.write(connection).map_err(wrap)
 }

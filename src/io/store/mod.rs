@@ -118,11 +118,11 @@ impl Meshes {
 /// Reads a store into memory; its writer goes on.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] if the file is not there, no store, or damaged, [`ErrorKind::Unsupported`] if it is of a newer
+/// [`ErrorKind::Invalid`] if the file is not there, no store, or damaged, [`ErrorKind::Unsupported`] if it is of another
 /// version, [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c, format| read::load(c, path, format, false)).map(|loaded| loaded.environment)
+    in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
 }
 
 /// [`World::with_index`] of what [`read`] reads, sooner: meshes are indexed while others are read.
@@ -132,7 +132,7 @@ pub fn read(path: &Path) -> Result<Environment> {
 pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> {
     let connection = connect(path, Access::Read)?;
     let with_trees = scheme == Scheme::TwoLevel;
-    let loaded = in_one_version(&connection, path, |c, format| read::load(c, path, format, with_trees))?;
+    let loaded = in_one_version(&connection, path, |c| read::load(c, path, with_trees))?;
     let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &loaded.trees);
     Ok(World::of(index, loaded.environment))
 }
@@ -158,8 +158,8 @@ pub struct Info {
 /// As [`read`].
 pub fn info(path: &Path) -> Result<Info> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c, format| {
-        let read::Loaded { environment, meta, .. } = read::load(c, path, format, false)?;
+    in_one_version(&connection, path, |c| {
+        let read::Loaded { environment, meta, .. } = read::load(c, path, false)?;
         log::walk(c, path, &meta, |_| Ok(()))?;
         let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
         Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
@@ -172,7 +172,7 @@ pub fn info(path: &Path) -> Result<Info> {
 /// As [`read`], and those of `visit`.
 pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c, _| log::walk(c, path, &Meta::read(c, path)?, visit))
+    in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
 }
 
 /// Proves all that is stored, and SQLite's own structures.
@@ -191,16 +191,12 @@ pub fn check(path: &Path) -> Result<Info> {
     Ok(found)
 }
 
-/// Runs `read`, which is told the store's format, in one transaction: all it sees is of one version.
-fn in_one_version<T>(
-    connection: &Connection,
-    path: &Path,
-    read: impl FnOnce(&Connection, i32) -> Result<T>,
-) -> Result<T> {
+/// Runs `read` in one transaction: all it sees is of one version.
+fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
     let wrap = |e| refusal(path, "read the store", e);
     let transaction = connection.unchecked_transaction().map_err(wrap)?;
-    let format = check_identity(&transaction, path)?;
-    let answer = read(&transaction, format)?;
+    check_identity(&transaction, path)?;
+    let answer = read(&transaction)?;
     transaction.commit().map_err(wrap)?;
     Ok(answer)
 }
@@ -215,8 +211,8 @@ impl Store {
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
         // Another writer may have been here since.
-        let format = check_identity(&connection, path)?;
-        let loaded = read::load(&connection, path, format, false)?;
+        check_identity(&connection, path)?;
+        let loaded = read::load(&connection, path, false)?;
         let mut ids = HashMap::new();
         log::walk(&connection, path, &loaded.meta, |entry| {
             ids.extend(entry.id.map(|id| (id, entry.number)));

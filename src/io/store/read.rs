@@ -25,15 +25,14 @@ pub(super) struct Loaded {
 }
 
 /// Reads within the caller's transaction, with trees for the meshes if these will be indexed.
-pub(super) fn load(connection: &Connection, path: &Path, format: i32, with_trees: bool) -> Result<Loaded> {
-    let reader = Reader { connection, path, format, with_trees, digest: std::cell::Cell::default() };
+pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<Loaded> {
+    let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
     reader.load().map_err(|e| e.in_file(path))
 }
 
 pub(super) struct Reader<'a> {
     pub connection: &'a Connection,
     pub path: &'a Path,
-    pub format: i32,
     pub with_trees: bool,
     digest: std::cell::Cell<Digest>,
 }
@@ -148,11 +147,8 @@ impl Reader<'_> {
         })
     }
 
-    /// Frames of groups; older stores have none.
+    /// Frames of groups.
     fn groups(&self, to: &mut Vec<(String, Pose)>) -> Result<()> {
-        if self.format < 3 {
-            return Ok(());
-        }
         self.each("groups", "path, pose, hash", |row| {
             let (path, pose) = (text(row, 0)?, text(row, 1)?);
             self.prove(group_hash(path, pose), get(row, 2)?)?;

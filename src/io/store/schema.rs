@@ -7,8 +7,7 @@ use std::time::Duration;
 
 /// "prsg": tells a store from SQLite files of other programs.
 pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
-/// The version that this build writes, and the newest that it reads. Readers take older ones as they are; a writer makes
-/// this one of them first.
+/// The one version that this build reads and writes.
 pub(super) const FORMAT: i32 = 4;
 /// How long another program's commit is waited for.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -58,25 +57,6 @@ pub(super) const TABLES: [(&str, &str); 8] = [
     ),
 ];
 
-/// Format 1 had the hash of a mesh behind its content: whoever wanted the hash went through all of that.
-const MESHES_1: &str = "CREATE TABLE meshes(number INTEGER PRIMARY KEY, name TEXT NOT NULL, vertices INTEGER NOT NULL, \
-     polygons INTEGER NOT NULL, content BLOB NOT NULL, hash BLOB NOT NULL)";
-
-/// Before format 3 the log did not keep what was said.
-const LOG_2: &str = "CREATE TABLE log(number INTEGER PRIMARY KEY, time REAL NOT NULL, cause TEXT NOT NULL, id TEXT, \
-     undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, hash BLOB NOT NULL)";
-
-/// Names and texts of the tables of a version, by name.
-fn tables(version: i32) -> impl Iterator<Item = (&'static str, &'static str)> {
-    let old = move |(table, text)| match (table, version) {
-        ("meshes", 1) => Some((table, MESHES_1)),
-        ("log", ..=2) => Some((table, LOG_2)),
-        ("groups", ..=2) => None,
-        _ => Some((table, text)),
-    };
-    TABLES.into_iter().filter_map(old)
-}
-
 /// What a connection is for.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Access {
@@ -86,7 +66,7 @@ pub(super) enum Access {
     Write,
 }
 
-/// Opens a store; for writing one that is proven to be of a version that is read, and made one of [`FORMAT`].
+/// Opens a store; for writing, one whose tables are those of [`FORMAT`].
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
     if !metadata.is_file() {
@@ -102,11 +82,8 @@ pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     match access {
         Access::Read => connection.execute_batch("PRAGMA query_only = ON").map_err(wrap)?,
         Access::Write => {
-            let version = check_identity(&connection, path)?;
+            check_identity(&connection, path)?;
             make_durable(&connection, path)?;
-            if version != FORMAT {
-                migrate(&connection, path)?;
-            }
         }
     }
     Ok(connection)
@@ -116,20 +93,15 @@ pub(super) fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name:
     connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
 }
 
-/// The version of a store, as the transaction that is open sees it.
-pub(super) fn version(connection: &Connection, path: &Path) -> Result<i32> {
-    pragma(connection, "user_version").map_err(|e| refusal(path, "open the store", e))
-}
-
-/// Its version, if it is a store of one that is read.
-pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
+/// Refuses what is no store of [`FORMAT`], as the transaction that is open sees it.
+pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
     let wrap = |e| refusal(path, "open the store", e);
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
     if application != APPLICATION_ID {
         let what = "this SQLite file is not a presight store";
         return Err(Error::invalid(what, "presight env create makes one").in_file(path));
     }
-    let version = version(connection, path)?;
+    let version: i32 = pragma(connection, "user_version").map_err(wrap)?;
     if version > FORMAT {
         let what = format!("format {version} is newer than this presight, which reads format {FORMAT}");
         return Err(Error::new(ErrorKind::Unsupported, what, "update presight").in_file(path));
@@ -137,47 +109,22 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<i32
     if version < 1 {
         return Err(damaged(format!("format {version} never existed")).in_file(path));
     }
+    if version < FORMAT {
+        let what = format!("format {version} is of a version before the first release, and is no longer read");
+        let remedy =
+            "make the store again with presight env create, from its scene or from what its own version exports";
+        return Err(Error::new(ErrorKind::Unsupported, what, remedy).in_file(path));
+    }
     let mut statement = connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
     let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
     let found: Vec<(String, String, Option<String>)> =
         statement.query_map([], columns).and_then(Iterator::collect).map_err(wrap)?;
-    let same = found.len() == tables(version).count()
+    let same = found.len() == TABLES.len()
         && found
             .iter()
-            .zip(tables(version))
+            .zip(TABLES)
             .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
-    if same { Ok(version) } else { Err(damaged(format!("its tables are not those of format {version}")).in_file(path)) }
-}
-
-/// Makes [`FORMAT`] of an older one, in one transaction: all of it or nothing.
-fn migrate(connection: &Connection, path: &Path) -> Result<()> {
-    let wrap = |e| refusal(path, "bring the store to this version", e);
-    connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
-    // Another writer may have been here before.
-    let from = check_identity(connection, path)?;
-    // What is made anew, and where its columns come from.
-    let steps = [
-        (2, "meshes", "SELECT number, name, vertices, polygons, hash, content FROM old"),
-        (3, "log", "SELECT number, time, cause, id, undoes, change, inverse, NULL, hash FROM old"),
-        (3, "groups", ""),
-    ];
-    let mut sql = String::new();
-    for (_, table, rows) in steps.into_iter().filter(|(version, ..)| from < *version) {
-        let new = TABLES.into_iter().find(|(name, _)| *name == table).map_or("", |(_, text)| text);
-        match rows {
-            "" => sql += &format!("{new}; "),
-            rows => {
-                let copy = format!("INSERT INTO {table} {rows}; DROP TABLE old; ");
-                sql += &format!("ALTER TABLE {table} RENAME TO old; {new}; {copy}");
-            }
-        }
-    }
-    if from < FORMAT {
-        connection.execute_batch(&format!("{sql} PRAGMA user_version = {FORMAT};")).map_err(wrap)?;
-        // Before format 4 contents were proven by BLAKE3.
-        super::meshes::prove_anew(connection, path)?;
-    }
-    connection.execute_batch("COMMIT").map_err(wrap)
+    if same { Ok(()) } else { Err(damaged(format!("its tables are not those of format {FORMAT}")).in_file(path)) }
 }
 
 /// A commit is on the disk when it returns, the deletion of the journal included.

@@ -8,7 +8,7 @@ use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
 };
-use super::schema::{refusal, version};
+use super::schema::refusal;
 use super::unique::Unique;
 use super::{Store, blob, ids, meshes, read};
 use crate::change::Change;
@@ -475,8 +475,7 @@ impl Store {
         self.locked = false;
         let locked =
             self.connection.execute_batch("BEGIN IMMEDIATE").is_ok() || self.connection.execute_batch("BEGIN").is_ok();
-        let loaded = version(&self.connection, &self.path)
-            .and_then(|format| read::load(&self.connection, &self.path, format, false));
+        let loaded = read::load(&self.connection, &self.path, false);
         let _ = self.connection.execute_batch("ROLLBACK");
         match loaded {
             Ok(loaded) if locked => Some(self.take_in(loaded)),

@@ -93,7 +93,7 @@ pub(super) fn register(engine: &mut Engine, studio: &Rc<Studio>) {
     engine.register_fn("+", move |a: Shape, b: Shape| -> Result<Shape, Box<EvalAltResult>> {
         Shape::joined(&[a, b], &budget).map_err(Fault::bare)
     });
-    engine.register_fn("*", |a: Pose, b: Pose| a.then(&b));
+    engine.register_fn("*", |a: Pose, b: Pose| a * b);
     engine.register_fn("*", |a: Pose, p: rhai::Array| -> Result<rhai::Array, Box<EvalAltResult>> {
         let p = super::call::point_of(&Dynamic::from(p)).map_err(Fault::bare)?;
         Ok(a.transform_point(p).to_array().map(Dynamic::from).to_vec())

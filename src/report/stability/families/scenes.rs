@@ -218,7 +218,7 @@ fn room(unit: f64, world_from_scene: Pose) -> Result<Vec<Case>> {
     scene.add(&scaled(vec![wall(0.0, [-0.7, 0.6], [-0.5, 0.4])]), at(2.2, 0.9, 1.3, 0.5))?;
     // A pillar of one unit of its own, scaled when it is placed.
     let pillar = Arc::new(mesh(&cuboid([-0.3, -0.2, -1.0], [0.3, 0.2, 1.0]))?);
-    let pose = scene.world_from_scene.then(&at(-1.5, 1.0, 1.2, 1.1));
+    let pose = scene.world_from_scene * at(-1.5, 1.0, 1.2, 1.1);
     let object_from_mesh = DAffine3::from_scale(DVec3::splat(unit));
     scene.insert(NewObject { object_from_mesh, ..NewObject::new("pillar", pose, pillar) })?;
     Ok(scene.seen_by(sensors(DVec3::new(0.5, 0.3, 1.2) * unit)?))

@@ -37,7 +37,7 @@ impl Scene {
     /// Those of [`Mesh::new`] and [`Environment::insert`].
     pub fn add(&mut self, polygons: &[Vec<Vec3>], at: Pose) -> Result<()> {
         let mesh = mesh(polygons)?;
-        let pose = self.world_from_scene.then(&at);
+        let pose = self.world_from_scene * at;
         self.environment.insert(NewObject::new("thing", pose, Arc::new(mesh))).map(|_| ())
     }
 
@@ -52,7 +52,7 @@ impl Scene {
     /// Seen by some sensors, at poses in the scene's frame.
     pub fn seen_by(self, sensors: impl IntoIterator<Item = (Sensor, Pose)>) -> Vec<Case> {
         let world = World::new(self.environment);
-        let pose = |at: &Pose| self.world_from_scene.then(at);
+        let pose = |at: &Pose| self.world_from_scene * *at;
         sensors.into_iter().map(|(sensor, at)| Case { world: world.clone(), sensor, pose: pose(&at) }).collect()
     }
 }
