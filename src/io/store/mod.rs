@@ -137,12 +137,12 @@ pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> 
     Ok(World::of(index, loaded.environment))
 }
 
-/// What `presight env info` tells.
+/// The facts that `presight env info` prints.
 #[derive(Clone, Debug)]
 pub struct Info {
     /// When it was created, UTC seconds.
     pub created: f64,
-    /// Out of what.
+    /// Cause of its creation.
     pub cause: String,
     /// Length of the log.
     pub changes: u64,
@@ -152,7 +152,7 @@ pub struct Info {
     pub environment: Environment,
 }
 
-/// Reads a store with its log, all of it proven.
+/// Reads a store and verifies it with its whole log.
 ///
 /// # Errors
 /// As [`read`].
@@ -166,7 +166,7 @@ pub fn info(path: &Path) -> Result<Info> {
     })
 }
 
-/// Hands every entry of the log to `visit`, in order, each proven.
+/// Calls `visit` with every entry of the log, in order, each verified.
 ///
 /// # Errors
 /// As [`read`], and those of `visit`.
@@ -175,7 +175,7 @@ pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()>
     in_one_version(&connection, path, |c, _| log::walk(c, path, &Meta::read(c, path)?, visit))
 }
 
-/// Proves all that is stored, and SQLite's own structures.
+/// Verifies all content, and the structures of SQLite.
 ///
 /// # Errors
 /// As [`read`]; [`ErrorKind::Invalid`] names what is not sound.
@@ -206,7 +206,7 @@ fn in_one_version<T>(
 }
 
 impl Store {
-    /// Opens a store for changes, and gives what it holds now.
+    /// Opens a store for changes. Also returns the environment that it holds.
     ///
     /// # Errors
     /// As [`read`]; [`ErrorKind::System`] if another writer has it, or it is read-only.
@@ -247,7 +247,7 @@ impl Store {
         self.meta.changes as u64
     }
 
-    /// Applies a change to the world and the store; it is on the disk when this returns. The answer is its number in the
+    /// Applies a change to the world and the store. The change is on disk when this returns. Returns its number in the
     /// log.
     ///
     /// # Errors
@@ -268,8 +268,8 @@ impl Store {
         Ok(Batch::new(self, world))
     }
 
-    /// Undoes an entry of the log by appending what undoes it; the answer is the numbers of the new entries. With
-    /// `cascade` later changes that stand in the way are undone before, newest first.
+    /// Undoes an entry of the log by appending its inverse. Returns the numbers of the new entries. With
+    /// `cascade`, later changes of the same objects and features are undone first, newest first.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
@@ -294,8 +294,8 @@ impl Store {
         Ok(made)
     }
 
-    /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is. With
-    /// `replace` objects of the scene take the place of those of the same path; features given in their frame stay.
+    /// Returns the change that merges a scene into `environment`. Equal content stays as it is. With `replace`, objects of the
+    /// scene replace those of the same path; features given in their frame stay.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there and may not be replaced.
@@ -303,7 +303,7 @@ impl Store {
         merge::merge_scene(environment, scene, replace)
     }
 
-    /// The change that a layer file says; later features win by id.
+    /// Returns the change that merges a layer file; its features replace those of the same id.
     pub fn merging_layer(environment: &Environment, file: &LayerFile) -> Change {
         merge::merge_layer(environment, file)
     }
