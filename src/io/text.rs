@@ -52,7 +52,7 @@ pub(crate) fn line_of(text: &str, offset: usize) -> usize {
 /// Reads TOML into a type, with the line in the error.
 pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
     toml::from_str(text).map_err(|e| {
-        let wrong = Error::invalid(e.message().to_owned(), "correct the file; the README describes its keys");
+        let wrong = Error::invalid(e.message().to_owned(), "correct the file; docs/formats.md describes its keys");
         let placed = match e.span() {
             Some(span) => wrong.at(format!("line {}", line_of(text, span.start))),
             None => wrong,
