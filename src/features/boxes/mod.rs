@@ -178,7 +178,7 @@ impl<'a> BoxFrame<'a> {
     }
 }
 
-/// The covariance of a sensor's pose from that of the robot which carries it: both along the world's axes.
+/// Computes the covariance of a sensor's pose from that of the robot that carries it, both along the world's axes.
 /// `world_axes_lever` is the sensor's position relative to the robot's, along the world's axes, metres.
 pub fn sensor_covariance(robot: &PoseCovariance, world_axes_lever: DVec3) -> PoseCovariance {
     let l = world_axes_lever;

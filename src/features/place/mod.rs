@@ -41,7 +41,7 @@ enum Lie {
     Off(DVec3),
 }
 
-/// Finds each feature's object and polygons in a version of the world, in the order of the layer.
+/// Finds the object and the polygons of each feature in a world. The result is in the order of the layer.
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -72,8 +72,8 @@ enum Lie {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that is not there, or a
-/// feature that is anywhere off its polygons by more than the layer's tolerance, with the distance.
+/// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that does not exist, or a
+/// feature that is somewhere off its polygons by more than the layer's tolerance, with the distance.
 pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
     let mut finder = Finder::new(world, layer)?;
     layer.features.iter().map(|feature| finder.place(feature).map_err(|e| e.at(name_of(feature)))).collect()

@@ -34,11 +34,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// How to import a scene.
+/// Options for importing a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {
-    /// Merge coplanar neighbours into convex polygons. Without it every triangle stays a polygon of its own, in source
-    /// order, as `source` ids need it.
+    /// Merge coplanar neighbours into convex polygons. Without merging every triangle stays a polygon, in source order, which
+    /// `source` ids need.
     pub merge: bool,
     /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
     pub merge_tolerance: f64,
@@ -70,8 +70,8 @@ const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compressi
 /// Reads a scene with its sidecar `SCENE.materials.toml`, if there is one.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
-/// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
+/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, not glTF, or inconsistent;
+/// [`ErrorKind::Unsupported`] for a required extension or a version that presight does not support; [`ErrorKind::Usage`] for
 /// impossible options.
 pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
     import_within(path.as_ref(), None, options)

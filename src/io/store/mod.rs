@@ -5,7 +5,7 @@
 //! | `meta` | the one: `created` (UTC seconds) and `cause`, `genesis` (hash of the content it was created with), `next_object` and `next_slot` (numbers never used so far), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
 //! | `groups` | `path` of what has objects below and is none, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; those only that were given a frame |
 //! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
-//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, laid out as told in the source of `blob`); shared by objects, kept when no object has it any more, for the log may bring one back |
+//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); shared by objects, and kept when no object uses it any more, because an undo may bring one back |
 //! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
 //! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
 //! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
@@ -115,17 +115,18 @@ impl Meshes {
     }
 }
 
-/// Reads a store into memory; its writer goes on.
+/// Reads a store into memory. A writer is not blocked.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] if the file is not there, no store, or damaged, [`ErrorKind::Unsupported`] if it is of a newer
+/// [`ErrorKind::Invalid`] if the file is missing, not a store, or damaged, [`ErrorKind::Unsupported`] if it is of a newer
 /// version, [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
     in_one_version(&connection, path, |c, format| read::load(c, path, format, false)).map(|loaded| loaded.environment)
 }
 
-/// [`World::with_index`] of what [`read`] reads, sooner: meshes are indexed while others are read.
+/// Reads a store and indexes it: the same as [`read`] and [`World::with_index`], but faster, because meshes are indexed while
+/// others are read.
 ///
 /// # Errors
 /// Those of [`read`].
@@ -148,7 +149,7 @@ pub struct Info {
     pub changes: u64,
     /// Hash of the last entry of the log.
     pub head: String,
-    /// What it holds.
+    /// The environment that it holds.
     pub environment: Environment,
 }
 
@@ -178,7 +179,7 @@ pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()>
 /// Verifies all content, and the structures of SQLite.
 ///
 /// # Errors
-/// As [`read`]; [`ErrorKind::Invalid`] names what is not sound.
+/// As [`read`]; [`ErrorKind::Invalid`] names the damaged place.
 pub fn check(path: &Path) -> Result<Info> {
     let found = info(path)?;
     let connection = connect(path, Access::Read)?;
@@ -259,7 +260,7 @@ impl Store {
         Ok(number)
     }
 
-    /// Begins several changes that become durable together. `world` must hold what the store holds.
+    /// Begins a batch of changes that become durable together. `world` must equal the content of the store.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if another writer came between.
