@@ -27,12 +27,12 @@ pub enum Backend {
     Gpu,
 }
 
-/// Options of a [`Predictor`].
+/// How a [`Predictor`] works.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
     /// The engine to use.
     pub backend: Backend,
-    /// Number of CPU threads; 0 means all cores.
+    /// CPU threads; 0 takes all cores.
     pub threads: usize,
 }
 

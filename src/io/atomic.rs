@@ -1,14 +1,15 @@
-//! Atomic output: a file appears complete or not at all.
+//! Output files that appear whole or not at all.
 
 use crate::error::{Error, ErrorKind, Result};
 use std::fs::{self, File};
 use std::io::{self, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Writes a file through a temporary one in the same folder, which is filled, synced to disk and then renamed. If anything fails
-/// before the rename, the old file stays as it was, and the temporary file is removed.
+/// Writes a file through a temporary one in the same folder: filled, synced to the disk, then renamed. Whatever goes
+/// wrong before, the final name keeps what it held, and the temporary file is removed.
 ///
-/// A target that is not a regular file (`/dev/null`, a pipe) is never replaced; the finished bytes are written to it.
+/// A target that exists and is no regular file (`/dev/null`, a pipe) is never renamed over: it gets the finished
+/// bytes.
 ///
 /// ```
 /// use presight::io::atomic::write_atomically;
@@ -21,8 +22,8 @@ use std::path::{Path, PathBuf};
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::System`] naming the file, for every error of the system. A missing folder is also reported so, because no input
-/// file is at fault.
+/// [`ErrorKind::System`] naming the file, whatever the system's reason: for an output a folder that is not there is
+/// no fault of a file.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
     let refused = |e| refused(path, e);
     let target = fs::metadata(path);

@@ -1,4 +1,4 @@
-//! Opening files. Anything that is not a regular file is refused, because a pipe without a writer would block for ever.
+//! How files are opened: what is no file, such as a pipe that nobody writes to, must not keep us waiting for ever.
 
 use crate::error::{Error, Result};
 use std::fs::File;
@@ -9,7 +9,7 @@ pub(crate) fn open(path: &Path) -> Result<File> {
     open_as(path, path)
 }
 
-/// As [`open`], for a file that errors name by another path.
+/// As [`open`], of a file that errors know by another path.
 pub(crate) fn open_as(path: &Path, shown: &Path) -> Result<File> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(shown, "open it", e))?;
     if metadata.is_dir() {
@@ -22,13 +22,13 @@ pub(crate) fn open_as(path: &Path, shown: &Path) -> Result<File> {
     File::open(path).map_err(|e| Error::io(shown, "open it", e))
 }
 
-/// As [`open`], but accepts pipes that were passed to this process, such as `/dev/stdin` and a shell's `<(..)`.
+/// As [`open`], but for pipes that this process was given, such as `/dev/stdin` and a shell's `<(..)`.
 pub(crate) fn open_or_given(path: &Path) -> Result<File> {
     let given = ["/dev/stdin", "/dev/fd", "/proc/self/fd"].iter().any(|folder| path.starts_with(folder));
     if given { File::open(path).map_err(|e| Error::io(path, "open it", e)) } else { open(path) }
 }
 
-/// The text without a UTF-8 byte order mark.
+/// A text without the mark that some editors put before UTF-8.
 pub(crate) fn without_mark(mut text: String) -> String {
     const MARK: char = '\u{feff}';
     if text.starts_with(MARK) {

@@ -70,7 +70,7 @@ impl BoxOptions {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1; [`crate::ErrorKind::Invalid`] for a covariance that is not
-/// finite, not symmetric, or has an eigenvalue below 0 by more than rounding to six digits explains.
+/// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about.
 pub fn add_boxes(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],

@@ -70,8 +70,8 @@ const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compressi
 /// Reads a scene with its sidecar `SCENE.materials.toml`, if there is one.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, not glTF, or inconsistent;
-/// [`ErrorKind::Unsupported`] for a required extension or a version that presight does not support; [`ErrorKind::Usage`] for
+/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
+/// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
 /// impossible options.
 pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
     import_within(path.as_ref(), None, options)

@@ -295,8 +295,8 @@ impl Store {
         Ok(made)
     }
 
-    /// Returns the change that merges a scene into `environment`. Equal content stays as it is. With `replace`, objects of the
-    /// scene replace those of the same path; features given in their frame stay.
+    /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is. With
+    /// `replace` objects of the scene take the place of those of the same path; features given in their frame stay.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there and may not be replaced.
