@@ -1,15 +1,15 @@
-//! The query region of a sensor: what it can see at most.
+//! What a sensor can see at all: its query region.
 
 use crate::geometry::Pose;
 use crate::index::Region;
 use crate::sensor::{Geometry, LineAxis, PixelGrid, Sensor, Tile};
 use glam::DVec3;
 
-/// Angles of ray tables are widened by this much, radians. Selection may return too much, never too little.
+/// Angles of ray tables are widened by this much, radians: selection may keep too much, never too little.
 const SLACK: f64 = 1e-9;
 
-/// A conservative region around all rays of a sensor up to `range_max`: the frustum of a pinhole camera, the spherical segment
-/// of a scanner, or a frustum around the cone of a ray table.
+/// A conservative region around all rays of a sensor, up to its greatest range: the frustum of a pinhole camera, the
+/// spherical segment of a scanner, a frustum around the cone of a ray table.
 pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Region {
     let (apex, radius) = (world_from_sensor.translation, sensor.spec().range_max);
     let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
