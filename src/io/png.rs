@@ -102,7 +102,7 @@ fn is_one_row_scan(sensor: &Sensor) -> bool {
     sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_))
 }
 
-/// The images that a preview of one output needs.
+/// The images that a preview of one output is drawn from.
 pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
     let places = if is_one_row_scan(sensor) { Output::Range } else { output };
     Outputs::of(&[output, Output::PolygonId, places])

@@ -44,7 +44,7 @@ impl Images {
         self.feature_id.clear();
     }
 
-    /// Fills every image with the values for no hit, and with those for no ray where the sensor has none.
+    /// Every image that is there shows that nothing is seen, and no ray where the sensor has none.
     pub fn show_nothing(&mut self, grid: &PixelGrid) {
         for image in [&mut self.range, &mut self.depth_z] {
             image.fill(f32::INFINITY);
