@@ -3,81 +3,81 @@
 use crate::environment::{Feature, Material, NewObject};
 use crate::geometry::Pose;
 
-/// One change. [`crate::World::apply`] answers with the change that undoes it.
+/// A change of an environment. [`crate::World::apply`] applies it and returns its inverse.
 ///
-/// Objects and groups are meant by their full path, features by sensor class and id. A number is never used again: an object that
-/// comes back gets new slots, and so new polygon ids; a feature that comes back ([`Change::RestoreFeature`]) is the same
+/// Objects and groups are named by their full path, features by sensor class and id. Numbers are never used again. An object
+/// that comes back gets new slots and therefore new polygon ids. A feature that comes back ([`Change::RestoreFeature`]) is the same
 /// feature and keeps its id.
 #[derive(Clone, Debug)]
 pub enum Change {
-    /// Adds a material, for meshes to come. Nothing undoes it: a material that no polygon has is no content.
+    /// Adds a material for later meshes. Its inverse does nothing, because a material that no polygon uses is not content.
     AddMaterial(Material),
-    /// Adds an object. A group of its path gives way: what is below then hangs on the object.
+    /// Adds an object. It replaces a group of its path, and objects below that path then belong to it.
     InsertObject(NewObject),
-    /// Gives an object or a group another pose; what is below its path (`cart/wheel` of `cart`) moves with it, rigidly.
+    /// Sets the pose of an object or a group. Everything below its path (`cart/wheel` below `cart`) moves with it, rigidly.
     MoveObject {
         /// Full path of the object, or a path that objects are below.
         name: String,
         /// The new pose; of a group, that of its frame ([`crate::Environment::frame`]).
         world_from_object: Pose,
     },
-    /// Gives this one object another pose. A group is nothing without what is below it: it is moved.
+    /// Sets the pose of this object alone. A group moves with everything below it.
     SetPose {
         /// Its full path.
         name: String,
         /// The new pose.
         world_from_object: Pose,
     },
-    /// Takes an object out, with the features and pose covariances given in its frame. Its number and its slots are
-    /// never used again. Objects below its path stay; the path is then a group, its frame the object's last pose. Of a group
-    /// everything below is deleted.
+    /// Deletes an object with the features and pose covariances that are given in its frame. Its number and its slots are
+    /// never used again. Objects below its path stay; the path becomes a group whose frame is the object's last pose. Deleting a
+    /// group deletes everything below it.
     DeleteObject {
         /// Its full path.
         name: String,
     },
-    /// Gives a group another frame, or none of its own; what is below stays where it is.
+    /// Sets or removes the frame of a group. Objects below stay where they are.
     SetGroup {
         /// Its full path; no object may have it.
         name: String,
         /// See [`crate::Environment::set_group`].
         world_from_group: Option<Pose>,
     },
-    /// Adds a feature, under an id that was never used for its class.
+    /// Adds a feature with an id that was never used for its class.
     InsertFeature {
         /// Sensor class.
         class: String,
         /// The feature.
         feature: Feature,
     },
-    /// Brings a deleted feature back under its id: what undoes its deletion.
+    /// Restores a deleted feature with its id: the inverse of its deletion.
     RestoreFeature {
         /// Sensor class.
         class: String,
         /// The feature.
         feature: Feature,
     },
-    /// Puts another feature in the place of the one with its id.
+    /// Replaces the feature with the same id.
     SetFeature {
         /// Sensor class.
         class: String,
         /// The feature.
         feature: Feature,
     },
-    /// Takes a feature out.
+    /// Deletes a feature.
     DeleteFeature {
         /// Sensor class.
         class: String,
         /// Its id.
         id: u32,
     },
-    /// Gives a layer another tolerance; the layer is made if there is none.
+    /// Sets the tolerance of a layer, which is created if it does not exist.
     SetTolerance {
         /// Sensor class.
         class: String,
         /// How far features may be off their polygons, metres.
         tolerance: f64,
     },
-    /// Gives the pose of an object another covariance, or none.
+    /// Sets or removes the covariance of an object's pose.
     SetPoseCovariance {
         /// Sensor class of the layer.
         class: String,
@@ -86,7 +86,7 @@ pub enum Change {
         /// See [`crate::environment::FeatureLayer::pose_covariances`].
         covariance: Option<[[f64; 6]; 6]>,
     },
-    /// All of them, or none.
+    /// Applies all of these changes, or none.
     Group(Vec<Change>),
 }
 

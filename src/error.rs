@@ -4,19 +4,19 @@ use std::error::Error as StdError;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Whose fault an error is. The command turns it into its exit status.
+/// The cause of an error, by whose fault it is. It decides the exit status of the command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// A file or a value handed to the API does not hold what it must. Exit status 1.
+    /// A file or a value passed to the API is invalid. Exit status 1.
     Invalid,
-    /// A file uses something presight knows of but does not support. Exit status 1.
+    /// A file uses something that presight does not support. Exit status 1.
     Unsupported,
     /// Wrong usage: a flag, an unknown preset, a pose with NaN. Exit status 2.
     Usage,
-    /// No device for the asked backend. Exit status 3.
+    /// No device for the requested backend. Exit status 3.
     NoDevice,
-    /// The device was lost while at work. Exit status 3.
+    /// The device was lost. Exit status 3.
     DeviceLost,
     /// The device has too little memory. Exit status 3.
     DeviceMemory,
@@ -103,7 +103,7 @@ impl Error {
         self
     }
 
-    /// Puts an outer place in front of the one known so far ("object 3" before "polygon 7").
+    /// Adds an outer place in front of the current one ("object 3" before "polygon 7").
     #[must_use]
     pub fn at(mut self, place: impl fmt::Display) -> Self {
         self.0.place = Some(match self.0.place.take() {
@@ -120,17 +120,17 @@ impl Error {
         self
     }
 
-    /// Whose fault it is.
+    /// The cause, by whose fault it is.
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
     }
 
-    /// The file at fault, where there is one.
+    /// The file at fault, if there is one.
     pub fn file(&self) -> Option<&Path> {
         self.0.file.as_deref()
     }
 
-    /// The place inside the file or value, where there is one.
+    /// The place inside the file or value, if there is one.
     pub fn place(&self) -> Option<&str> {
         self.0.place.as_deref()
     }

@@ -1,9 +1,21 @@
-//! presight: the engine that tells a robot what its sensors should see.
+//! presight predicts what a robot's sensors should see.
 //!
-//! A scene becomes an [`Environment`] ([`io::gltf::import`], a script, or objects added one by one), a version of it a [`World`].
-//! A [`Sensor`] is a preset, a file ([`io::load_sensor`]) or made from a [`SensorSpec`]. A [`Predictor`] answers for a
-//! sensor at a [`Pose`] with [`Images`]: range, depth, which polygon and object each pixel sees, and at which angle.
-//! [`virtual_sensors`] reduce that to what one task wants to know.
+//! It takes a polygonal 3D model, a sensor and a pose, and returns images: range, depth, which polygon and object each
+//! pixel sees, and at which angle. It also predicts which features of the model are visible, and in which image box each
+//! will be found.
+//!
+//! # A tour
+//!
+//! 1. **Model.** An [`Environment`] holds objects, polygons, materials and feature layers. It comes from a glTF file
+//!    ([`io::gltf::import`]), a script, a store, or from objects that you insert. A [`World`] is one version of it with its
+//!    spatial index; [`World::apply`] makes the next version.
+//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`].
+//! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, [`Pose`] and [`Request`], and returns a [`Prediction`] with
+//!    [`Images`] and [`Stats`].
+//! 4. **Features.** [`Predictor::predict_features`] says what is visible of each feature, and [`Predictor::add_boxes`] adds
+//!    its region of interest ([`features`]).
+//! 5. **Tasks.** [`virtual_sensors`] reduce a prediction to what one task wants to know, such as free floor.
+//! 6. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
 //!
 //! ```text
 //! Environment -> World -+
@@ -32,10 +44,16 @@
 //! # Ok::<(), presight::Error>(())
 //! ```
 //!
-//! Lengths are metres, angles inside are radians, frames right-handed: x forward, y left, z up; a camera's optical frame
-//! is z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Errors are one type,
-//! [`Error`], that names file, place and remedy. The cargo features `gpu`, `store` and `report` (default) bring the
-//! wgpu engine, stored environments ([`io`]`::store`) and plots; everything else works without them.
+//! # Conventions
+//!
+//! Lengths are metres and angles are radians. Frames are right-handed: x forward, y left, z up. The optical frame of a
+//! camera has z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Every function that can
+//! fail returns [`Error`], which names the file, the place in it and a remedy.
+//!
+//! # Cargo features
+//!
+//! `gpu` (the wgpu engine), `script` (scenes as scripts), `store` (stored environments) and `report` (plots and studies) are
+//! on by default. Everything else works without them.
 
 pub mod acquire;
 mod change;

@@ -14,13 +14,13 @@ use std::collections::HashSet;
 /// The features of a layer in a version of the world.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Placement {
-    /// Those that lie on polygons, in the order of the layer.
+    /// The features that lie on polygons, in the order of the layer.
     pub placed: Vec<PlacedFeature>,
-    /// Numbers of the others, rising.
+    /// Rising numbers of the others.
     pub off: Vec<u32>,
 }
 
-/// Finds each feature's object and polygons, as [`place`] does; features that are off their polygons are set apart.
+/// Finds the object and the polygons of each feature, as [`place`] does, and separates features that are off their polygons.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the layer is not sound, or names the pose of an object that is not there.
@@ -52,10 +52,9 @@ pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) ->
     place(world, &layer).err().map(|e| e.at(format!("class {class:?}")))
 }
 
-/// Applies a change whose new and altered features must lie on polygons when all of it is done; the answer is the change
-/// that undoes it. A world without an index gets the default one for that. Features that are restored are let be, unless
-/// `restored_too`: they may have lost their surface while they were there. So are those of `lost` (class, id), which are known
-/// to have lost theirs elsewhere.
+/// Applies a change and returns its inverse. New and altered features must lie on polygons at the end of the change. Restored
+/// features are checked only with `restored_too`, because they may have lost their surface before they were deleted. The features
+/// `lost` (class, id) are known to have lost theirs and are not checked. A world without an index gets the default one.
 ///
 /// # Errors
 /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] naming class and feature if one does not; content and

@@ -1,4 +1,4 @@
-//! One call from a world, a sensor and a pose to images.
+//! The predictor: from a world, a sensor and a pose to images and features.
 
 use crate::cpu;
 use crate::error::{Error, ErrorKind, Result};
@@ -15,7 +15,7 @@ use crate::sensor::Sensor;
 use crate::world::World;
 use std::time::Instant;
 
-/// Which engine predicts.
+/// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
     /// A hardware GPU if there is one, else the CPU engine.
@@ -23,31 +23,31 @@ pub enum Backend {
     Auto,
     /// The CPU engine; never loads Vulkan.
     Cpu,
-    /// wgpu on any adapter, a software one too.
+    /// The GPU engine on any adapter, including software adapters.
     Gpu,
 }
 
 /// How a [`Predictor`] works.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Which engine.
+    /// The engine to use.
     pub backend: Backend,
     /// CPU threads; 0 takes all cores.
     pub threads: usize,
 }
 
-/// The images of one sensor at one pose, and what they cost.
+/// The images of one sensor at one pose, with statistics.
 #[derive(Clone, Debug)]
 pub struct Prediction {
     /// The sensor.
     pub sensor: Sensor,
     /// Its pose, body axes.
     pub world_from_sensor: Pose,
-    /// The version of the world that was read.
+    /// The version of the world that was used.
     pub world_version: u64,
-    /// The asked images.
+    /// The requested images.
     pub images: Images,
-    /// What it cost.
+    /// What the prediction did and cost.
     pub stats: Stats,
 }
 
@@ -107,10 +107,10 @@ struct Proven {
 }
 
 impl Predictor {
-    /// Makes the engine ready.
+    /// Makes a predictor and opens its engine.
     ///
     /// # Errors
-    /// [`ErrorKind::NoDevice`] if [`Backend::Gpu`] is asked for and no adapter is found;
+    /// [`ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
     /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
     pub fn new(options: Options) -> Result<Self> {
         Self::opened(options, Opening::default())
@@ -143,7 +143,7 @@ impl Predictor {
         })
     }
 
-    /// `cpu`, or `gpu` with its adapter.
+    /// Name of the engine: `cpu`, or `gpu` with its adapter.
     pub fn engine_name(&self) -> String {
         match &self.engine {
             Engine::Cpu(_) => "cpu".into(),
@@ -152,7 +152,7 @@ impl Predictor {
         }
     }
 
-    /// Predicts what a sensor sees; the pose is the sensor's in the world, body axes.
+    /// Predicts the images of a sensor at a pose: the sensor's pose in the world, body axes.
     ///
     /// # Errors
     /// As [`Predictor::predict_into`].
@@ -174,14 +174,14 @@ impl Predictor {
         })
     }
 
-    /// The same into the caller's images, which are reused from call to call.
+    /// As [`Predictor::predict`], into the caller's images, whose memory is reused.
     ///
-    /// A GPU that is lost is opened again, once in a prediction; with [`Backend::Auto`] the CPU engine takes over where
-    /// that fails or the device has too little memory. From then on [`Stats::notices`] says so.
+    /// If the GPU is lost, it is opened again once per prediction. With [`Backend::Auto`] the CPU engine takes over if
+    /// that fails, or if the device has too little memory. [`Stats::notices`] says so from then on.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for `depth_z` of a sensor that is no camera; [`ErrorKind::DeviceLost`] and
-    /// [`ErrorKind::DeviceMemory`] of a GPU that was asked for by name.
+    /// [`ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera; [`ErrorKind::DeviceLost`] and
+    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`].
     pub fn predict_into(
         &mut self,
         world: &World,
@@ -215,14 +215,14 @@ impl Predictor {
         rendered.map(|()| stats)
     }
 
-    /// Predicts what the sensor sees of features, from the images of a prediction of the same world, sensor and pose, as
-    /// [`crate::features::predict_features`] does, on the predictor's own threads.
+    /// Predicts how much the sensor sees of features, from the images of a prediction of the same world, sensor and pose. It does
+    /// the same as [`crate::features::predict_features`], on the predictor's own threads.
     ///
-    /// If that was its last prediction and the GPU made it, the images are asked where they are, on the device.
+    /// If these images are from the predictor's last prediction and from a hardware GPU, part of the work runs on the device.
     ///
     /// # Errors
-    /// As [`crate::features::predict_features`]; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] of a GPU that
-    /// was asked for by name; [`ErrorKind::System`] if threads cannot be started.
+    /// As [`crate::features::predict_features`]; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] with
+    /// [`Backend::Gpu`]; [`ErrorKind::System`] if threads cannot be started.
     #[expect(clippy::too_many_arguments, reason = "those of a prediction, its images, and where its cost is told")]
     pub fn predict_features(
         &mut self,
@@ -265,12 +265,12 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// Gives features their boxes, as [`crate::features::add_boxes`] does, on the predictor's own threads, or on the device
-    /// where that is no program on the same cores.
+    /// Adds regions of interest to predicted features. It does the same as [`crate::features::add_boxes`], on the predictor's own
+    /// threads, or on the device if that is hardware.
     ///
     /// # Errors
-    /// As [`crate::features::add_boxes`]; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] of a GPU that was asked
-    /// for by name; [`ErrorKind::System`] if threads cannot be started.
+    /// As [`crate::features::add_boxes`]; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`];
+    /// [`ErrorKind::System`] if threads cannot be started.
     #[expect(clippy::too_many_arguments, reason = "those of a prediction, its features, and where its cost is told")]
     pub fn add_boxes(
         &mut self,
@@ -313,7 +313,7 @@ impl Predictor {
         Ok(())
     }
 
-    /// Says that a stage stays on the CPU because the adapter is no hardware.
+    /// Records that a stage stays on the CPU because the adapter is software.
     fn tell_of_software(&self, stage: &str, stats: &mut Stats) {
         #[cfg(not(feature = "gpu"))]
         let _ = (stage, stats);
@@ -323,7 +323,7 @@ impl Predictor {
         }
     }
 
-    /// Does something on the predictor's own threads.
+    /// Runs a function on the predictor's own threads.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if threads cannot be started.

@@ -10,8 +10,8 @@ mod objects;
 #[cfg(test)]
 mod tests;
 
-/// One version of the environment and its spatial index, cheap to clone; predictions in flight keep the version they
-/// began with.
+/// One version of the environment with its spatial index. It is cheap to clone, and a running prediction keeps the version with
+/// which it started.
 ///
 /// ```
 /// use presight::{Change, Environment, Pose, World};
@@ -33,7 +33,7 @@ impl World {
         Self::with_index(environment, Scheme::default(), Params::tuned(Scheme::default()))
     }
 
-    /// The first version of a world, with an index of that scheme.
+    /// The first version of a world, with an index of this scheme.
     pub fn with_index(environment: Environment, scheme: Scheme, params: Params) -> Self {
         Self::of(WorldIndex::new(&environment, scheme, params), environment)
     }
@@ -50,12 +50,12 @@ impl World {
         Self { index, ..self.clone() }
     }
 
-    /// What this version holds.
+    /// The environment of this version.
     pub fn environment(&self) -> &Arc<Environment> {
         &self.environment
     }
 
-    /// What this version holds, without the rest.
+    /// Takes the environment out of the world.
     pub fn into_environment(self) -> Arc<Environment> {
         self.environment
     }
@@ -65,15 +65,15 @@ impl World {
         &self.index
     }
 
-    /// Number of the version; results carry it.
+    /// Number of the version. Predictions report it.
     pub fn version(&self) -> u64 {
         self.version
     }
 
-    /// Makes the next version; the answer is the change that undoes this one. Environment and index change in step, in
+    /// Applies a change, which makes the next version, and returns its inverse. Environment and index change together, in
     /// place unless a clone still holds this version.
     ///
-    /// What is undone is the content ([`Environment::content_hash`]) to the last bit. Numbers are not: an object that
+    /// The inverse restores the content ([`Environment::content_hash`]) to the last bit. It does not restore numbers: an object that
     /// comes back has new slots.
     ///
     /// ```

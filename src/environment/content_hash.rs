@@ -37,7 +37,7 @@ impl fmt::Display for ContentHash {
 }
 
 impl Environment {
-    /// The hash of all it holds, equal on every machine; the encoding is told in the source of this module.
+    /// The hash of the whole content, equal on every machine. The source of this module defines the encoding.
     ///
     /// ```
     /// use presight::{Environment, Material};

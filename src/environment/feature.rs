@@ -1,4 +1,4 @@
-//! Features: what a sensor can extract from its image, where it is, and how sure that is (paper section 2.3).
+//! Features: what a sensor can extract from its image, with position and uncertainty (paper section 2.3).
 
 use glam::{DMat3, DVec3};
 
@@ -7,9 +7,9 @@ use glam::{DMat3, DVec3};
 pub struct FeatureLayer {
     /// The sensor class they are for.
     pub class: String,
-    /// How far a feature may be off the polygons it lies on, metres.
+    /// How far a feature may be off its polygons, metres.
     pub tolerance: f64,
-    /// Rising ids.
+    /// The features, by rising id.
     pub features: Vec<Feature>,
     /// Covariances of objects' poses, shared by all features of the object, by object path: x y z, then rotation about
     /// the fixed axes x y z, metres and radians, in the object's frame.
@@ -17,8 +17,8 @@ pub struct FeatureLayer {
 }
 
 impl FeatureLayer {
-    /// The newest confirmation of all features, UTC seconds (0 without features): the time that existence is told for
-    /// unless one is asked for. Never the clock's: the same input gives the same prediction.
+    /// The newest confirmation of all features, UTC seconds (0 without features). Predictions report existence for this time unless
+    /// another is given. The clock is never read: the same input gives the same prediction.
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -42,23 +42,23 @@ impl FeatureLayer {
     }
 }
 
-/// How far a feature may be off its polygons where the layer does not say, metres.
+/// Default for [`FeatureLayer::tolerance`], metres.
 pub const DEFAULT_TOLERANCE: f64 = 1e-3;
 
-/// Something that a sensor can extract from its image.
+/// A feature: something that a sensor can extract from its image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Feature {
-    /// Stable, never used again; 0 is nothing.
+    /// Stable number, never used again; 0 is nothing.
     pub id: u32,
-    /// For people.
+    /// Name, for people.
     pub name: Option<String>,
-    /// Path of the object in whose frame it is given, and with which it moves; `None` is the world.
+    /// Path of the object in whose frame the feature is given and with which it moves; `None` means the world.
     pub object: Option<String>,
-    /// Where it is and how sure that is.
+    /// Geometry with its covariance.
     pub shape: FeatureShape,
-    /// That it is there at all.
+    /// Probability that it exists.
     pub existence: Existence,
-    /// What else is known.
+    /// Further attributes.
     pub properties: Properties,
 }
 
@@ -156,7 +156,7 @@ impl FeatureShape {
         }
     }
 
-    /// True of what has an area.
+    /// True for shapes with an area: patches and fiducials.
     pub(crate) fn is_area(&self) -> bool {
         matches!(self, Self::Patch { .. } | Self::Fiducial { .. })
     }

@@ -1,5 +1,5 @@
-//! Groups: paths that have objects below and are no objects themselves, such as `hall/line 1` of `hall/line 1/press`. Each
-//! has a frame, so that it can be moved with all that is below.
+//! Groups: paths that have objects below them and are not objects, such as `hall/line 1` of `hall/line 1/press`. Each
+//! has a frame, so that it can be moved with everything below it.
 
 use super::{Environment, check_pose};
 use crate::error::{Error, Result};
@@ -57,9 +57,8 @@ impl Environment {
         found
     }
 
-    /// The frame of a path, `world_from_path`: the pose of its object; of a group the frame that it was given or, if it was
-    /// given none, that of the nearest path above which has one, or of the world. `None` if there is nothing at the path
-    /// and below.
+    /// The frame of a path, `world_from_path`: the pose of its object, or the frame of a group. A group without a frame of its own
+    /// has that of the nearest path above, or the world's. `None` if there is nothing at the path or below it.
     pub fn frame(&self, path: &str) -> Option<Pose> {
         let there = self.object(path).is_some() || (!path.is_empty() && self.has_below(path));
         there.then(|| self.frame_at(path))
@@ -76,7 +75,7 @@ impl Environment {
     /// The frame of a path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is nothing at the path and below.
+    /// [`crate::ErrorKind::Invalid`] if there is nothing at the path or below it.
     pub(crate) fn frame_of(&self, path: &str) -> Result<Pose> {
         self.frame(path).ok_or_else(|| {
             let what = format!("there is no object {path:?}, and none below it");
@@ -84,8 +83,8 @@ impl Environment {
         })
     }
 
-    /// Gives a group a frame of its own, or none; the answer is the one before. What is below stays where it is
-    /// ([`crate::Change::MoveObject`] moves it along). A frame may be given before anything is below; it is no content until then.
+    /// Sets or removes the frame of a group, and returns the previous one. Objects below stay where they are
+    /// ([`crate::Change::MoveObject`] moves them). A frame may be set before anything is below; it is not content until then.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the path is that of an object, empty or too long, or the pose is not finite or out

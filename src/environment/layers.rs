@@ -15,7 +15,7 @@ impl Environment {
         found.ok().map(|i| &self.layers[i])
     }
 
-    /// Adds a layer; features for a class that has a layer already join it. Whether they lie on polygons is found when
+    /// Adds a layer. If the class has a layer already, the features join it. Whether they lie on polygons is checked when
     /// the layer is placed ([`crate::features::place`]).
     ///
     /// ```
@@ -31,8 +31,8 @@ impl Environment {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the layer is not sound, an object it names does not exist, or an id or an
-    /// object's pose covariance is given already; nothing is added then.
+    /// [`crate::ErrorKind::Invalid`] if the layer is invalid, names an object that does not exist, or repeats an id or an
+    /// object's pose covariance. Nothing is added then.
     pub fn add_layer(&mut self, layer: FeatureLayer) -> Result<()> {
         let place = format!("layer for class {:?}", layer.class);
         self.check_new_layer(&layer).map_err(|e| e.at(place))?;
@@ -72,13 +72,13 @@ impl Environment {
         }
     }
 
-    /// The feature of that class and id.
+    /// The feature of this class and id.
     pub fn feature(&self, class: &str, id: u32) -> Option<&Feature> {
         let layer = self.layer(class)?;
         layer.features.binary_search_by_key(&id, |f| f.id).ok().map(|i| &layer.features[i])
     }
 
-    /// Ids of deleted features of a class, rising; no new feature gets one of them.
+    /// Rising ids of deleted features of a class, which are never used again.
     pub fn retired(&self, class: &str) -> impl Iterator<Item = u32> + '_ {
         self.retired.get(class).into_iter().flatten().copied()
     }

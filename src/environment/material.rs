@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Appearance {
-    /// Seen, and hides what is behind.
+    /// Visible, and hides what is behind it.
     #[default]
     Opaque,
     /// No range and no occlusion, but its features stay.
@@ -24,21 +24,21 @@ pub struct Material {
     pub name: String,
     /// Reflection factor, 0..=1.
     pub reflection: f64,
-    /// Seen from the side of its normal only. Off for everything unless the material says otherwise.
+    /// Visible only from the side of its normal. Off by default.
     pub one_sided: bool,
     /// Linear RGB for pictures.
     pub color: [f32; 3],
-    /// Appearance by sensor class; classes not named see it opaque.
+    /// Appearance by sensor class. It is opaque to classes that are not listed.
     pub appearance: BTreeMap<String, Appearance>,
 }
 
 impl Material {
-    /// Opaque to everybody, two-sided, reflection factor 1.
+    /// A material that is opaque to every class, two-sided, with reflection factor 1.
     pub fn named(name: impl Into<String>) -> Self {
         Self { name: name.into(), reflection: 1.0, one_sided: false, color: [0.8; 3], appearance: BTreeMap::new() }
     }
 
-    /// How a sensor class sees it.
+    /// Its appearance to a sensor class.
     pub fn appearance(&self, class: &str) -> Appearance {
         self.appearance.get(class).copied().unwrap_or_default()
     }

@@ -7,7 +7,7 @@ use crate::limits;
 use glam::DMat3;
 use glam::{DVec3, Vec3};
 
-/// A planar convex polygon as [`Mesh::new`] takes it.
+/// A planar convex polygon, for [`Mesh::new`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
     /// Vertex indices in winding order, at least 3.
@@ -28,9 +28,9 @@ impl Polygon {
 /// In which order a mesh keeps its polygons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PolygonOrder {
-    /// Neighbours together, so that clusters are small boxes. The choice for everything but comparisons.
+    /// Neighbours together, so that clusters have small boxes. Use this for everything except comparisons.
     Spatial,
-    /// As given, so that slots rise with source numbers.
+    /// The given order, so that slots rise with source numbers.
     Given,
 }
 
@@ -266,7 +266,7 @@ impl Mesh {
         Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials })
     }
 
-    /// The same polygons of other materials.
+    /// The same polygons with other materials.
     #[cfg(any(feature = "script", feature = "store"))]
     pub(crate) fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
         let mut mesh = self.clone();
@@ -275,11 +275,11 @@ impl Mesh {
         mesh
     }
 
-    /// The same polygons turned and scaled, of other materials; rounded to f32 once. Normals follow the winding after
+    /// The same polygons, transformed and with other materials, rounded to f32 once. Normals follow the winding after
     /// the transform, as they do for an object's own.
     ///
     /// # Errors
-    /// Those of [`Mesh::new`]: rounding may flatten what was hardly there.
+    /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
     #[cfg(feature = "store")]
     pub(crate) fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
         let vertices = self.vertices.iter().map(|v| (turn * v.as_dvec3()).as_vec3()).collect();

@@ -1,4 +1,4 @@
-//! The environment: objects in groups, meshes and materials; the thing that is stored and kept true (paper section 2.1).
+//! The environment: objects in groups, meshes, materials and feature layers (paper section 2.1).
 
 mod content_hash;
 mod feature;
@@ -24,14 +24,14 @@ use glam::{DAffine3, DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// A named rigid thing with a pose in the world and a mesh in its own frame.
+/// A named rigid object with a pose in the world and a mesh in its own frame.
 #[derive(Clone, Debug)]
 pub struct Object {
     /// Full path, unique in the environment.
     pub name: String,
-    /// The rigid pose: what moves when the object moves.
+    /// The rigid pose. Moving the object changes only this.
     pub world_from_object: Pose,
-    /// Scale, mirror and shear of this instance; identity for most.
+    /// Scale, mirror and shear of this instance; usually the identity.
     pub object_from_mesh: DAffine3,
     /// Shared by all instances.
     pub mesh: Arc<Mesh>,
@@ -61,24 +61,24 @@ impl Object {
         if b.is_empty() { b } else { Aabb { min: turned.min - slack, max: turned.max + slack } }
     }
 
-    /// A point of the world in the mesh's frame. World positions are subtracted before anything else: at 5,000,000 m
-    /// the difference is still exact.
+    /// Transforms a point of the world into the mesh's frame. World positions are subtracted first, so that the difference is
+    /// exact even at 5,000,000 m.
     pub fn point_in_mesh(&self, p_in_world: DVec3) -> DVec3 {
         let object_from_world = self.world_from_object.rotation_matrix().transpose();
         let p_in_object = object_from_world * (p_in_world - self.world_from_object.translation);
         self.object_from_mesh.inverse().transform_point3(p_in_object)
     }
 
-    /// True once it is deleted: it keeps its number and its slots, which nothing else ever gets, and has no polygons.
+    /// True if the object is deleted. It keeps its number and its slots, which are never used again, and has no polygons.
     pub fn is_deleted(&self) -> bool {
         self.deleted
     }
 }
 
-/// What [`Environment::insert`] takes.
+/// A new object for [`Environment::insert`].
 #[derive(Clone, Debug)]
 pub struct NewObject {
-    /// Wanted name; `#2` and so on is appended to repeats.
+    /// The name. A repeated name gets `#2` and so on.
     pub name: String,
     /// See [`Object::world_from_object`].
     pub world_from_object: Pose,
@@ -91,7 +91,7 @@ pub struct NewObject {
 }
 
 impl NewObject {
-    /// An object whose mesh needs no further scale.
+    /// An object whose mesh is not scaled.
     pub fn new(name: impl Into<String>, world_from_object: Pose, mesh: Arc<Mesh>) -> Self {
         Self { name: name.into(), world_from_object, object_from_mesh: DAffine3::IDENTITY, mesh, first_source: 0 }
     }
@@ -140,12 +140,12 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// Holds nothing.
+    /// An empty environment.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a material; the answer is its index, for [`Polygon::material`].
+    /// Adds a material and returns its index, for [`Polygon::material`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the reflection factor is outside 0..=1 or there are over 65,535 materials.
@@ -159,11 +159,11 @@ impl Environment {
         Ok(index)
     }
 
-    /// Adds an object; the answer is its index. Its `object_id` in images is one more. A group of its path gives way.
+    /// Adds an object and returns its index. Its `object_id` in images is one more. The object replaces a group of its path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the mesh names a material the environment lacks, the pose is not finite or out
-    /// of bounds, or a limit is passed.
+    /// [`crate::ErrorKind::Invalid`] if the mesh names a material that does not exist, the pose is not finite or out
+    /// of bounds, or a limit is exceeded.
     pub fn insert(&mut self, new: NewObject) -> Result<u32> {
         let place = || format!("object {:?}", new.name);
         check_pose(&new.world_from_object).map_err(|e| e.at(place()))?;
@@ -203,7 +203,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// Gives an object another pose.
+    /// Sets the pose of an object.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no such object or the pose is not finite or out of bounds.
@@ -214,7 +214,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// Deletes an object; its name is free again, its number and slots are not. The answer is its index.
+    /// Deletes an object and returns its index. Its name may be used again, its number and slots never.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no such object.
@@ -226,7 +226,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// The index of the object of that full path.
+    /// The index of the object with this full path.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is none.
@@ -287,7 +287,7 @@ impl Environment {
         &self.objects
     }
 
-    /// The object of that full path.
+    /// The object with this full path.
     pub fn object(&self, name: &str) -> Option<&Object> {
         self.names.get(name).map(|&i| &self.objects[i as usize])
     }
@@ -297,7 +297,7 @@ impl Environment {
         &self.materials
     }
 
-    /// Slots used so far; every slot is below.
+    /// Number of slots used so far; every slot is below it.
     pub fn slot_count(&self) -> u32 {
         self.next_slot
     }

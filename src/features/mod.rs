@@ -1,4 +1,4 @@
-//! Features in a world: which polygons they lie on, how much of each a sensor sees, and where.
+//! Features in a world: which polygons they lie on, how much of each a sensor sees, and where in the image.
 
 mod boxes;
 mod columns;
@@ -29,13 +29,13 @@ pub use visible::{FeatureOptions, Visibility, predict_features};
 
 use crate::environment::Feature;
 
-/// A feature with its place in a version of the world.
+/// A feature with its object and polygons in one version of the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlacedFeature {
-    /// As the layer has it; geometry in the frame of its object.
+    /// The feature from the layer, in the frame of its object.
     pub feature: Feature,
-    /// Index of its object; `None` is the world.
+    /// Index of its object; `None` means the world.
     pub object: Option<u32>,
-    /// Slots of the polygons it lies on: they never hide it.
+    /// Slots of the polygons on which it lies. They never hide it.
     pub slots: Vec<u32>,
 }

@@ -1,33 +1,33 @@
-//! What is predicted of features.
+//! Predicted features.
 
 use crate::environment::Feature;
 use glam::{DVec2, DVec3};
 
-/// Why a part of a feature is not seen: the first that applies, in this order.
+/// Why a part of a feature is hidden: the first reason that applies, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Reason {
     /// Behind a camera.
     BehindSensor,
-    /// The image does not reach there; for a scanner of one row also above or below its beam.
+    /// Outside the image; for a scanner of one row also above or below its beam.
     OutsideImage,
-    /// Nearer than the sensor can measure.
+    /// Nearer than `range_min`.
     BelowRangeMin,
-    /// Farther than the sensor can measure.
+    /// Farther than `range_max`.
     BeyondRangeMax,
-    /// Everything it lies on is invisible to the sensor's class.
+    /// All polygons on which it lies are invisible to the sensor's class.
     Material,
-    /// Seen from behind: a landmark, or a feature of one-sided polygons only.
+    /// Seen from behind: a landmark, or a feature that lies only on one-sided polygons.
     FacingAway,
-    /// Seen at a flatter angle than the sensor extracts features at (`max_incidence`).
+    /// Seen at a larger angle of incidence than `max_incidence`.
     Oblique,
     /// Behind another polygon.
     Occluded,
-    /// A polygon covers it whose distance is not known better than to rounding.
+    /// Covered by a polygon that is, within rounding, equally far away.
     Undecided,
 }
 
 impl Reason {
-    /// Every reason, in order.
+    /// All reasons, in order.
     pub const ALL: [Self; 9] = [
         Self::BehindSensor,
         Self::OutsideImage,
@@ -40,7 +40,7 @@ impl Reason {
         Self::Undecided,
     ];
 
-    /// As files name it.
+    /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::BehindSensor => "behind_sensor",
@@ -55,39 +55,39 @@ impl Reason {
         }
     }
 
-    /// Not in the part of the image that visible shares refer to.
+    /// True if the part is outside of what visible shares refer to: outside image or range limits.
     pub fn is_outside(self) -> bool {
         self <= Self::BeyondRangeMax
     }
 }
 
-/// A part of a feature that is seen.
+/// A visible part of a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisibleInterval {
-    /// 0..=1 by length in space from the first defining point to the second. A point is [0, 1]. For a patch, shares of
-    /// its area in the image: first what is seen, then the hidden parts by reason.
+    /// Interval in 0..=1 by length in space, from the first defining point to the second. [0, 1] for a point. For a patch it is a
+    /// share of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
-    /// Pixel coordinates of both ends (column, row); for a patch, least and greatest of what is seen.
+    /// Pixel coordinates of both ends (column, row). For a patch, the least and greatest coordinates of the visible part.
     pub pixels: [DVec2; 2],
 }
 
-/// A part of a feature that is not seen.
+/// A hidden part of a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HiddenInterval {
     /// As [`VisibleInterval::t`].
     pub t: [f64; 2],
     /// The first reason that applies.
     pub reason: Reason,
-    /// What hides it, for [`Reason::Occluded`].
+    /// The polygon that hides it, for [`Reason::Occluded`].
     pub by: Option<Occluder>,
 }
 
-/// A polygon that hides something.
+/// A polygon that hides a feature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Occluder {
     /// Its slot.
     pub slot: u32,
-    /// Its number as images show it.
+    /// Its `polygon_id`.
     pub polygon_id: u32,
     /// Index of its object.
     pub object: u32,
@@ -96,36 +96,36 @@ pub struct Occluder {
 /// One feature as a sensor sees it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenFeature {
-    /// As the layer has it.
+    /// The feature from the layer.
     pub feature: Feature,
     /// Its defining points in the world, metres.
     pub points_world: Vec<DVec3>,
     /// Unit normal of its surface in the world, if the layer gives one.
     pub normal_world: Option<DVec3>,
-    /// Share of the image length inside image and range limits that is seen; of the area for patches, 0 or 1 for points.
-    /// 0 where nothing is inside.
+    /// Visible share of the image length inside image and range limits; of the area for patches, 0 or 1 for points. 0 if
+    /// nothing is inside.
     pub visible_fraction: f64,
-    /// What is seen; with `hidden` it is all of 0..=1.
+    /// The visible parts. Together with `hidden` they cover 0..=1.
     pub visible: Vec<VisibleInterval>,
-    /// What is not, and why.
+    /// The hidden parts, with reasons.
     pub hidden: Vec<HiddenInterval>,
     /// Metres to the nearest visible sample.
     pub range: Option<f64>,
-    /// |cos| of the angle between ray and surface there; of the surfaces of an edge the one seen most directly.
+    /// |cos| of the angle between ray and surface normal there; for an edge, of its surface that is seen most directly.
     pub cos_incidence: Option<f64>,
     /// Probability that it exists at the time of the prediction.
     pub existence: f64,
-    /// Pixels in which it will be found: x0, y0, x1, y1.
+    /// The region of interest: the pixel box in which the feature will be found, x0, y0, x1, y1.
     pub roi: Option<[f64; 4]>,
     /// How the region was found: `linear`, `set` or `whole_image`.
     pub roi_flag: Option<&'static str>,
-    /// 2 x 2 covariance in the image of every defining point, pixels squared; of what is seen, as the region is, and where
-    /// every defining point has an image.
+    /// 2 x 2 covariance in the image of every defining point, pixels squared. Given for visible features whose defining points
+    /// all have an image.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
 }
 
 impl SeenFeature {
-    /// A feature as if all of it were seen, its frame the world's and nothing else known: for what follows from being seen.
+    /// A feature of which everything is visible, given in the world's frame, with nothing else known.
     pub fn whole(feature: &Feature) -> Self {
         Self {
             points_world: feature.shape.points().to_vec(),
@@ -147,17 +147,17 @@ impl SeenFeature {
 /// How visibility was decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FeatureStats {
-    /// Features of the sensor's class.
+    /// Number of features of the sensor's class.
     pub features: usize,
     /// Samples that reached the test of visibility.
     pub samples: usize,
-    /// Hidden by a polygon of the nine neighbouring pixels.
+    /// Samples hidden by a polygon of the nine neighbouring pixels.
     pub hidden_by_neighbours: usize,
-    /// Hidden by another that the nine pixels missed, found by asking the index.
+    /// Samples hidden by a polygon that the nine pixels missed and the index found.
     pub hidden_in_space: usize,
-    /// Visible: the index has nothing in between.
+    /// Visible samples: the index has nothing in between.
     pub visible: usize,
-    /// Covered by a polygon whose range is not known.
+    /// Samples covered by a polygon whose range is not known.
     pub undecided: usize,
 }
 
@@ -172,7 +172,7 @@ impl FeatureStats {
         self.undecided += other.undecided;
     }
 
-    /// Names and counts, as statistics have them.
+    /// Names and counts, as in the statistics file.
     pub fn counts(&self) -> [(&'static str, usize); 6] {
         [
             ("features", self.features),
@@ -185,13 +185,13 @@ impl FeatureStats {
     }
 }
 
-/// What a sensor sees of features.
+/// The features that a sensor sees, and how much of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FeaturePrediction {
-    /// In the order they were given.
+    /// The features, in the order in which they were given.
     pub features: Vec<SeenFeature>,
-    /// The feature's number by pixel, row-major, 0 is none; empty unless asked for. One pixel a sample; points and
-    /// landmarks over segments over patches, lower numbers first.
+    /// The number of the feature in each pixel, row-major; 0 is none. Empty unless requested. Each sample marks one pixel. Points
+    /// and landmarks win over segments, and these over patches; then the lower number wins.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
     pub stats: FeatureStats,

@@ -1,11 +1,11 @@
-//! Sides of patches, for pictures of what is seen of them.
+//! Sides of patches, for drawing their visible parts.
 
 use super::{FeaturePrediction, PlacedFeature};
 use crate::environment::{Feature, FeatureShape};
 use glam::DMat3;
 
-/// The sides of patches and fiducials that a prediction says are seen in part, as segments that have the number and the
-/// polygons of their patch. The share of an area does not tell which of its outline is seen; a prediction of these does.
+/// The sides of all patches and fiducials that are visible in part, as segments with the number and the polygons of their
+/// patch. The visible share of an area does not say which part of its outline is visible; a prediction of these segments does.
 ///
 /// `placed` are the features that were predicted, in that order.
 ///

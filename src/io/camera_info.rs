@@ -22,7 +22,7 @@ use serde::de::{DeserializeOwned, IgnoredAny};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Reads a camera_info YAML; beside the sensor, notices on what of the file is not used.
+/// Reads a camera_info YAML. Also returns notices on parts of the file that are not used.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] with the line or key at fault; [`crate::ErrorKind::Unsupported`] on a distortion

@@ -24,7 +24,7 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] naming place and field: no JSON, unknown or missing keys, and those of [`Corridor::new`];
+/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, and those of [`Corridor::new`];
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<Corridor> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))

@@ -1,5 +1,5 @@
-//! OpenEXR images of a prediction, lossless: floats as FLOAT, ids as UINT, bit for bit, with what made them as text
-//! attributes `presight:*`.
+//! OpenEXR images of a prediction, lossless: floats as FLOAT and ids as UINT, bit for bit. Text attributes `presight:*` hold
+//! sensor, pose and scene.
 
 use super::atomic::write_atomically;
 use crate::error::{Error, ErrorKind, Result};
@@ -19,7 +19,7 @@ use std::path::Path;
 /// The version of the attributes this code writes, and the newest it reads.
 const FORMAT: u32 = 1;
 
-/// What made the images of a file. Foreign files may lack any of it.
+/// Origin of the images in a file. Files of other programs may lack any of it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Attributes {
     /// The sensor as sensor TOML.
@@ -30,24 +30,24 @@ pub struct Attributes {
     pub scene: Option<String>,
     /// BLAKE3 of the scene file, hexadecimal.
     pub scene_blake3: Option<String>,
-    /// What `polygon_id` numbers.
+    /// Which number `polygon_id` holds.
     pub ids: Option<IdScheme>,
     /// Object names by `object_id`.
     pub objects: BTreeMap<u32, String>,
 }
 
-/// A file as read.
+/// The content of an EXR file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImageFile {
     /// The images of known name.
     pub images: Images,
-    /// What made them.
+    /// Their origin.
     pub attributes: Attributes,
-    /// Channels that are none of presight's images, by name.
+    /// Names of channels that are not images of presight.
     pub ignored: Vec<String>,
 }
 
-/// Writes those images of `outputs` that are there. The same images and attributes give the same bytes.
+/// Writes the images of `outputs` that were made. The same images and attributes give the same bytes.
 ///
 /// ```
 /// use presight::{Images, Output, Outputs, io::exr};

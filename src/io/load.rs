@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::sensor::{PRESETS, Sensor};
 use std::path::Path;
 
-/// A sensor of the built-in list ([`PRESETS`]).
+/// Makes a sensor from a preset ([`PRESETS`]).
 ///
 /// ```
 /// let radar = presight::preset("microwave-radar-image")?;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if there is none of this name; the remedy lists the names.
+/// [`crate::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
 pub fn preset(name: &str) -> Result<Sensor> {
     let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
         return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
@@ -26,8 +26,8 @@ pub(super) fn preset_names() -> String {
     PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
 }
 
-/// The sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML; with notices
-/// on what of a file is not used.
+/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML. Also returns notices on
+/// parts of the file that are not used.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; otherwise those of

@@ -35,7 +35,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What a sidecar file says.
+/// The content of a sidecar file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sidecar {
     /// Pose of the z-up scene in the world.
@@ -53,7 +53,7 @@ struct SidecarText {
     material: BTreeMap<String, Properties>,
 }
 
-/// Properties of one material; absent ones keep their value.
+/// Properties of one material; absent ones stay unchanged.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Properties {
@@ -64,7 +64,7 @@ pub struct Properties {
 }
 
 impl Properties {
-    /// Changes what is named here.
+    /// Applies the properties that are given.
     pub fn apply_to(&self, material: &mut Material) {
         if let Some(reflection) = self.reflection {
             material.reflection = reflection;
@@ -76,13 +76,13 @@ impl Properties {
     }
 }
 
-/// The sidecar that belongs to a scene, whether it exists or not.
+/// The path of a scene's sidecar, which need not exist.
 pub fn sidecar_path(scene: &Path) -> PathBuf {
     scene.with_extension("materials.toml")
 }
 
 impl Sidecar {
-    /// Reads the sidecar of a scene; a missing one says nothing.
+    /// Reads the sidecar of a scene. If there is none, the result changes nothing.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the line of an unknown key or impossible value,
@@ -121,7 +121,7 @@ impl Sidecar {
     /// Changes the named materials of a scene.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if a name belongs to no material or a reflection factor is impossible.
+    /// [`crate::ErrorKind::Invalid`] if a name belongs to no material, or a reflection factor is outside 0..=1.
     pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
         for (name, properties) in &self.materials {
             let mut known = false;
@@ -145,7 +145,7 @@ impl Sidecar {
 /// Reads the value of `extras` of a glTF material.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are not looked at.
+/// [`crate::ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are ignored.
 pub fn from_extras(extras: &str) -> Result<Option<Properties>> {
     let value: serde_json::Value = serde_json::from_str(extras)
         .map_err(|e| Error::invalid(e.to_string(), "export the model again").at("extras"))?;

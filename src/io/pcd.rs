@@ -1,4 +1,4 @@
-//! PCD point clouds, binary, organized: one point a pixel, NaN where nothing is seen.
+//! PCD point clouds, binary and organized: one point per pixel, NaN where nothing is measured.
 
 use super::atomic::write_atomically;
 use super::points::{PointCloud, PointsFrame, position_bytes};
@@ -7,8 +7,8 @@ use crate::geometry::Pose;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// Writes x, y, z and polygon_id of every pixel. `VIEWPOINT` is what turns the points into the world: the sensor's
-/// pose for points in the sensor frame, nothing for points in the world.
+/// Writes x, y, z and polygon_id of every pixel. `VIEWPOINT` transforms the points into the world: it is the sensor's pose for
+/// points in the sensor frame, and the identity for points in the world.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written.

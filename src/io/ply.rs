@@ -1,4 +1,4 @@
-//! PLY point clouds, binary little-endian: seen points only.
+//! PLY point clouds, binary little-endian: measured points only.
 
 use super::atomic::write_atomically;
 use super::points::{PointCloud, PointsFrame, position_bytes};
@@ -6,7 +6,7 @@ use crate::error::Result;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// Writes x, y, z and polygon_id of every point seen.
+/// Writes x, y, z and polygon_id of every measured point.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written.

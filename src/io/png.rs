@@ -24,12 +24,12 @@ use scale::Scale;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if it is there),
+/// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if that image was made),
 /// a title and a scale bar.
 ///
 /// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence and echo
 /// grey.
-/// Pixels get the shape of their angles. Scanners that turn counter-clockwise are mirrored, so that left is left.
+/// The shape of pixels follows their angles. Images of scanners that turn counter-clockwise are mirrored, so that left is left.
 /// A scan of one row is drawn from above, x forward being up.
 ///
 /// # Errors
@@ -39,8 +39,8 @@ pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Outp
     write_preview_with(path, images, sensor, output, None, None)
 }
 
-/// [`write_preview`] with features drawn over it: what is seen of them solid, what is hidden dashed, their regions of
-/// interest as boxes (over the seam of a turn in two parts), from above as arcs; and with marked pixels tinted.
+/// As [`write_preview`], with features drawn over it and marked pixels tinted. Visible parts are solid, hidden parts dashed,
+/// regions of interest boxes (in two parts over the seam of a turn) or, seen from above, arcs.
 ///
 /// # Errors
 /// As [`write_preview`].
@@ -108,13 +108,13 @@ pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
     Outputs::of(&[output, Output::PolygonId, places])
 }
 
-/// What a depth image of a sensor shows: depth_z of a camera (REP-118), otherwise range.
+/// The output that a depth image of a sensor shows: depth_z for a camera (REP-118), otherwise range.
 pub fn depth_output(sensor: &Sensor) -> Output {
     if sensor.is_camera() { Output::DepthZ } else { Output::Range }
 }
 
-/// Writes a 16-bit grey image in millimetres, 0 where there is no value (REP-118): nothing seen, too near, no ray,
-/// or beyond the 65.535 m that 16 bits can hold. The answer has a notice on the last.
+/// Writes a 16-bit grey image in millimetres, 0 where there is no value (REP-118): nothing hit, too near, no ray,
+/// or beyond the 65.535 m that 16 bits can hold. Returns a notice if the last case occurs.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if [`depth_output`]'s image is not there, [`crate::ErrorKind::System`] if the file
@@ -133,7 +133,7 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
     Ok((beyond > 0).then(notice).into_iter().collect())
 }
 
-/// Writes a mask: marked pixels white, the others black, in the order of the images.
+/// Writes a mask with marked pixels white and the others black, in the pixel order of the images.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written.

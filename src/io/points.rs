@@ -6,7 +6,7 @@ use crate::plan::Images;
 use crate::sensor::Sensor;
 use glam::DVec3;
 
-/// In which frame points are.
+/// The frame of the points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PointsFrame {
     /// The sensor's body axes: x forward, y left, z up.
@@ -15,7 +15,7 @@ pub enum PointsFrame {
     World,
 }
 
-/// The points that a range image shows, one per pixel, row-major.
+/// The points of a range image, one per pixel, row-major.
 #[derive(Clone, Debug)]
 pub struct PointCloud {
     pub(super) width: u32,
@@ -27,8 +27,8 @@ pub struct PointCloud {
 }
 
 impl PointCloud {
-    /// Points of a range image: the sensor's f64 ray times the range. Pixels without a range are NaN.
-    /// Without a `polygon_id` image all ids are 0.
+    /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN. All ids are 0
+    /// if there is no `polygon_id` image.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no range image, or an image is not of the sensor's size.
@@ -60,7 +60,7 @@ impl PointCloud {
         Ok(Self { width, height, frame, world_from_sensor: *world_from_sensor, positions, polygon_id })
     }
 
-    /// Positions in the asked frame, metres, NaN where nothing is seen.
+    /// Positions in the requested frame, metres; NaN where nothing is measured.
     pub fn positions(&self) -> &[DVec3] {
         &self.positions
     }
@@ -71,7 +71,7 @@ impl PointCloud {
         both.filter(|(p, _)| !p.is_nan())
     }
 
-    /// What the frame is, for the comment that both formats have.
+    /// Description of the frame, for the comment in both formats.
     pub(super) fn frame_in_words(&self) -> &'static str {
         match self.frame {
             PointsFrame::Sensor => "sensor body axes: x forward, y left, z up; metres",

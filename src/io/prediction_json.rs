@@ -7,7 +7,7 @@
 //! | `pose_covariance` | 36 numbers, row-major, or null |
 //! | `confidence` | of the regions of interest, or null |
 //! | `features` | one entry each, see [`crate::features::SeenFeature`] |
-//! | `virtual` | the answer of a virtual sensor; absent if none was asked for |
+//! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
 //! An entry has `id`, `kind`, `name`, `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
 //! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
@@ -46,20 +46,20 @@ use std::path::Path;
 /// The version that this build writes.
 const FORMAT: u32 = 1;
 
-/// What was predicted, and how sure the pose was.
+/// The sensor and its pose, with uncertainty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Header {
     /// The sensor's name.
     pub sensor: String,
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
-    /// Of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
+    /// Covariance of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
     pub pose_covariance: Option<[[f64; 6]; 6]>,
-    /// Probability with which features are in their regions.
+    /// Probability with which a feature lies in its region of interest.
     pub confidence: Option<f64>,
 }
 
-/// Writes a prediction of features, and a virtual sensor's answer if there is one; `environment` names the objects that hide
+/// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
 /// features.
 ///
 /// ```
@@ -88,7 +88,7 @@ pub fn write(
 /// The text of [`write()`].
 ///
 /// # Errors
-/// None in practice: everything that can be predicted is JSON.
+/// None in practice: every prediction can be written as JSON.
 pub fn to_string(
     header: &Header,
     prediction: &FeaturePrediction,

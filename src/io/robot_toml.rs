@@ -22,9 +22,9 @@ use std::path::Path;
 /// A robot's sensors, in the order of the file.
 #[derive(Clone, Debug)]
 pub struct Robot {
-    /// A free name.
+    /// The name of the robot.
     pub name: String,
-    /// At least one; names differ, each has its mount.
+    /// The sensors with their mounts: at least one, with different names.
     pub sensors: Vec<Sensor>,
 }
 
@@ -46,7 +46,7 @@ struct Entry {
     mount: Option<MountTable>,
 }
 
-/// Reads a robot file with all its sensors; beside it, notices on what of the sensors' files is not used.
+/// Reads a robot file with all its sensors. Also returns notices on parts of the sensors' files that are not used.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] with file and place: of this file, or of the sensor file at fault.

@@ -58,7 +58,7 @@ pub fn read(path: &Path) -> Result<SensorSpec> {
     parse(&read_text(path)?, &name, path.parent()).map_err(|e| e.in_file(path))
 }
 
-/// Reads the text of a sensor file. `name` serves if the text gives none; `file = "X.csv"` is looked for in `folder`.
+/// Reads the text of a sensor file. `name` is used if the text gives none; `file = "X.csv"` is relative to `folder`.
 ///
 /// # Errors
 /// As [`read`], without the file.

@@ -1,4 +1,4 @@
-//! What the readers of our own text files share: bounded reading, the format number, errors with the line.
+//! Shared code of the readers of presight's own text files: bounded reading, the format number, errors with the line.
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::file;
@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use std::io::Read;
 use std::path::Path;
 
-/// The newest version of the TOML files that this build reads; there is no older one.
+/// The only version of the TOML files that this build reads.
 pub(crate) const FORMAT: i64 = 1;
 
 /// A name of one or more path segments, for a new object.
@@ -26,7 +26,7 @@ pub(crate) fn check_name(name: &str) -> Result<()> {
     Err(Error::invalid(format!("{shown:?} is no name of an object"), remedy))
 }
 
-/// A whole file as text, or what a pipe gives that this process was given.
+/// Reads a whole file as text, or the content of a pipe that was passed to this process.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     let mut file = file::open_or_given(path)?;
     let mut bytes = Vec::new();
@@ -52,7 +52,7 @@ pub(crate) fn line_of(text: &str, offset: usize) -> usize {
 /// Reads TOML into a type, with the line in the error.
 pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
     toml::from_str(text).map_err(|e| {
-        let wrong = Error::invalid(e.message().to_owned(), "correct the file; the README describes its keys");
+        let wrong = Error::invalid(e.message().to_owned(), "correct the file; docs/formats.md describes its keys");
         let placed = match e.span() {
             Some(span) => wrong.at(format!("line {}", line_of(text, span.start))),
             None => wrong,
@@ -61,7 +61,7 @@ pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
     })
 }
 
-/// Checks `format = 1`, before anything else is looked at: a newer file may hold keys that this build cannot know.
+/// Checks `format = 1` before anything else, because a newer file may have keys that this build cannot know.
 pub(crate) fn check_format(text: &str) -> Result<()> {
     #[derive(Deserialize)]
     struct Header {

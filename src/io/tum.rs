@@ -1,4 +1,4 @@
-//! Trajectories as the TUM RGB-D benchmark writes them: a line a pose, `timestamp tx ty tz qx qy qz qw`.
+//! Trajectories in the format of the TUM RGB-D benchmark: one pose per line, `timestamp tx ty tz qx qy qz qw`.
 
 use super::text::read_text;
 use crate::error::{Error, Result};
@@ -6,10 +6,10 @@ use crate::geometry::Pose;
 use glam::{DQuat, DVec3};
 use std::path::Path;
 
-/// A pose and when it was, seconds.
+/// A pose with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stamped {
-    /// Seconds.
+    /// Time in seconds.
     pub time: f64,
     /// The pose.
     pub pose: Pose,
@@ -18,7 +18,7 @@ pub struct Stamped {
 /// Reads a trajectory; lines that start with `#` and empty ones are skipped.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the line that is not eight finite numbers with a quaternion of some length.
+/// [`crate::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
 pub fn read(path: &Path) -> Result<Vec<Stamped>> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }

@@ -1,16 +1,16 @@
-//! The echo image: how much of a signal a surface sends back.
+//! The echo image: how strongly a surface reflects the sensor's signal.
 //!
-//! The paper estimates the intensity of an echo from the reflection angle (section 3.2): the strongest come from where
-//! ray and plane are perpendicular. Here that is the reflection factor of the surface's material times cos_incidence. The
-//! law of range is left to the sensor: its amplifier and its lobe decide that.
+//! The paper estimates the intensity of an echo from the reflection angle (section 3.2): echoes are strongest where ray and
+//! plane are perpendicular. Here the echo is the reflection factor of the surface's material times cos_incidence. There is no
+//! range law, because that depends on the amplifier and the lobe of the sensor.
 //!
-//! All engines share this one step behind their own: it needs no geometry, only the images that they make anyway.
+//! All engines share this step, which follows their own. It needs no geometry, only images that they make anyway.
 
 use super::{FramePlan, Images, Output, Outputs, PolygonsOfIds, Stats};
 use std::time::Instant;
 
 impl FramePlan {
-    /// What engines fill: the images asked for, and those that are only needed to make others.
+    /// The images that engines fill: the requested ones, and those that are only needed to make others.
     pub fn drawn(&self) -> Outputs {
         let asked = self.request.outputs;
         if !asked.has(Output::Echo) {
@@ -20,8 +20,8 @@ impl FramePlan {
         if self.common_reflection().is_some() { drawn } else { drawn.with(Output::PolygonId).with(Output::ObjectId) }
     }
 
-    /// Makes what is made of other images, and empties those that were drawn for nothing else. The last step of every
-    /// engine, on images that hold [`FramePlan::drawn`]. Costs nothing unless `echo` is asked for.
+    /// Makes the images that are computed from other images, and empties those that were drawn only for that. This is the last
+    /// step of every engine, on images that hold [`FramePlan::drawn`]. It costs nothing unless `echo` is requested.
     pub fn finish(&self, images: &mut Images) {
         let asked = self.request.outputs;
         if !asked.has(Output::Echo) {
@@ -50,7 +50,7 @@ impl FramePlan {
         }
     }
 
-    /// [`FramePlan::finish`], with what it cost and how many bytes of images there are.
+    /// [`FramePlan::finish`], which also records its cost and the bytes of all images.
     pub(crate) fn finish_noting(&self, images: &mut Images, stats: &mut Stats) {
         let start = Instant::now();
         self.finish(images);
@@ -67,12 +67,12 @@ impl FramePlan {
         environment.materials()[usize::from(material)].reflection
     }
 
-    /// True if an echo is asked for that depends on which material is seen.
+    /// True if an echo is requested that depends on the material.
     pub(super) fn reflects_by_material(&self) -> bool {
         self.request.outputs.has(Output::Echo) && self.common_reflection().is_none()
     }
 
-    /// The factor that all materials have, if they have one: then nobody needs to know which is seen.
+    /// The reflection factor that all materials share, if they share one. The ids are not needed then.
     fn common_reflection(&self) -> Option<f64> {
         let mut factors = self.environment().materials().iter().map(|m| m.reflection);
         let first = factors.next().unwrap_or(1.0);
@@ -80,7 +80,7 @@ impl FramePlan {
     }
 }
 
-/// Reflection factors by what images show.
+/// Reflection factors by the ids in images.
 struct Factors<'a> {
     plan: &'a FramePlan,
     polygons: PolygonsOfIds<'a>,

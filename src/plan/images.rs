@@ -3,10 +3,10 @@
 use super::request::{Output, Outputs};
 use crate::sensor::PixelGrid;
 
-/// Images of one prediction, row-major, row 0 on top. An image that was not asked for is empty.
+/// The images of one prediction, row-major, row 0 on top. An image that was not requested is empty.
 ///
-/// Floats: beyond `range_max` or no hit `+inf`, below `range_min` `-inf` (ids and cos_incidence kept), no ray NaN.
-/// `cos_incidence` and `echo` are NaN where nothing is seen. Ids: 0 is nothing.
+/// Distances are `+inf` beyond `range_max` and where nothing is hit, `-inf` below `range_min` (ids and cos_incidence are
+/// kept there), and NaN where the pixel has no ray. `cos_incidence` and `echo` are NaN where nothing is hit. Id 0 is nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Images {
     /// Columns.
@@ -30,7 +30,7 @@ pub struct Images {
 }
 
 impl Images {
-    /// Sizes the asked images and empties the others, keeping allocations. Contents are unspecified.
+    /// Resizes the requested images and empties the others. Allocations are kept; contents are unspecified.
     pub fn prepare(&mut self, width: u32, height: u32, outputs: Outputs) {
         (self.width, self.height) = (width, height);
         let pixels = width as usize * height as usize;
@@ -60,7 +60,7 @@ impl Images {
         self.object_id.fill(0);
     }
 
-    /// Bytes of memory held, that of images included that are empty now.
+    /// Bytes of memory held, including the capacity of images that are empty now.
     pub fn bytes(&self) -> u64 {
         let floats = [&self.range, &self.depth_z, &self.cos_incidence, &self.echo].map(Vec::capacity);
         let ids = [&self.polygon_id, &self.object_id, &self.feature_id].map(Vec::capacity);
@@ -72,7 +72,7 @@ impl Images {
         self.width as usize * self.height as usize
     }
 
-    /// The images that are there.
+    /// The images that are not empty.
     pub fn outputs(&self) -> Outputs {
         let lens = [
             (Output::Range, self.range.len()),
@@ -87,7 +87,7 @@ impl Images {
         Outputs::of(&there)
     }
 
-    /// A float image by name; `None` if it is not there or holds ids.
+    /// A float image; `None` if it is empty or holds ids.
     pub fn floats(&self, output: Output) -> Option<&[f32]> {
         let image = match output {
             Output::Range => &self.range,
@@ -99,7 +99,7 @@ impl Images {
         (!image.is_empty()).then_some(image.as_slice())
     }
 
-    /// An id image by name; `None` if it is not there or holds floats.
+    /// An id image; `None` if it is empty or holds floats.
     pub fn ids(&self, output: Output) -> Option<&[u32]> {
         let image = match output {
             Output::PolygonId => &self.polygon_id,

@@ -1,4 +1,4 @@
-//! The frame plan: what one prediction has to do, worked out before any engine starts and knowing none of them.
+//! The frame plan: what one prediction has to do. It is made before any engine starts and knows no engine.
 
 mod echo;
 mod images;
@@ -22,7 +22,7 @@ use glam::{DMat3, DVec3};
 use std::sync::Arc;
 
 /// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
-/// frame: subtracting first keeps the digits of what is near, in f32 too.
+/// frame. Subtracting first keeps the precision of near points, also in f32.
 #[derive(Clone, Copy, Debug)]
 pub struct Instance {
     /// Index of the object in the environment.
@@ -31,9 +31,9 @@ pub struct Instance {
     pub image_from_mesh: DMat3,
     /// The sensor's centre in the mesh frame, metres.
     pub center_in_mesh: DVec3,
-    /// Turns mesh normals into the image frame (inverse transpose of the linear part; scales them).
+    /// Turns mesh normals into the image frame: the inverse transpose of the linear part. The result is not of unit length.
     pub normal_from_mesh: DMat3,
-    /// All the mesh's materials are opaque to the sensor's class and two-sided: polygons need no look at theirs.
+    /// True if all materials of the mesh are opaque to the sensor's class and two-sided, so that engines need not look at them.
     pub plain: bool,
 }
 
@@ -65,13 +65,13 @@ impl Instance {
     }
 }
 
-/// How the materials of an environment take part for a sensor class, by material index.
+/// What the materials of an environment are to a sensor class, by material index.
 pub fn facings<'a>(environment: &'a Environment, class: &'a str) -> impl Iterator<Item = Facing> + 'a {
     let opaque = move |m: &Material| m.appearance(class) == Appearance::Opaque;
     environment.materials().iter().map(move |m| Facing { opaque: opaque(m), one_sided: m.one_sided })
 }
 
-/// A contiguous run of an instance's polygons, the unit that selection hands to the engines.
+/// A contiguous run of an instance's polygons: the unit in which selection passes polygons to the engines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Run {
     /// Index into [`FramePlan::instances`].
@@ -87,34 +87,34 @@ pub struct Run {
 /// Why engines have nothing to do.
 pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
-/// Something that this prediction does not need, and why.
+/// A stage or image that this prediction does not need, and why.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct LeftOut {
     /// What is left out.
     pub what: String,
-    /// Why nothing is lost by that.
+    /// Why it is not needed.
     pub why: String,
 }
 
-/// How a material takes part in this frame.
+/// What a material is to the sensor's class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facing {
     /// Opaque to the sensor's class.
     pub opaque: bool,
-    /// Seen from the side of its normal only.
+    /// Visible only from the side of its normal.
     pub one_sided: bool,
 }
 
 /// What one prediction has to do.
 #[derive(Clone, Debug)]
 pub struct FramePlan {
-    /// The version of the world it reads.
+    /// The version of the world that it reads.
     pub world: World,
     /// The sensor.
     pub sensor: Sensor,
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
-    /// What is asked for.
+    /// The request.
     pub request: Request,
     /// Objects with at least one polygon selected.
     pub instances: Vec<Instance>,
@@ -124,13 +124,13 @@ pub struct FramePlan {
     pub facings: Vec<Facing>,
     /// Polygons in `runs`.
     pub polygon_count: usize,
-    /// Objects not selected: out of view or reach.
+    /// Objects that were not selected, because they are out of view or range.
     pub objects_out_of_view: usize,
     /// Polygons of selected objects that were not selected.
     pub polygons_out_of_view: usize,
     /// Objects in view that the sensor's class cannot see.
     pub objects_not_opaque: usize,
-    /// Kept from frame to frame.
+    /// Scratch memory, kept from frame to frame.
     found: Found,
     selected: Vec<ObjectRun>,
 }
@@ -157,7 +157,7 @@ impl FramePlan {
         plan
     }
 
-    /// Plans another prediction in the same buffers.
+    /// Plans another prediction and reuses the buffers.
     pub fn renew(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) {
         self.world = world.clone();
         self.sensor = sensor.clone();
@@ -166,7 +166,7 @@ impl FramePlan {
         self.fill();
     }
 
-    /// The environment it reads.
+    /// The environment that it reads.
     pub fn environment(&self) -> &Arc<Environment> {
         self.world.environment()
     }
@@ -176,7 +176,7 @@ impl FramePlan {
         Instance::new(self.world.environment(), &self.sensor, &self.world_from_sensor, &self.facings, object)
     }
 
-    /// What `polygon_id` shows for a polygon.
+    /// The `polygon_id` of a polygon.
     pub fn polygon_id(&self, object: u32, polygon: u32) -> u32 {
         self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
@@ -210,7 +210,7 @@ impl FramePlan {
         self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
     }
 
-    /// Takes the runs of one object in.
+    /// Adds the runs of one object.
     fn take(&mut self, runs: &[ObjectRun]) {
         let object = runs[0].object;
         let world = self.world.clone();
@@ -259,7 +259,7 @@ impl FramePlan {
         all
     }
 
-    /// Variants of stages that cost something: what, whether this prediction takes it, and why.
+    /// Variants of stages that cost extra: the name, whether this prediction uses it, and why.
     pub fn variants(&self) -> [(&'static str, bool, &'static str); 3] {
         let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
         let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));

@@ -1,10 +1,10 @@
-//! From the ids that images show back to polygons.
+//! From the ids in images back to polygons.
 
 use super::IdScheme;
 use crate::environment::Environment;
 use std::collections::HashMap;
 
-/// Finds the polygons that pixels show. Source numbers are looked up in tables, made for the objects asked for.
+/// Finds the polygon of a pixel. Source numbers are looked up in tables, which are made per object when first needed.
 ///
 /// ```
 /// use presight::plan::PolygonsOfIds;
@@ -22,12 +22,12 @@ pub struct PolygonsOfIds<'a> {
 }
 
 impl<'a> PolygonsOfIds<'a> {
-    /// Of images that were made of this environment, in which `polygon_id` numbers `ids`.
+    /// Makes a finder for images of this environment whose `polygon_id` follows `ids`.
     pub fn new(environment: &'a Environment, ids: IdScheme) -> Self {
         Self { environment, ids, of_source: HashMap::new() }
     }
 
-    /// Object index and polygon index of what a pixel shows; `None` for 0 and for ids that the environment has not.
+    /// Object index and polygon index of a pixel. `None` for 0 and for ids that the environment does not have.
     pub fn find(&mut self, object_id: u32, polygon_id: u32) -> Option<(u32, u32)> {
         let object = object_id.checked_sub(1)?;
         let o = self.environment.objects().get(object as usize)?;

@@ -1,4 +1,4 @@
-//! What a caller asks of a prediction.
+//! Requests: which images a prediction makes.
 
 use crate::environment::Object;
 use crate::error::{Error, Result};
@@ -10,25 +10,26 @@ pub enum Output {
     Range,
     /// Planar distance along a camera's optical axis, metres (REP-118).
     DepthZ,
-    /// Polygon seen, 0 is nothing.
+    /// The visible polygon; 0 is nothing.
     PolygonId,
-    /// Object seen (index + 1), 0 is nothing.
+    /// The visible object (index + 1); 0 is nothing.
     ObjectId,
     /// |cos| of the angle between ray and surface normal: the paper's reflection angle (section 3.2).
     CosIncidence,
-    /// Reflection factor of the surface's material times `cos_incidence`: how strong an echo the surface gives, without the
-    /// law of range (section 3.2). Made of other images, see [`super::FramePlan::finish`].
+    /// Strength of the echo: reflection factor of the surface's material times `cos_incidence`, without a range law
+    /// (section 3.2). Computed from other images, see [`super::FramePlan::finish`].
     Echo,
-    /// Feature seen, by its own number, 0 is none; made of features, not by an engine (see [`crate::features`]).
+    /// The visible feature, by its own number; 0 is none. Made from predicted features, not by an engine (see
+    /// [`crate::features`]).
     FeatureId,
 }
 
 impl Output {
-    /// Every output that engines make.
+    /// All outputs that engines make.
     pub const ALL: [Self; 6] =
         [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence, Self::Echo];
 
-    /// Every output there is.
+    /// All outputs, including `feature_id`.
     pub const WITH_FEATURES: [Self; 7] =
         [Self::Range, Self::DepthZ, Self::PolygonId, Self::ObjectId, Self::CosIncidence, Self::Echo, Self::FeatureId];
 
@@ -58,32 +59,32 @@ impl Output {
 pub struct Outputs(u8);
 
 impl Outputs {
-    /// Every output that engines make.
+    /// All outputs that engines make.
     pub const ALL: Self = Self(0b11_1111);
 
-    /// These and no others.
+    /// The set of exactly these outputs.
     pub fn of(outputs: &[Output]) -> Self {
         Self(outputs.iter().fold(0, |bits, o| bits | 1 << *o as u8))
     }
 
-    /// True if it is asked for.
+    /// True if the set contains the output.
     pub fn has(self, output: Output) -> bool {
         self.0 & (1 << output as u8) != 0
     }
 
-    /// With one more.
+    /// The set with one more output.
     #[must_use]
     pub fn with(self, output: Output) -> Self {
         Self(self.0 | 1 << output as u8)
     }
 
-    /// Without one.
+    /// The set without one output.
     #[must_use]
     pub fn without(self, output: Output) -> Self {
         Self(self.0 & !(1 << output as u8))
     }
 
-    /// All that are asked for, in a fixed order.
+    /// All outputs in the set, in a fixed order.
     pub fn iter(self) -> impl Iterator<Item = Output> {
         Output::WITH_FEATURES.into_iter().filter(move |o| self.has(*o))
     }
@@ -112,7 +113,7 @@ impl std::str::FromStr for Outputs {
     }
 }
 
-/// What `polygon_id` means.
+/// Which number `polygon_id` holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum IdScheme {
     /// Slot + 1.
@@ -123,7 +124,7 @@ pub enum IdScheme {
 }
 
 impl IdScheme {
-    /// What `polygon_id` shows for a polygon of an object.
+    /// The `polygon_id` of a polygon of an object.
     pub fn id_of(self, object: &Object, polygon: u32) -> u32 {
         match self {
             Self::Model => object.first_slot + polygon + 1,
@@ -132,11 +133,11 @@ impl IdScheme {
     }
 }
 
-/// What a caller asks of a prediction.
+/// A request for a prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Request {
-    /// Images wanted; the others cost nothing.
+    /// The images to make; others cost nothing.
     pub outputs: Outputs,
-    /// Meaning of `polygon_id`.
+    /// Which number `polygon_id` holds.
     pub ids: IdScheme,
 }

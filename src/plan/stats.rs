@@ -1,13 +1,14 @@
-//! What a prediction cost.
+//! Statistics: what a prediction did and what it cost.
 
 use super::LeftOut;
 use serde::Serialize;
 use std::time::Instant;
 
-/// The count of polygons that an engine left out because it could not prove on which side of them the sensor is.
+/// Name of the count of edge-on polygons: those that an engine left out because it could not prove on which side of them the
+/// sensor is.
 pub const EDGE_ON: &str = "polygons edge-on";
 
-/// What one prediction cost.
+/// Statistics of one prediction.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Stats {
     /// `cpu`, `gpu` or `reference`.
@@ -16,41 +17,41 @@ pub struct Stats {
     pub adapter: Option<String>,
     /// CPU threads.
     pub threads: usize,
-    /// Scheme of the index that selected polygons.
+    /// Name of the index that selected the polygons.
     pub index: String,
-    /// Milliseconds by stage, in order: those stages only that ran.
+    /// Milliseconds by stage, in order. Only stages that ran are listed.
     pub stages_ms: Vec<(String, f64)>,
     /// Counts by name (polygons selected, set up, edge-on, ...), in order.
     pub counts: Vec<(String, u64)>,
-    /// What was done, in numbers that no other work on the machine changes.
+    /// The work done, in counts that do not depend on other work on the machine.
     pub work: Work,
-    /// Variants of stages that the prediction took although they cost something, and why. Their times are those stages'.
+    /// Variants of stages that this prediction needed, and why. Their times are part of those stages' times.
     pub taken: Vec<Taken>,
-    /// What was not needed, and why.
+    /// Stages and images that were not needed, and why.
     pub left_out: Vec<LeftOut>,
-    /// What the caller should know: a fallback taken, polygons edge-on.
+    /// Notices for the caller, such as a fallback to the CPU.
     pub notices: Vec<String>,
 }
 
-/// What a prediction did and made, counted.
+/// The work of a prediction, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Work {
-    /// Compute passes that the device was given.
+    /// Compute passes submitted to the device.
     pub gpu_passes: u64,
-    /// Workgroups in them, those included whose number the device found itself.
+    /// Workgroups in these passes, including indirect dispatches.
     pub gpu_workgroups: u64,
-    /// Bytes of the buffers that were made on the device: 0 in steady state.
+    /// Bytes of buffers allocated on the device; 0 in steady state.
     pub gpu_bytes_made: u64,
     /// Bytes written to the device.
     pub gpu_bytes_written: u64,
     /// Bytes read back from the device.
     pub gpu_bytes_read: u64,
-    /// Bytes that the caller's images hold, and room that they had from before.
+    /// Bytes of the caller's images, including unused capacity from before.
     pub image_bytes: u64,
 }
 
 impl Work {
-    /// What was done since `before`; images are those of now.
+    /// The work since `before`; bytes of images are the current ones.
     #[must_use]
     pub fn since(self, before: Self) -> Self {
         Self {
@@ -63,7 +64,7 @@ impl Work {
         }
     }
 
-    /// Adds what was done on the device.
+    /// Adds the work of the device.
     pub fn add(&mut self, more: Self) {
         self.gpu_passes += more.gpu_passes;
         self.gpu_workgroups += more.gpu_workgroups;
@@ -72,7 +73,7 @@ impl Work {
         self.gpu_bytes_read += more.gpu_bytes_read;
     }
 
-    /// Names and numbers, as statistics have them.
+    /// Names and numbers, as in the statistics file.
     pub fn counts(&self) -> [(&'static str, u64); 6] {
         [
             ("gpu passes", self.gpu_passes),
@@ -85,54 +86,54 @@ impl Work {
     }
 }
 
-/// A variant of a stage that was needed, and why.
+/// A variant of a stage that was needed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Taken {
-    /// What was needed.
+    /// Its name.
     pub what: String,
     /// Why it could not be left out.
     pub why: String,
 }
 
-/// A stage, a variant of one, an image, or objects: whether this prediction had to do with it.
+/// One row of [`Stats::stages`]: a stage, a variant of one, an image, or a group of objects.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageRow {
-    /// What it is.
+    /// Its name.
     pub name: String,
     /// False if it was left out.
     pub ran: bool,
-    /// Why it was taken or left out; empty for a stage that has no choice.
+    /// Why it ran or was left out; empty for a stage that always runs.
     pub why: String,
-    /// Milliseconds in this prediction; `None` for what was left out, and for variants, whose time is that of stages.
+    /// Milliseconds in this prediction; `None` for rows that were left out, and for variants, whose time is part of a stage's.
     pub ms: Option<f64>,
 }
 
-/// Stages that follow a prediction only if they are asked for.
+/// Stages that follow a prediction only on request.
 const AFTER: [&str; 2] = ["features", "regions of interest"];
 
 impl Stats {
-    /// Notes the time since `start` under a stage name.
+    /// Records the time since `start` under a stage name.
     pub fn stage(&mut self, name: &str, start: Instant) {
         self.stages_ms.push((name.to_owned(), start.elapsed().as_secs_f64() * 1e3));
     }
 
-    /// Notes a count.
+    /// Records a count.
     pub fn count(&mut self, name: &str, n: usize) {
         self.counts.push((name.to_owned(), n as u64));
     }
 
-    /// Notes a variant that was needed.
+    /// Records a variant that was needed.
     pub fn take(&mut self, what: impl Into<String>, why: impl Into<String>) {
         self.taken.push(Taken { what: what.into(), why: why.into() });
     }
 
-    /// Notes what was not needed.
+    /// Records a stage or image that was not needed.
     pub fn leave_out(&mut self, what: impl Into<String>, why: impl Into<String>) {
         self.left_out.push(LeftOut { what: what.into(), why: why.into() });
     }
 
-    /// Every stage, variant and image of this prediction: first the stages that ran, with their times, then the variants
-    /// they took, then what was left out. One list for the command's `--explain` and for reports.
+    /// Every stage, variant and image of this prediction: first the stages that ran, with their times, then the variants that
+    /// they needed, then what was left out. The command's `--explain` and reports use this list.
     ///
     /// ```
     /// use presight::Stats;

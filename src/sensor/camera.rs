@@ -35,7 +35,7 @@ impl Camera {
         ((u - self.cx) / self.fx, (v - self.cy) / self.fy)
     }
 
-    /// The pixel that a point of the optical frame is imaged at (also outside the image), or `None`: see
+    /// Projects a point of the optical frame to pixel coordinates, which may lie outside the image. `None` as for
     /// [`Distortion::distort`].
     pub fn project(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
         let (xd, yd) = self.distortion.distort(p_in_optical)?;
@@ -109,7 +109,7 @@ mod tests {
         }
     }
 
-    /// Lens models without an effect take the straight lines, which are what their tables would hold.
+    /// Lens models without an effect use straight lines, which give the same rays.
     #[test]
     fn a_lens_without_effect_needs_no_table() {
         let plain = Camera::pinhole(5, 4, 3.0, 2.0, 1.7, 1.2);

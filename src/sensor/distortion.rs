@@ -1,4 +1,4 @@
-//! Lens distortion models of OpenCV and ROS, both ways.
+//! The lens distortion models of OpenCV and ROS, with their inverses.
 //!
 //! With normalized coordinates (x, y) = (X / Z, Y / Z), r^2 = x^2 + y^2 and p = (p2, p1):
 //! - `plumb_bob`, `rational_polynomial`: (xd, yd) = R(r^2) (x, y) + r^2 p + 2 (p . (x, y)) (x, y) with
@@ -25,7 +25,7 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// The model of this name, as ROS and our files write it, with its coefficients in OpenCV's order: `none` (0),
+    /// Makes a model from its name in ROS and in sensor files, and its coefficients in OpenCV's order: `none` (0),
     /// `plumb_bob` (4 or 5), `rational_polynomial` (8), `equidistant` and its alias `kannala_brandt` (4).
     ///
     /// # Errors
@@ -76,7 +76,8 @@ impl Distortion {
         }
     }
 
-    /// True if rays need no table: straight lines stay straight. An equidistant lens bends them without coefficients.
+    /// True if straight lines stay straight, so that rays need no table. An equidistant lens bends lines even if all its
+    /// coefficients are 0.
     pub fn is_none(&self) -> bool {
         !matches!(self, Self::Equidistant(_)) && self.coefficients().iter().all(|c| *c == 0.0)
     }

@@ -1,4 +1,4 @@
-//! Rays as the engines walk them: straight lines of samples where the geometry allows, a table with tiles otherwise.
+//! The rays of a sensor as engines use them: straight lines of samples where the geometry allows, a table with tiles otherwise.
 
 use glam::{DMat3, DVec3};
 use pulp::Simd;
@@ -26,7 +26,7 @@ impl PixelGrid {
     }
 }
 
-/// What a line of a [`LineGrid`] is in the image.
+/// Whether a line of a [`LineGrid`] is an image row or column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineAxis {
     /// A line is an image row, a sample a column (pinhole cameras).
@@ -38,8 +38,8 @@ pub enum LineAxis {
 /// Rays in planes through the centre: `s(line, sample) = (c0 w0, c1 w0, w1)` in the line frame.
 ///
 /// A linear function e . s of a ray is `w0 (A + B t)` with `A = e.x c0 + e.y c1`, `B = e.z`, `t = w1 / w0` rising
-/// with the sample and `w0 >= 0`: a convex cone covers one interval of samples on every line, and the paper's
-/// incremental spans and its spherical projection (section 3.2) are one and the same loop.
+/// with the sample and `w0 >= 0`. A convex cone therefore covers one interval of samples on every line, and the paper's
+/// incremental spans and its spherical projection (section 3.2) become the same loop.
 #[derive(Clone, Debug)]
 pub struct LineGrid {
     axis: LineAxis,
@@ -101,7 +101,7 @@ impl LineGrid {
         self.finder.find(&self.positions, t, |position, t| position <= t)
     }
 
-    /// What a line is in the image.
+    /// Whether a line is an image row or column.
     pub fn axis(&self) -> LineAxis {
         self.axis
     }
@@ -132,7 +132,7 @@ impl LineGrid {
         self.c.each_ref().map(|c| c[first..].first_chunk().expect("padded by eight"))
     }
 
-    /// The samples in eights.
+    /// The samples in groups of eight.
     pub(crate) fn octets(&self) -> &[Octet] {
         &self.octets
     }

@@ -34,11 +34,11 @@ pub enum Geometry {
     Camera(Camera),
     /// Spherical (equiangular) image: azimuth by elevation.
     Scanner(Scanner),
-    /// Any single-centre set of rays.
+    /// Any set of rays from one centre.
     Rays(RayTable),
 }
 
-/// Measurement noise, one sigma each; used when poses are estimated, never added to predictions.
+/// Measurement noise, one standard deviation each. It is used when poses are estimated and never added to predictions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
     /// Metres.
@@ -49,7 +49,7 @@ pub struct Noise {
     pub pixel_sigma: f64,
 }
 
-/// What a [`Sensor`] is made from.
+/// The specification of a [`Sensor`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorSpec {
     /// A free name, for messages and files.
@@ -62,7 +62,7 @@ pub struct SensorSpec {
     pub range_min: f64,
     /// Metres, inclusive; may be infinite.
     pub range_max: f64,
-    /// Features seen at a flatter incidence angle (radians from the normal) are not extracted. Images keep them.
+    /// Largest angle of incidence, radians from the normal, at which the sensor extracts features. Images are not affected.
     pub max_incidence: Option<f64>,
     /// robot_from_sensor, body axes.
     pub mount: Pose,
@@ -127,7 +127,7 @@ impl Sensor {
         Ok(Self(Arc::new(Checked { spec, grid, projector, width, height })))
     }
 
-    /// What the sensor was made from.
+    /// The specification from which the sensor was made.
     pub fn spec(&self) -> &SensorSpec {
         &self.0.spec
     }
@@ -151,13 +151,13 @@ impl Sensor {
         matches!(self.0.spec.geometry, Geometry::Camera(_))
     }
 
-    /// The rays as the engines walk them.
+    /// The rays as engines use them.
     pub fn grid(&self) -> &PixelGrid {
         &self.0.grid
     }
 
-    /// body_from_image: turns the image frame (optical for cameras: z forward, x right, y down; body axes for
-    /// everything else) into body axes (x forward, y left, z up).
+    /// body_from_image: turns the image frame into body axes (x forward, y left, z up). The image frame is the optical frame of a
+    /// camera (z forward, x right, y down) and the body axes of other sensors.
     pub fn body_from_image(&self) -> DMat3 {
         if self.is_camera() { body_from_optical() } else { DMat3::IDENTITY }
     }

@@ -1,15 +1,14 @@
-//! Ready-made sensors, as the texts of sensor files: a preset is read by the reader that reads the user's files.
+//! Sensor presets, stored as the text of sensor files and read by the same reader as user files.
 //!
-//! Real multi-beam lidars have offset beam origins and staggered azimuths, depth cameras two imagers; a preset is
-//! the ideal single-centre grid, and its text names its source and what it leaves out.
-//! [`crate::preset`] makes a sensor of one.
+//! Real multi-beam lidars have offset beam origins and staggered azimuths, and depth cameras have two imagers. A preset is
+//! the ideal grid with one centre. Its text names its source and what it omits. [`crate::preset`] makes a sensor from one.
 
 /// A named sensor with its text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Preset {
-    /// The name, as the command takes it.
+    /// The name, as `--sensor` accepts it.
     pub name: &'static str,
-    /// Its sensor TOML, with comments: source and what the ideal leaves out.
+    /// Its sensor TOML, with comments on the source and on what the ideal sensor omits.
     pub toml: &'static str,
 }
 

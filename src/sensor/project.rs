@@ -1,7 +1,7 @@
-//! From a point to where in the image it is, and back: continuous pixel coordinates, the inverse of the rays.
+//! Projection of points to continuous pixel coordinates, and its inverse, the ray at pixel coordinates.
 //!
-//! The centre of the top-left pixel is (0, 0), pixel i spans i - 0.5 .. i + 0.5, and every pixel's ray comes back as the
-//! pixel's own numbers. Between the beams of a scanner coordinates are linear in the angles.
+//! The centre of the top-left pixel is (0, 0), and pixel i spans i - 0.5 .. i + 0.5. The ray of a pixel projects to that pixel's
+//! own numbers. Between the beams of a scanner coordinates are linear in the angles.
 
 use super::grid::{PixelGrid, RayGrid};
 use super::scanner::{Angles, Scanner};
@@ -9,7 +9,7 @@ use super::{Geometry, Lens, Sensor, SensorSpec};
 use crate::error::{Error, Result};
 use glam::{DVec2, DVec3};
 
-/// What projection needs beside the specification, made once for a sensor.
+/// Precomputed data for projection, one per sensor.
 #[derive(Debug)]
 pub(super) enum Projector {
     /// Straight lines in closed form.
@@ -136,10 +136,10 @@ impl Sensor {
     /// Continuous pixel coordinates (column, row) of a point of the image frame at any distance; the centre of the
     /// top-left pixel is (0, 0). They may lie outside the image, which spans -0.5..width - 0.5 by -0.5..height - 0.5.
     ///
-    /// `None` where the sensor images nothing: behind a camera, beyond a lens's fold, in a hole of a ray table, and at
-    /// the sensor itself. Of a scanner the azimuth nearest to the middle of the image is taken, so that there is one
-    /// seam, opposite to it; at the poles every column is right. The pixel of a lone row is as high as the beam
-    /// (`beam_height_deg`), or square if that is 0. In a ray table it is the nearest ray's pixel, with a fraction from
+    /// Returns `None` where the sensor images nothing: behind a camera, beyond the fold of a lens, in a hole of a ray table, and at
+    /// the sensor itself. For a scanner the azimuth nearest to the middle of the image is used, so that there is one
+    /// seam, opposite to it; at the poles every column is correct. The pixel of a single row is as high as the beam
+    /// (`beam_height_deg`), or square if that is 0. In a ray table the result is the nearest ray's pixel, with a fraction from
     /// that ray's neighbours.
     ///
     /// ```
@@ -173,8 +173,8 @@ impl Sensor {
         }
     }
 
-    /// The unit ray in the image frame at continuous pixel coordinates: the inverse of [`Sensor::project`]. `None`
-    /// outside a lens's domain and between rays of which a table lacks one.
+    /// The unit ray in the image frame at continuous pixel coordinates: the inverse of [`Sensor::project`]. Returns `None`
+    /// outside the domain of a lens, and between rays of a table if one of them is missing.
     pub fn ray_at(&self, u: f64, v: f64) -> Option<DVec3> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {
@@ -214,7 +214,7 @@ impl Sensor {
         sum.try_normalize()
     }
 
-    /// Columns of a whole turn, for scanners that go all the way round: the last column's neighbour is the first.
+    /// Number of columns of a full turn, for scanners whose last column is next to the first.
     pub fn columns_of_a_turn(&self) -> Option<f64> {
         let Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, count, .. }, .. }) = &self.spec().geometry
         else {
@@ -224,11 +224,11 @@ impl Sensor {
         (*count > 1 && f64::from(*count) > turn - 1.0 + 1e-6).then_some(turn)
     }
 
-    /// That features can be found in the sensor's image.
+    /// Checks that features can be projected into the sensor's image.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a ray table without a nearest ray: with fewer than two rays there is none for
-    /// which it could be told how far around it things are seen.
+    /// [`crate::ErrorKind::Invalid`] for a ray table with fewer than two rays: the angle that a single ray stands for is
+    /// unknown.
     pub fn check_projection(&self) -> Result<()> {
         let PixelGrid::Rays(table) = self.grid() else { return Ok(()) };
         if matches!(self.spec().geometry, Geometry::Camera(_)) {

@@ -11,7 +11,7 @@ pub struct RayTable {
     directions: Vec<DVec3>,
 }
 
-/// Two pixels without a ray are equal, though NaN is not equal to itself.
+/// Two pixels without a ray compare as equal, although NaN is not equal to itself.
 impl PartialEq for RayTable {
     fn eq(&self, other: &Self) -> bool {
         let same = |(a, b): (&DVec3, &DVec3)| a == b || (a.is_nan() && b.is_nan());
@@ -22,10 +22,10 @@ impl PartialEq for RayTable {
 }
 
 impl RayTable {
-    /// Directions need not have unit length; a NaN direction is no ray.
+    /// Makes a table of directions of any length. A NaN direction means that the pixel has no ray.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if their number is not width x height, or one has no length or is infinite.
+    /// [`crate::ErrorKind::Invalid`] if their number is not width x height, or a direction has zero length or is infinite.
     pub fn new(width: u32, height: u32, directions: Vec<DVec3>) -> Result<Self> {
         if directions.len() as u64 != u64::from(width) * u64::from(height) {
             return Err(Error::invalid(
@@ -64,7 +64,7 @@ impl RayTable {
         self.height
     }
 
-    /// Unit directions, row-major, body axes; NaN is no ray.
+    /// Unit directions, row-major, body axes; NaN means no ray.
     pub fn directions(&self) -> &[DVec3] {
         &self.directions
     }

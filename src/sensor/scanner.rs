@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::limits;
 use glam::{DMat3, DVec3};
 
-/// Beam angles in degrees, as files give them: degrees keep 0.1 and 90 exact where radians do not.
+/// Beam angles in degrees, as in files. Degrees keep the usual values exact, which radians would round.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Angles {
     /// `start + i * step`.
@@ -49,14 +49,14 @@ impl Angles {
 pub struct Scanner {
     /// Column i is azimuth beam i.
     pub azimuth: Angles,
-    /// In any order; image rows are sorted by falling elevation.
+    /// Elevations in any order. Image rows are sorted by falling elevation.
     pub elevation: Angles,
-    /// How far off a row a feature still counts, degrees; `None` is the step, or 0 for one row.
+    /// How far off a row a feature still counts, degrees. `None` means the step, or 0 for one row.
     pub beam_height_deg: Option<f64>,
 }
 
 impl Scanner {
-    /// Elevations as rows have them: falling, degrees.
+    /// Elevations of the rows, falling, degrees.
     pub fn rows_deg(&self) -> Vec<f64> {
         let mut rows: Vec<f64> = (0..self.elevation.len()).map(|i| self.elevation.degrees(i)).collect();
         rows.sort_by(|a, b| b.total_cmp(a));

@@ -1,4 +1,4 @@
-//! The inverse of the lens models, inside the region where there is one.
+//! The inverse of the lens models, in the region where it exists.
 //!
 //! The polynomials of lens models are fitted inside the image and turn back somewhere outside: from there on several
 //! rays share one image point. The model is used in the connected region around the axis where it is one to one:
@@ -22,7 +22,7 @@ const RADIUS_LIMIT: f64 = 1e6;
 /// How far a solution may miss its image point, relative to the point's radius (1 if that is less).
 const RESIDUAL: f64 = 1e-13;
 
-/// A lens model with what its inverse needs, made once for all pixels by [`Distortion::lens`].
+/// A lens model with precomputed data for its inverse, made once for all pixels by [`Distortion::lens`].
 #[derive(Clone, Debug)]
 pub struct Lens(Kind);
 
@@ -34,16 +34,16 @@ enum Kind {
 }
 
 impl Distortion {
-    /// The model with the region found in which it is one to one, for many points.
+    /// The model with the region in which it is one to one. Use this for many points.
     pub fn lens(&self) -> Lens {
         Lens::new(self)
     }
 
-    /// The ray (not normalized, z may be 0 or negative for fisheyes) that is imaged at distorted normalized
-    /// coordinates, or `None` where the model folds over: beyond the image of the region around the axis in which
-    /// the model is one to one. [`Distortion::distort`] gives the coordinates back to 1e-12.
+    /// The ray that is imaged at distorted normalized coordinates. It is not normalized, and z may be 0 or negative for
+    /// fisheyes. Returns `None` where the model folds over: beyond the image of the region around the axis in which
+    /// the model is one to one. [`Distortion::distort`] returns the coordinates of that ray to 1e-12.
     ///
-    /// Finding that region costs more than using it: for many points use [`Distortion::lens`].
+    /// Finding that region costs more than using it. For many points use [`Distortion::lens`].
     ///
     /// ```
     /// use presight::Distortion;
@@ -59,7 +59,7 @@ impl Distortion {
     }
 
     /// Distorted normalized coordinates of a point of the optical frame (any length): pixel = (fx xd + cx,
-    /// fy yd + cy). `None` for points that the model does not image: behind a lens that is no fisheye, or outside
+    /// fy yd + cy). Returns `None` for points that the model does not image: behind a lens that is not a fisheye, or outside
     /// the region around the axis in which the model is one to one.
     pub fn distort(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
         self.lens().distort(p_in_optical)

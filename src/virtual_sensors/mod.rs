@@ -11,10 +11,10 @@
 //! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
 //! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | high precision relative localization for docking: artificial landmarks |
 //!
-//! Each is a request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], the filter of features
+//! Each is a request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the filter of features
 //! [`VirtualSensor::wants`]) and one pure function of a prediction ([`VirtualSensor::reduce`]). Names that end in `_robot` are
-//! in the robot's frame (x forward, y left, z up), which the sensor's mount gives; `_world` in the world's. Metres, radians,
-//! square metres; what is not known is `null` in files.
+//! in the robot's frame (x forward, y left, z up), which the sensor's mount gives; names that end in `_world` are in the world.
+//! Units are metres, radians and square metres. Unknown values are `null` in files.
 
 mod corridor;
 mod depth_image;
@@ -71,41 +71,41 @@ pub enum VirtualSensor {
     Docking,
 }
 
-/// What a virtual sensor looks at: a prediction and what it was made of.
+/// The input of a virtual sensor: a prediction with its environment.
 #[derive(Clone, Copy, Debug)]
 pub struct Input<'a> {
     /// The environment that was predicted.
     pub environment: &'a Environment,
     /// Images, sensor and pose; [`VirtualSensor::outputs`] must be among the images.
     pub prediction: &'a Prediction,
-    /// What its `polygon_id` numbers.
+    /// Which number its `polygon_id` holds.
     pub ids: IdScheme,
-    /// What is seen of features, for those that [`VirtualSensor::needs_features`].
+    /// Predicted features, for virtual sensors that need them ([`VirtualSensor::needs_features`]).
     pub features: Option<&'a FeaturePrediction>,
 }
 
-/// What a task says beside the prediction.
+/// Settings of a task.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
-    /// Height of the floor in the world, metres; `None` is that of the robot's origin. For `free-floor`.
+    /// For `free-floor`: height of the floor in the world, metres. `None` means that of the robot's origin.
     pub floor_z_world: Option<f64>,
-    /// Where the robot is going to move. For `radar-nearest`.
+    /// For `radar-nearest`: where the robot is going to move.
     pub corridor: Option<Corridor>,
 }
 
-/// The answer of a virtual sensor.
+/// The reading of a virtual sensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VirtualReading {
     /// [`VirtualSensor::name`].
     pub name: &'static str,
     /// The sensor's mount, x, y, z, qx, qy, qz, qw; body axes.
     pub robot_from_sensor: [f64; 7],
-    /// What it delivers.
+    /// The result.
     #[serde(flatten)]
     pub answer: Answer,
 }
 
-/// What virtual sensors deliver.
+/// The results of the virtual sensors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 #[expect(missing_docs, reason = "each is its type")]
@@ -121,7 +121,7 @@ pub enum Answer {
 }
 
 impl VirtualSensor {
-    /// Every virtual sensor.
+    /// All virtual sensors.
     pub const ALL: [Self; 8] = [
         Self::FreeFloor,
         Self::Edges,
@@ -133,7 +133,7 @@ impl VirtualSensor {
         Self::Docking,
     ];
 
-    /// As the command and files name it.
+    /// The name in the command and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::FreeFloor => "free-floor",
@@ -147,7 +147,7 @@ impl VirtualSensor {
         }
     }
 
-    /// The class of the sensors that it can be used with.
+    /// The sensor class that it needs.
     pub fn class(self) -> &'static str {
         match self {
             Self::FreeFloor | Self::Edges => "video",
@@ -156,7 +156,7 @@ impl VirtualSensor {
         }
     }
 
-    /// The images that it is made from.
+    /// The images that it needs.
     pub fn outputs(self) -> Outputs {
         match self {
             Self::Edges | Self::RadarLandmarks | Self::Docking => Outputs::of(&[]),
@@ -167,7 +167,7 @@ impl VirtualSensor {
         }
     }
 
-    /// The filter of the layer: features of that shape are looked at, others need not be predicted.
+    /// True for features that it uses. Others need not be predicted.
     pub fn wants(self, shape: &FeatureShape) -> bool {
         match self {
             Self::Edges => matches!(shape, FeatureShape::Segment { .. }),
@@ -178,16 +178,15 @@ impl VirtualSensor {
         }
     }
 
-    /// True if it is made from features.
+    /// True if it needs predicted features.
     pub fn needs_features(self) -> bool {
         matches!(self, Self::Edges | Self::RadarLandmarks | Self::Docking)
     }
 
-    /// That a sensor can be used for it, before anything is predicted.
+    /// Checks that a sensor can be used for it, before anything is predicted.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`]: another class of sensor, a geometry that the task cannot do with, noise that is not
-    /// stated.
+    /// [`crate::ErrorKind::Usage`]: another class of sensor, a geometry that does not fit the task, or missing noise.
     pub fn check(self, sensor: &Sensor) -> Result<()> {
         let (spec, name) = (sensor.spec(), self.name());
         let preset = match self {
@@ -221,7 +220,7 @@ impl VirtualSensor {
         }
     }
 
-    /// Makes its answer from a prediction: a pure function.
+    /// Computes its reading from a prediction. This is a pure function.
     ///
     /// ```
     /// use presight::virtual_sensors::{Answer, Input, Settings, VirtualSensor};
@@ -296,7 +295,7 @@ fn scan_row(scanner: &Scanner) -> Option<u32> {
 }
 
 impl VirtualReading {
-    /// One line for people.
+    /// A summary of one line, for people.
     pub fn summary(&self) -> String {
         let told = match &self.answer {
             Answer::FreeFloor(a) => a.summary(),
@@ -311,7 +310,7 @@ impl VirtualReading {
         format!("{}: {told}", self.name)
     }
 
-    /// The pixels that it marks in the image, if it marks any.
+    /// The pixels that it marks in the image, if it marks any pixels.
     pub fn mask(&self) -> Option<&Mask> {
         match &self.answer {
             Answer::FreeFloor(floor) => Some(&floor.mask),

@@ -421,7 +421,7 @@ fn example(file: &str) -> String {
 
 #[test]
 fn the_examples_of_the_documentation_run() {
-    let scene = run(&example("README.md")).unwrap();
+    let scene = run(&example("docs/scene-scripts.md")).unwrap();
     assert_eq!(scene.environment.objects().len(), 8);
     assert!(scene.environment.object("entrance/door/handle").is_some());
     // The other one imports from the scenes' folder.

@@ -1,4 +1,4 @@
-//! Boxes for predicted features: how uncertain each is, and which of its points the box is to hold.
+//! Regions of interest (boxes) for predicted features: how uncertain each feature is, and which of its points the box holds.
 
 mod image;
 mod points;
@@ -17,19 +17,21 @@ use crate::world::World;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// How uncertainties go through the projection.
+/// How uncertainties are propagated through the projection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BoxMethod {
-    /// By its derivative where it hardly bends over them, as a set elsewhere: holds with the confidence.
+    /// By the derivative where the projection is nearly linear over the errors, as a set elsewhere. The box holds with the stated
+    /// confidence.
     #[default]
     AsNeeded,
-    /// By its derivative always, unless the feature may come behind the sensor: fast, and no bound where projection bends.
+    /// Always by the derivative, unless the feature may come behind the sensor. Fast, but no bound where the projection is not
+    /// linear.
     Linear,
-    /// As a set always, unless it may come behind the sensor: slow.
+    /// Always as a set, unless the feature may come behind the sensor. Slow.
     Set,
 }
 
-/// How uncertain everything is, and how sure boxes are to be.
+/// Uncertainties, and the probability with which boxes hold.
 #[derive(Clone, Debug)]
 pub struct BoxOptions {
     /// Covariance of the sensor's pose, along the world's axes: translation added, rotation by Exp(dtheta) from the left.
@@ -64,7 +66,7 @@ impl BoxOptions {
     }
 }
 
-/// Gives every feature that is seen its box and the covariance of its defining points in the image.
+/// Adds to every visible feature its box, and the covariance of its defining points in the image.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1; [`crate::ErrorKind::Invalid`] for a covariance that is not
@@ -176,7 +178,7 @@ impl<'a> BoxFrame<'a> {
     }
 }
 
-/// The covariance of a sensor's pose from that of the robot which carries it: both along the world's axes.
+/// Computes the covariance of a sensor's pose from that of the robot that carries it, both along the world's axes.
 /// `world_axes_lever` is the sensor's position relative to the robot's, along the world's axes, metres.
 pub fn sensor_covariance(robot: &PoseCovariance, world_axes_lever: DVec3) -> PoseCovariance {
     let l = world_axes_lever;

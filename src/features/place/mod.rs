@@ -1,14 +1,16 @@
-//! Where features lie: their objects, and the polygons under them, found by geometry. Layers never name polygons, which
-//! another export of the model numbers anew.
+//! Where features lie: their objects and polygons, found by geometry. Layers never name polygons by number, because another
+//! export of the model numbers them differently.
 //!
-//! A polygon counts for a feature if it runs along it: a point lies on every polygon within the layer's tolerance, a
-//! segment on every polygon that holds a stretch of it (both faces of a crease, each of several polygons in line), a
-//! patch or fiducial on the coplanar polygons that it overlaps. A polygon that a segment or a patch only passes through
-//! or touches is none it lies on. A feature must lie on its polygons all along: one that is refused is somewhere farther from
-//! them than the tolerance, one that is taken nowhere, and inside a patch nowhere by more than a sixteenth ([`cover`]).
+//! - A point lies on every polygon within the layer's tolerance.
+//! - A segment lies on every polygon that contains a stretch of it: both faces of a crease, each of several polygons in line.
+//! - A patch or fiducial lies on the coplanar polygons that it overlaps.
 //!
-//! Everything is computed in the frame of the feature's object, about its first point: at 5,000,000 m from the origin
-//! no digit is lost.
+//! A polygon that a segment or a patch only passes through or touches does not count. The whole feature must lie on its polygons.
+//! A feature that is refused is somewhere farther from them than the tolerance. One that is accepted is nowhere farther, or, inside
+//! a patch, nowhere by more than a sixteenth ([`cover`]).
+//!
+//! Everything is computed in the frame of the feature's object, relative to its first point, so that no digit is lost at
+//! 5,000,000 m from the origin.
 
 mod cover;
 mod local;
@@ -39,7 +41,7 @@ enum Lie {
     Off(DVec3),
 }
 
-/// Finds each feature's object and polygons in a version of the world, in the order of the layer.
+/// Finds the object and the polygons of each feature in a world. The result is in the order of the layer.
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -70,14 +72,14 @@ enum Lie {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that is not there, or a
-/// feature that is anywhere off its polygons by more than the layer's tolerance, with the distance.
+/// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that does not exist, or a
+/// feature that is somewhere off its polygons by more than the layer's tolerance, with the distance.
 pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
     let mut finder = Finder::new(world, layer)?;
     layer.features.iter().map(|feature| finder.place(feature).map_err(|e| e.at(name_of(feature)))).collect()
 }
 
-/// As [`place`], but features that cannot be placed are left out; their numbers are the second answer.
+/// As [`place`], but leaves out features that cannot be placed, and returns their numbers as the second value.
 pub(crate) fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
     let mut finder = Finder::new(world, layer)?;
     let (mut placed, mut off) = (Vec::with_capacity(layer.features.len()), Vec::new());

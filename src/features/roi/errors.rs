@@ -123,7 +123,7 @@ pub struct Uncertain {
     sizes: [[f64; 2]; 3],
 }
 
-/// A material point of a feature: where it is in the feature's frame, and how much of each end's error it takes.
+/// A material point of a feature: its position in the feature's frame, and its share in the error of each end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Position in the feature's frame, metres.
@@ -144,7 +144,7 @@ impl Material {
     }
 }
 
-/// A material point with nothing wrong, body axes.
+/// The nominal place of a material point, without errors, body axes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Placed {
     /// From the sensor.
@@ -169,7 +169,7 @@ impl Uncertain {
         Self::seen_from(&Viewpoint::new(world_from_body, sensor), world_from_frame, object.as_ref(), shape)
     }
 
-    /// As [`Uncertain::new`], with what many features share made before.
+    /// As [`Uncertain::new`], with the data that many features share computed beforehand.
     pub fn seen_from(
         viewpoint: &Viewpoint,
         world_from_frame: &Pose,
@@ -196,7 +196,7 @@ impl Uncertain {
         self.used().count()
     }
 
-    /// Where a point comes to be, body frame, under errors `xi` (standard normal, one for each dimension); exact.
+    /// The exact position of a point in the body frame under errors `xi` (standard normal, one for each dimension).
     pub fn place(&self, point: &Material, xi: &[f64]) -> DVec3 {
         let mut all = Each::default();
         for (i, x) in self.used().zip(xi) {

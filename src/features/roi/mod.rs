@@ -102,16 +102,16 @@ pub type PoseCovariance = [[f64; 6]; 6];
 /// How a box was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoiFlag {
-    /// Errors went through the projection's derivative.
+    /// Errors were propagated by the derivative of the projection.
     Linear,
-    /// Projection bends over the errors: their whole set went through.
+    /// The projection is not linear over the errors: a set of drawn errors was projected.
     Set,
     /// The feature may come behind the sensor, or anywhere in over half of the image.
     WholeImage,
 }
 
 impl RoiFlag {
-    /// As in files.
+    /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -124,23 +124,23 @@ impl RoiFlag {
 /// A box in continuous pixel coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Roi {
-    /// x0, y0, x1, y1. Over a full circle's seam x1 is beyond the width.
+    /// x0, y0, x1, y1. Over the seam of a full circle x1 is beyond the width.
     pub bounds: [f64; 4],
     /// How it was found.
     pub flag: RoiFlag,
 }
 
-/// What the sensor does to a point, and the image it does it in.
+/// A projection from the sensor's body frame to its image.
 pub trait Projection: Sync {
-    /// Continuous pixel coordinates of a point in the body frame, inside the image or not; `None` where there are none
-    /// (behind a camera, in the scanner's centre).
+    /// Continuous pixel coordinates of a point in the body frame, inside or outside the image. `None` where the point has no image
+    /// (behind a camera, in the centre of a scanner).
     fn project(&self, p_in_body: DVec3) -> Option<[f64; 2]>;
 
-    /// How far the point is from where the projection is singular: depth before a camera, distance from a scanner's axis.
+    /// Distance of the point from where the projection is singular: depth in front of a camera, distance from a scanner's axis.
     fn lever(&self, p_in_body: DVec3) -> f64;
 
-    /// How far the point is from where it has no image: depth before a camera, distance from a scanner's centre. The lever, unless
-    /// told better.
+    /// Distance of the point from where it has no image: depth in front of a camera, distance from a scanner's centre. The default is
+    /// the lever.
     fn clearance(&self, p_in_body: DVec3) -> f64 {
         self.lever(p_in_body)
     }
@@ -151,7 +151,7 @@ pub trait Projection: Sync {
     /// Columns of a full turn, if the image goes round: columns are then modulo this number.
     fn turn(&self) -> Option<f64>;
 
-    /// Derivatives of column and row by the position of a point whose image is `at`; by differences unless told better.
+    /// Derivatives of column and row by the position of a point whose image is `at`. The default uses finite differences.
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
         differences(self, p_in_body, at)
     }
@@ -248,8 +248,8 @@ impl Finder {
     }
 }
 
-/// The box of a feature's material points (those visible at the nominal pose) that holds all of them with probability
-/// `confidence`; clipped to the image, at least a pixel wide and high. `None` if no point has an image.
+/// The box that holds all given points of a feature (those visible at the nominal pose) with probability `confidence`. It is
+/// clipped to the image and at least one pixel wide and high. Returns `None` if no point has an image.
 pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Material], confidence: f64) -> Option<Roi> {
     Finder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
 }

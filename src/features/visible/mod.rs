@@ -1,7 +1,7 @@
-//! Which parts of features are seen.
+//! Which parts of features are visible.
 //!
-//! A sample of a feature has its own ray, from the sensor to the point itself, which is not that of any pixel. A polygon
-//! that the feature does not lie on hides the sample if it covers that ray, exactly in f64 (all e_k . u >= 0), and is
+//! A sample of a feature has its own ray, from the sensor to the point itself; it is not the ray of any pixel. A polygon on
+//! which the feature does not lie hides the sample if it covers that ray, exactly in f64 (all e_k . u >= 0), and is
 //! nearer by more than the derived rounding bound: n . u / d > 1 / |p| + bound.
 //!
 //! **What the images propose.** The polygons seen by the nine pixels around each sample are tested first (in straight images by those
@@ -14,9 +14,9 @@
 //! directions around the sensor ([`tiles`]); other segments have one each, for the triangle between the sensor and that part of
 //! them, and single points a ray. Each polygon found is tested like those of the pixels.
 //!
-//! So the answer is that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
-//! depth with the plane of its pixel's polygon instead swallows and leaks at silhouettes: that plane says nothing about
-//! places that the polygon does not cover.
+//! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
+//! depth with the plane of its pixel's polygon would be wrong at silhouettes, because that plane says nothing about places that
+//! the polygon does not cover.
 
 mod area;
 mod frame;
@@ -44,27 +44,27 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
-    /// By the polygons of neighbouring pixels, and where these hide nothing by the index, for many samples at once.
+    /// By the polygons of neighbouring pixels, and by the index where these hide nothing, for many samples at once.
     #[default]
     Image,
-    /// By a ray through the index for every sample: slow, and what the other is measured against.
+    /// By a ray through the index for every sample. Slow; the other way is tested against it.
     Rays,
 }
 
-/// How features are predicted.
+/// Options for predicting features.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureOptions {
-    /// UTC seconds, for probabilities of existence; `None` is the newest confirmation of all features.
+    /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
     pub time: Option<f64>,
-    /// What `polygon_id` of the images numbers.
+    /// Which number `polygon_id` of the images holds.
     pub ids: IdScheme,
     /// Fill [`FeaturePrediction::feature_id`].
     pub feature_id: bool,
     /// How visibility is decided.
     pub visibility: Visibility,
-    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. The finer, the nearer are visible
-    /// fractions to the truth, and the longer it takes. Of a patch that covers more than 1,024 pixels the pixels are the samples, unless
-    /// rays decide: those sample it at up to 4,096 places, at up to 64 times as many where the step is finer.
+    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
+    /// fractions more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
+    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many where the step is finer.
     pub step: f64,
 }
 
@@ -74,8 +74,8 @@ impl Default for FeatureOptions {
     }
 }
 
-/// Predicts what a sensor at a pose (body axes) sees of features, from the `polygon_id` image that an engine made of the
-/// same world, sensor and pose.
+/// Predicts how much a sensor at a pose (body axes) sees of features, from the `polygon_id` image of the same world, sensor
+/// and pose.
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureShape, Properties};

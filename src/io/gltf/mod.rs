@@ -34,11 +34,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// How to import a scene.
+/// Options for importing a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {
-    /// Merge coplanar neighbours into convex polygons. Without it every triangle stays a polygon of its own, in source
-    /// order, as `source` ids need it.
+    /// Merge coplanar neighbours into convex polygons. Without merging every triangle stays a polygon, in source order, which
+    /// `source` ids need.
     pub merge: bool,
     /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
     pub merge_tolerance: f64,

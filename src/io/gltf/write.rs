@@ -37,8 +37,8 @@ const UNSIGNED_INT: u32 = 5125;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the system refuses, [`crate::ErrorKind::Invalid`] if it would be over 4 GiB, or there are
-/// no polygons: a scene without any is refused by [`super::import`].
+/// [`crate::ErrorKind::System`] if the system refuses, [`crate::ErrorKind::Invalid`] if the file would exceed 4 GiB or the
+/// environment has no polygons, because [`super::import`] refuses a scene without polygons.
 pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
     if environment.objects().iter().all(|o| o.mesh.polygon_count() == 0) {
         let what = "the environment has no polygons, and no scene is read without any";

@@ -9,14 +9,14 @@ use std::path::Path;
 /// Layers for one sensor class, merged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Loaded {
-    /// What is left of each, in the order they were read: see [`merge`].
+    /// The remaining features of each file, in the order in which they were read; see [`merge`].
     pub layers: Vec<LayerFile>,
-    /// Features for other classes, which are in no way used.
+    /// Number of features for other classes, which are not used.
     pub other_classes: usize,
 }
 
-/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if it has one (it comes
-/// first, and has no path); the features of other classes in the files are counted.
+/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if there is one. That layer
+/// comes first and has no path. Features of other classes are counted.
 ///
 /// # Errors
 /// Those of [`read`] and [`merge`], for all files alike.
@@ -35,9 +35,10 @@ pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str
     Ok(Loaded { layers: merge(files)?, other_classes })
 }
 
-/// What is left of each of several layers: later features win by id, removals drop what came before and may be followed by
-/// the same id again. A removal of what is not there does nothing: the layer below may have been made anew without it.
-/// Covariances of poses: later ones win by object, and hold for all. A layer's tolerance stays that of its own features.
+/// Merges layers and returns what remains of each. A later feature replaces an earlier one of the same id. A removal drops
+/// earlier features of its id, and a later layer may use the id again. Removing a missing feature does nothing, because the layer
+/// below may have been generated again without it. A later pose covariance of an object replaces an earlier one and holds for all
+/// layers. A tolerance holds for its own layer only.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming the file if classes differ.

@@ -11,16 +11,16 @@ use serde::de::DeserializeOwned;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// What a layer file says: a layer, or changes to those read before it.
+/// The content of a layer file: a layer, or changes to those that were read before it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LayerFile {
-    /// The features it gives, ids rising.
+    /// The features that it gives, by rising id.
     pub layer: FeatureLayer,
-    /// Ids of the features it removes, rising; none of them is in the layer.
+    /// Rising ids of the features that it removes; none of them is in the layer.
     pub removed: Vec<u32>,
-    /// Ids of the features that it says lost their surface, rising: they may be off the polygons.
+    /// Rising ids of the features that it marks as having lost their surface. These may be off the polygons.
     pub lost: Vec<u32>,
-    /// Where it was read.
+    /// The path of the file.
     pub path: Option<PathBuf>,
 }
 
@@ -86,7 +86,7 @@ fn from_json<T: DeserializeOwned>(text: &str) -> Result<T> {
     })
 }
 
-/// Before anything else is looked at: a newer file may hold keys that this build cannot know.
+/// Checks the format before anything else, because a newer file may have keys that this build cannot know.
 fn check_format(text: &str) -> Result<()> {
     #[derive(Deserialize)]
     struct Header {

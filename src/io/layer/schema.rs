@@ -1,9 +1,9 @@
 //! The JSON schema of layer files.
 
-/// JSON schema (draft 2020-12) of a layer file, for editors and for tools that make layers.
+/// The JSON schema (draft 2020-12) of layer files, for editors and for tools that write layers.
 ///
-/// It tells types, keys and ranges. What it cannot tell (covariances without negative eigenvalues, convex patches,
-/// square fiducials, ids used once) is checked by [`super::read`].
+/// It defines types, keys and ranges. [`super::read`] also checks what a schema cannot express: covariances without negative
+/// eigenvalues, convex patches, square fiducials, ids used once.
 ///
 /// ```
 /// let schema: serde_json::Value = serde_json::from_str(presight::io::layer::schema())?;

@@ -10,16 +10,16 @@ use serde::Serialize;
 use std::io::Write;
 use std::path::Path;
 
-/// Writes a layer file that [`super::read`] gives back bit for bit.
+/// Writes a layer file, which [`super::read`] reads back bit for bit.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the layer is not sound ([`FeatureLayer::check`]): such a file could not be read.
-/// [`crate::ErrorKind::System`] if the system refuses; a file that was there stays as it was.
+/// [`crate::ErrorKind::Invalid`] if the layer is invalid ([`FeatureLayer::check`]), because such a file could not be read.
+/// [`crate::ErrorKind::System`] if the system refuses; an existing file then stays as it was.
 pub fn write(path: &Path, layer: &FeatureLayer) -> Result<()> {
     write_with_lost(path, layer, &[])
 }
 
-/// [`write()`], with the mark of a lost surface on the features of these ids, which rise: they need not lie on polygons when
+/// As [`write()`], but marks the features of these rising ids as having lost their surface. They need not lie on polygons when
 /// they are read.
 ///
 /// # Errors
@@ -62,7 +62,7 @@ fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
     Ok(text)
 }
 
-/// The entry of one feature, on one line, ready to be put under `features`.
+/// The entry of one feature on one line, to be put under `features`.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if it is not sound.

@@ -75,14 +75,13 @@ use studio::Studio;
 /// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
 const STACK: usize = 256 << 20;
 
-/// Runs a script; `say` takes each line that it prints, at once.
+/// Runs a script. `say` receives each line that it prints, immediately.
 ///
-/// `options` are for what it imports; without merging, polygons stay in the order in which the script makes them.
+/// `options` apply to the models that it imports. Without merging, polygons stay in the order in which the script makes them.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, no UTF-8, no Rhai, calls
-/// something wrongly, asks for too much, or whose `require` does not hold; those of [`crate::io::gltf::import`] for what
-/// it imports.
+/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai, calls a
+/// function wrongly, exceeds a limit, or fails a `require`; those of [`crate::io::gltf::import`] for models that it imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<Imported> {
     let path = path.as_ref();
     let (sender, receiver) = channel();

@@ -3,10 +3,10 @@
 use crate::geometry::Pose;
 use crate::sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, SensorSpec};
 
-/// The sensor as TOML; [`super::parse`] makes an equal one of it.
+/// The sensor as TOML, from which [`super::parse`] makes an equal one.
 ///
-/// Every number is written with as many digits as it takes to read the same bits back. Two radians may stand less
-/// than an ulp of a degree apart: an angle that never was a number of degrees can come back one ulp away.
+/// Numbers have enough digits to read back with the same bits. The exception are angles that were never given in degrees: they may
+/// read back one ulp away, because two neighbouring values in radians can be less than an ulp of a degree apart.
 ///
 /// ```
 /// use presight::io::sensor_toml;

@@ -14,11 +14,11 @@ use std::path::{Path, PathBuf};
 /// write whole pages twice.
 const PAGE: u32 = 16_384;
 
-/// Makes a store that holds an environment; its log is empty. The file appears under its name when it is whole and on
-/// the disk.
+/// Makes a store that holds an environment, with an empty log. The file appears under its name when it is complete and on
+/// disk.
 ///
 /// # Errors
-/// [`ErrorKind::Usage`] if there is a file of this name; [`ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Usage`] if a file of this name exists; [`ErrorKind::System`] if the system refuses.
 pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()> {
     if !note.time.is_finite() {
         return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));

@@ -13,13 +13,13 @@ use std::path::Path;
 /// An entry of the log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogEntry {
-    /// From 1.
+    /// Its number, from 1.
     pub number: u64,
-    /// UTC seconds, as the caller gave it.
+    /// Time given by the caller, UTC seconds.
     pub time: f64,
-    /// Why, in words.
+    /// Cause, in words.
     pub cause: String,
-    /// The caller's own name for the change, never applied twice.
+    /// The caller's own id for the change, which is never applied twice.
     pub id: Option<String>,
     /// The entry that this one undoes.
     pub undoes: Option<u64>,
@@ -27,9 +27,9 @@ pub struct LogEntry {
     pub change: String,
     /// The change that undoes it, as JSON.
     pub inverse: String,
-    /// BLAKE3 of what was said, if it was a line with an id: by that the same line is known again.
+    /// BLAKE3 of the line, if it had an id. It identifies the line if it is sent again.
     pub request: Option<[u8; 32]>,
-    /// BLAKE3 over the hash before and all of this.
+    /// BLAKE3 over the previous entry's hash and this entry.
     pub hash: [u8; 32],
 }
 

@@ -5,7 +5,7 @@
 //! | `meta` | the one: `created` (UTC seconds) and `cause`, `genesis` (hash of the content it was created with), `next_object` and `next_slot` (numbers never used so far), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
 //! | `groups` | `path` of what has objects below and is none, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; those only that were given a frame |
 //! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
-//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, laid out as told in the source of `blob`); shared by objects, kept when no object has it any more, for the log may bring one back |
+//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); shared by objects, and kept when no object uses it any more, because an undo may bring one back |
 //! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
 //! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
 //! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
@@ -115,17 +115,18 @@ impl Meshes {
     }
 }
 
-/// Reads a store into memory; its writer goes on.
+/// Reads a store into memory. A writer is not blocked.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] if the file is not there, no store, or damaged, [`ErrorKind::Unsupported`] if it is of another
+/// [`ErrorKind::Invalid`] if the file is missing, not a store, or damaged, [`ErrorKind::Unsupported`] if it is of another
 /// version, [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
     in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
 }
 
-/// [`World::with_index`] of what [`read`] reads, sooner: meshes are indexed while others are read.
+/// Reads a store and indexes it: the same as [`read`] and [`World::with_index`], but faster, because meshes are indexed while
+/// others are read.
 ///
 /// # Errors
 /// Those of [`read`].
@@ -137,22 +138,22 @@ pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> 
     Ok(World::of(index, loaded.environment))
 }
 
-/// What `presight env info` tells.
+/// The facts that `presight env info` prints.
 #[derive(Clone, Debug)]
 pub struct Info {
     /// When it was created, UTC seconds.
     pub created: f64,
-    /// Out of what.
+    /// Cause of its creation.
     pub cause: String,
     /// Length of the log.
     pub changes: u64,
     /// Hash of the last entry of the log.
     pub head: String,
-    /// What it holds.
+    /// The environment that it holds.
     pub environment: Environment,
 }
 
-/// Reads a store with its log, all of it proven.
+/// Reads a store and verifies it with its whole log.
 ///
 /// # Errors
 /// As [`read`].
@@ -166,7 +167,7 @@ pub fn info(path: &Path) -> Result<Info> {
     })
 }
 
-/// Hands every entry of the log to `visit`, in order, each proven.
+/// Calls `visit` with every entry of the log, in order, each verified.
 ///
 /// # Errors
 /// As [`read`], and those of `visit`.
@@ -175,10 +176,10 @@ pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()>
     in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
 }
 
-/// Proves all that is stored, and SQLite's own structures.
+/// Verifies all content, and the structures of SQLite.
 ///
 /// # Errors
-/// As [`read`]; [`ErrorKind::Invalid`] names what is not sound.
+/// As [`read`]; [`ErrorKind::Invalid`] names the damaged place.
 pub fn check(path: &Path) -> Result<Info> {
     let found = info(path)?;
     let connection = connect(path, Access::Read)?;
@@ -202,7 +203,7 @@ fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Co
 }
 
 impl Store {
-    /// Opens a store for changes, and gives what it holds now.
+    /// Opens a store for changes. Also returns the environment that it holds.
     ///
     /// # Errors
     /// As [`read`]; [`ErrorKind::System`] if another writer has it, or it is read-only.
@@ -243,7 +244,7 @@ impl Store {
         self.meta.changes as u64
     }
 
-    /// Applies a change to the world and the store; it is on the disk when this returns. The answer is its number in the
+    /// Applies a change to the world and the store. The change is on disk when this returns. Returns its number in the
     /// log.
     ///
     /// # Errors
@@ -255,7 +256,7 @@ impl Store {
         Ok(number)
     }
 
-    /// Begins several changes that become durable together. `world` must hold what the store holds.
+    /// Begins a batch of changes that become durable together. `world` must equal the content of the store.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if another writer came between.
@@ -264,8 +265,8 @@ impl Store {
         Ok(Batch::new(self, world))
     }
 
-    /// Undoes an entry of the log by appending what undoes it; the answer is the numbers of the new entries. With
-    /// `cascade` later changes that stand in the way are undone before, newest first.
+    /// Undoes an entry of the log by appending its inverse. Returns the numbers of the new entries. With
+    /// `cascade`, later changes of the same objects and features are undone first, newest first.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
@@ -299,7 +300,7 @@ impl Store {
         merge::merge_scene(environment, scene, replace)
     }
 
-    /// The change that a layer file says; later features win by id.
+    /// Returns the change that merges a layer file; its features replace those of the same id.
     pub fn merging_layer(environment: &Environment, file: &LayerFile) -> Change {
         merge::merge_layer(environment, file)
     }

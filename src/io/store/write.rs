@@ -21,19 +21,19 @@ use rusqlite::{OptionalExtension, Params, ToSql, params};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Why and when a change was made, for the log. The time is the caller's: nothing here asks a clock.
+/// Why and when a change was made, for the log. The caller gives the time; the store reads no clock.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Note {
-    /// In words.
+    /// Cause, in words.
     pub cause: String,
     /// UTC seconds.
     pub time: f64,
-    /// The caller's own name for the change: applying it again under the same one does nothing.
+    /// The caller's own id for the change. Applying the change again under the same id does nothing.
     pub id: Option<String>,
 }
 
 impl Note {
-    /// A cause and a time.
+    /// Makes a note of a cause and a time (UTC seconds).
     pub fn new(cause: impl Into<String>, time: f64) -> Self {
         Self { cause: cause.into(), time, ..Self::default() }
     }
@@ -61,8 +61,8 @@ pub(super) struct Entry {
     pub undoes: Option<u64>,
 }
 
-/// Changes that become durable together, by [`Batch::commit`]. Dropped before that, or after the system refused, world
-/// and store are again what they were.
+/// Changes that become durable together, by [`Batch::commit`]. If the batch is dropped before that, or the system refuses, world
+/// and store return to their state before the batch.
 pub struct Batch<'a> {
     store: &'a mut Store,
     world: &'a mut World,
@@ -84,27 +84,26 @@ impl<'a> Batch<'a> {
         self.world
     }
 
-    /// False once the store refused a change: then nothing of the batch is left.
+    /// False if the store refused a change. The whole batch is then undone.
     pub fn is_whole(&self) -> bool {
         !self.taken_back
     }
 
-    /// The number under which a change of this id is in the log already.
+    /// The number of the log entry with this id, if there is one.
     pub fn number_of(&self, id: &str) -> Option<u64> {
         self.store.ids.get(id).copied()
     }
 
-    /// Applies a change; the answer is its number in the log. One that is there already, by its id, does nothing.
+    /// Applies a change and returns its number in the log. A change whose id is in the log already does nothing.
     ///
     /// # Errors
-    /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] if the id is that of another change: they leave the
-    /// changes before in the batch; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] of the store, after which
-    /// the whole batch is taken back.
+    /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] if the id belongs to another change: the earlier changes stay in
+    /// the batch. [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] of the store: the whole batch is undone.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
         self.record(change, note, &Entry::default())
     }
 
-    /// [`Batch::apply`] of a change whose new and altered features must lie on polygons ([`placement::apply`]).
+    /// As [`Batch::apply`], but new and altered features must lie on polygons ([`placement::apply`]).
     ///
     /// # Errors
     /// As [`Batch::apply`]; [`crate::ErrorKind::Invalid`] naming class and feature if one does not.
@@ -112,8 +111,8 @@ impl<'a> Batch<'a> {
         self.record(change, note, &Entry { placed: Some(Restored::LetBe), ..Entry::default() })
     }
 
-    /// [`Batch::apply_placed`] of what was read elsewhere, where the features `lost` (class, id) are known to have lost their
-    /// surface: they need not lie on polygons.
+    /// As [`Batch::apply_placed`], for imported content. The features `lost` (class, id) have lost their surface and need not lie
+    /// on polygons.
     ///
     /// # Errors
     /// As [`Batch::apply_placed`].
@@ -154,11 +153,11 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// Applies a line as `presight env apply` reads it; files that it names are looked for in `folder`. The answer is
-    /// its number in the log, and whether it is new.
+    /// Applies a line as `presight env apply` does. Paths of files in it are relative to `folder`. Returns its number in the log,
+    /// and whether it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply_placed`], of restored features, too; [`crate::ErrorKind::Invalid`] if the line is no change.
+    /// As [`Batch::apply_placed`], also for restored features; [`crate::ErrorKind::Invalid`] if the line is not a change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
@@ -205,10 +204,10 @@ impl<'a> Batch<'a> {
         Context::new(environment, None, &mut mesh).change(op)
     }
 
-    /// Makes all of them durable: they are on the disk when this returns.
+    /// Makes all changes durable. They are on disk when this returns.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses: world and store are again what they were.
+    /// [`crate::ErrorKind::System`] if the system refuses; world and store then return to their state before the batch.
     pub fn commit(mut self) -> Result<()> {
         if !self.open {
             return Ok(());
