@@ -81,12 +81,10 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
         check(world, class, feature)?;
         return world.apply(change);
     }
-    let before = world.clone();
-    let undo = world.apply(change)?;
-    let mut all = named.iter().filter_map(|(class, id)| Some((class, world.environment().feature(class, *id)?)));
-    let checked = all.try_for_each(|(class, feature)| check(world, class, feature));
-    checked.inspect_err(|_| *world = before)?;
-    Ok(undo)
+    world.apply_if(change, |world| {
+        let mut all = named.iter().filter_map(|(class, id)| Some((class, world.environment().feature(class, *id)?)));
+        all.try_for_each(|(class, feature)| check(world, class, feature))
+    })
 }
 
 /// Classes and ids of the features that a change puts in or alters.

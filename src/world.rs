@@ -1,7 +1,7 @@
 //! The world: a version of the environment with its index, which predictions read; changes make the next version.
 
 use crate::change::Change;
-use crate::environment::Environment;
+use crate::environment::{Environment, Revert};
 use crate::error::Result;
 use crate::index::{Params, Scheme, WorldIndex};
 use std::sync::Arc;
@@ -25,6 +25,8 @@ pub struct World {
     environment: Arc<Environment>,
     index: Arc<WorldIndex>,
     version: u64,
+    /// While a group of changes is applied: how what was done of it is taken back, oldest first.
+    journal: Option<Vec<Revert>>,
 }
 
 impl World {
@@ -40,7 +42,7 @@ impl World {
 
     /// The first version of a world whose index is there.
     pub(crate) fn of(index: WorldIndex, environment: Environment) -> Self {
-        Self { environment: Arc::new(environment), index: Arc::new(index), version: 1 }
+        Self { environment: Arc::new(environment), index: Arc::new(index), version: 1, journal: None }
     }
 
     /// The same version of the environment with another index.
@@ -98,15 +100,50 @@ impl World {
     /// stay as they are, of all changes of a [`Change::Group`]. That features lie on polygons is not asked here, but by
     /// [`crate::placement`].
     pub fn apply(&mut self, change: Change) -> Result<Change> {
-        let inverse = match change {
-            Change::Group(_) => {
-                let before = self.clone();
-                self.step(change).inspect_err(|_| *self = before)?
+        match change {
+            Change::Group(_) => self.apply_if(change, |_| Ok(())),
+            single => {
+                let inverse = self.step(single)?;
+                self.version += 1;
+                Ok(inverse)
             }
-            single => self.step(single)?,
+        }
+    }
+
+    /// Makes the next version if `check` then finds it sound; else content, numbers and version stay as they are. Nothing
+    /// is copied for that: what was done is taken back step by step.
+    pub(crate) fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
+        self.journal = Some(Vec::new());
+        let done = self.step(change).and_then(|inverse| check(self).map(|()| inverse));
+        let journal = self.journal.take().unwrap_or_default();
+        match &done {
+            Ok(_) => self.version += 1,
+            Err(_) => journal.into_iter().rev().for_each(|step| self.revert(step)),
+        }
+        done
+    }
+
+    /// Notes how the step to come is taken back, where it may have to be.
+    fn note(&mut self, revert: impl FnOnce(&Environment) -> Revert) {
+        if let Some(journal) = &mut self.journal {
+            journal.push(revert(&self.environment));
+        }
+    }
+
+    fn revert(&mut self, step: Revert) {
+        let moved = match &step {
+            Revert::Pose { object, .. } | Revert::Delete { object, .. } => Some(*object),
+            Revert::Insert { .. } => {
+                let last = self.environment.objects().len() as u32 - 1;
+                Arc::make_mut(&mut self.index).remove_last(&self.environment, last);
+                None
+            }
+            _ => None,
         };
-        self.version += 1;
-        Ok(inverse)
+        Arc::make_mut(&mut self.environment).revert(step);
+        if let Some(object) = moved {
+            Arc::make_mut(&mut self.index).insert_object(&self.environment, object);
+        }
     }
 
     /// A change; only a group can fail halfway.
@@ -130,41 +167,81 @@ impl World {
     }
 
     fn step_features(&mut self, change: Change) -> Result<Change> {
+        self.note_layer(&change);
         let environment = Arc::make_mut(&mut self.environment);
-        Ok(match change {
+        let (done, revert) = match change {
             Change::AddMaterial(material) => {
                 environment.add_material(material)?;
-                Change::NOTHING
+                (Change::NOTHING, Some(Revert::Material))
             }
             Change::InsertFeature { class, feature } => {
                 let id = feature.id;
                 environment.insert_feature(&class, feature, false)?;
-                Change::DeleteFeature { class, id }
+                let revert = Revert::InsertFeature { class: class.clone(), id, retired: false };
+                (Change::DeleteFeature { class, id }, Some(revert))
             }
             Change::RestoreFeature { class, feature } => {
                 let id = feature.id;
+                let retired = environment.is_retired(&class, id);
                 environment.insert_feature(&class, feature, true)?;
-                Change::DeleteFeature { class, id }
+                let revert = Revert::InsertFeature { class: class.clone(), id, retired };
+                (Change::DeleteFeature { class, id }, Some(revert))
             }
             Change::SetFeature { class, feature } => {
                 let feature = environment.replace_feature(&class, feature)?;
-                Change::SetFeature { class, feature }
+                let revert = Revert::SetFeature { class: class.clone(), feature: feature.clone() };
+                (Change::SetFeature { class, feature }, Some(revert))
             }
             Change::DeleteFeature { class, id } => {
                 let feature = environment.delete_feature(&class, id)?;
-                Change::RestoreFeature { class, feature }
+                let revert = Revert::DeleteFeature { class: class.clone(), feature: feature.clone() };
+                (Change::RestoreFeature { class, feature }, Some(revert))
             }
             Change::SetTolerance { class, tolerance } => match environment.set_tolerance(&class, tolerance)? {
-                Some(tolerance) => Change::SetTolerance { class, tolerance },
-                None => Change::NOTHING,
+                Some(tolerance) => {
+                    let revert = Revert::Tolerance { class: class.clone(), tolerance };
+                    (Change::SetTolerance { class, tolerance }, Some(revert))
+                }
+                None => (Change::NOTHING, None),
             },
             Change::SetPoseCovariance { class, object, covariance } => {
                 let covariance = environment.set_pose_covariance(&class, &object, covariance)?;
-                Change::SetPoseCovariance { class, object, covariance }
+                // Noted before, with its place among the others.
+                (Change::SetPoseCovariance { class, object, covariance }, None)
             }
             // Of objects and paths, and many at once: they went another way.
-            _ => Change::NOTHING,
-        })
+            _ => (Change::NOTHING, None),
+        };
+        if let (Some(journal), Some(revert)) = (&mut self.journal, revert) {
+            journal.push(revert);
+        }
+        Ok(done)
+    }
+
+    /// Notes what a change of a layer may have to give back besides: a layer that it makes, a pose covariance in its place.
+    /// Reverting that is right even where the change fails.
+    fn note_layer(&mut self, change: &Change) {
+        if self.journal.is_none() {
+            return;
+        }
+        let class = match change {
+            Change::InsertFeature { class, .. }
+            | Change::RestoreFeature { class, .. }
+            | Change::SetTolerance { class, .. }
+            | Change::SetPoseCovariance { class, .. } => class,
+            _ => return,
+        };
+        let layer = self.environment.layer(class);
+        let revert = match (layer, change) {
+            (None, _) => Revert::NewLayer { class: class.clone() },
+            (Some(layer), Change::SetPoseCovariance { object, .. }) => {
+                let place = layer.pose_covariances.iter().position(|(path, _)| path == object);
+                let before = place.map(|place| (place, layer.pose_covariances[place].1));
+                Revert::PoseCovariance { class: class.clone(), object: object.clone(), before }
+            }
+            _ => return,
+        };
+        self.note(|_| revert);
     }
 
     /// This world with another environment: after a failed write, what the disk has.

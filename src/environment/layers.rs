@@ -83,13 +83,18 @@ impl Environment {
         self.retired.get(class).into_iter().flatten().copied()
     }
 
+    /// True if the id is that of a deleted feature.
+    pub(crate) fn is_retired(&self, class: &str, id: u32) -> bool {
+        self.retired.get(class).is_some_and(|ids| ids.contains(&id))
+    }
+
     /// Marks an id as that of a deleted feature.
     pub(crate) fn retire(&mut self, class: &str, id: u32) {
         self.retired.entry(class.to_owned()).or_default().insert(id);
     }
 
     fn check_unused(&self, class: &str, id: u32) -> Result<()> {
-        if self.retired.get(class).is_none_or(|ids| !ids.contains(&id)) {
+        if !self.is_retired(class, id) {
             return Ok(());
         }
         let what = format!("id {id} was that of a deleted feature");

@@ -8,6 +8,7 @@ mod layers;
 mod material;
 mod mesh;
 mod paths;
+mod revert;
 
 pub use content_hash::ContentHash;
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -16,6 +17,7 @@ pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};
 pub(crate) use paths::Paths;
+pub(crate) use revert::Revert;
 
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};

@@ -120,6 +120,14 @@ impl WorldIndex {
         }
     }
 
+    /// Takes out the object that was taken in last, as if it had never been there.
+    pub(crate) fn remove_last(&mut self, environment: &Environment, object: u32) {
+        self.remove_object(environment, object);
+        if let Kind::TwoLevel { trees, .. } = &mut self.kind {
+            trees.truncate(object as usize);
+        }
+    }
+
     /// Slots of all polygons whose box meets the region, appended.
     pub fn query(&self, environment: &Environment, region: &Region, found: &mut Found) {
         match &self.kind {

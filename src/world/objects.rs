@@ -2,7 +2,7 @@
 
 use super::World;
 use crate::change::Change;
-use crate::environment::{NewObject, check_pose};
+use crate::environment::{NewObject, Revert, check_pose};
 use crate::error::Result;
 use crate::geometry::Pose;
 use std::sync::Arc;
@@ -12,6 +12,8 @@ impl World {
         let frame = self.environment.group(&new.name).copied();
         let environment = Arc::make_mut(&mut self.environment);
         let object = environment.insert(new)?;
+        self.note(|_| Revert::Insert { frame });
+        let environment = &*self.environment;
         Arc::make_mut(&mut self.index).insert_object(environment, object);
         let name = environment.objects()[object as usize].name.clone();
         let mut undo = vec![Change::DeleteObject { name: name.clone() }];
@@ -32,12 +34,15 @@ impl World {
         let object = environment.index_of(&name)?;
         let before = environment.objects()[object as usize].world_from_object;
         environment.set_pose(&name, world_from_object)?;
+        self.note(|_| Revert::Pose { object, world_from_object: before });
+        let environment = &*self.environment;
         Arc::make_mut(&mut self.index).insert_object(environment, object);
         Ok(Change::SetPose { name, world_from_object: before })
     }
 
     pub(super) fn set_group(&mut self, name: String, world_from_group: Option<Pose>) -> Result<Change> {
         let world_from_group = Arc::make_mut(&mut self.environment).set_group(&name, world_from_group)?;
+        self.note(|_| Revert::Frame { path: name.clone(), frame: world_from_group });
         Ok(Change::SetGroup { name, world_from_group })
     }
 
@@ -66,7 +71,7 @@ impl World {
             undo.push(self.set_pose(name, pose)?);
         }
         for (name, pose) in groups {
-            let world_from_group = Arc::make_mut(&mut self.environment).keep_frame(name.clone(), pose);
+            let world_from_group = self.keep_frame(name.clone(), pose);
             undo.push(Change::SetGroup { name, world_from_group });
         }
         Ok(Change::of(undo))
@@ -106,23 +111,31 @@ impl World {
             mesh: o.mesh.clone(),
             first_source: o.first_source,
         })];
-        let environment = Arc::make_mut(&mut self.environment);
-        for (class, covariance, ids) in environment.attached_to(&name) {
+        let mesh = o.mesh.clone();
+        for (class, covariance, ids) in self.environment.attached_to(&name) {
             for id in ids {
-                let feature = environment.delete_feature(&class, id)?;
-                undo.push(Change::RestoreFeature { class: class.clone(), feature });
+                undo.push(self.step_features(Change::DeleteFeature { class: class.clone(), id })?);
             }
             if covariance {
-                let covariance = environment.set_pose_covariance(&class, &name, None)?;
-                undo.push(Change::SetPoseCovariance { class, object: name.clone(), covariance });
+                let none = Change::SetPoseCovariance { class, object: name.clone(), covariance: None };
+                undo.push(self.step_features(none)?);
             }
         }
+        let environment = Arc::make_mut(&mut self.environment);
         Arc::make_mut(&mut self.index).remove_object(environment, object);
         environment.delete(&name)?;
-        if environment.has_below(&name) {
+        self.note(|_| Revert::Delete { object, mesh });
+        if self.environment.has_below(&name) {
             // Inserting the object again takes this away.
-            environment.keep_frame(name, world_from_object);
+            self.keep_frame(name, world_from_object);
         }
         Ok(Change::of(undo))
+    }
+
+    /// Gives a path a frame of a pose that was checked; returns the one before.
+    fn keep_frame(&mut self, path: String, pose: Pose) -> Option<Pose> {
+        let before = Arc::make_mut(&mut self.environment).keep_frame(path.clone(), pose);
+        self.note(|_| Revert::Frame { path, frame: before });
+        before
     }
 }

@@ -267,3 +267,68 @@ fn impossible_changes_are_refused() {
     }
     assert_eq!(world.version(), 1);
 }
+
+/// All that an environment holds, numbers, slots and what is used up included.
+fn everything(world: &World) -> String {
+    format!("{:?} {}", world.environment(), world.version())
+}
+
+/// A group that fails leaves no trace, whatever it did before, and copies nothing.
+#[test]
+fn a_group_that_fails_leaves_no_trace() {
+    let mut world = hall();
+    world.apply(insert(1, Some("hall/exit"))).unwrap();
+    world.apply(insert(2, None)).unwrap();
+    world.apply(Change::DeleteFeature { class: "video".into(), id: 2 }).unwrap();
+    let covariance = Some([[0.0; 6]; 6]);
+    for object in ["cart", "hall/exit", "cartridge"] {
+        let (class, object) = ("video".to_owned(), object.to_owned());
+        world.apply(Change::SetPoseCovariance { class, object, covariance }).unwrap();
+    }
+    let mesh = world.environment().objects()[0].mesh.clone();
+    let new = |name: &str| Change::InsertObject(NewObject::new(name, at(9.0, 0.0), mesh.clone()));
+    let class = || "video".to_owned();
+    let steps = || {
+        vec![
+            new("cart"),
+            new("hall/door/frame"),
+            Change::AddMaterial(Material::named("late")),
+            Change::MoveObject { name: "hall".into(), world_from_object: at(4.0, 0.5) },
+            Change::SetFeature { class: class(), feature: point(1, None) },
+            Change::RestoreFeature { class: class(), feature: point(2, None) },
+            insert(3, Some("cart")),
+            Change::InsertFeature { class: "radar".into(), feature: point(1, None) },
+            Change::SetTolerance { class: class(), tolerance: 0.5 },
+            Change::SetPoseCovariance { class: class(), object: "hall/exit".into(), covariance: None },
+            Change::SetPoseCovariance { class: "laser".into(), object: "cart".into(), covariance },
+            Change::SetGroup { name: "hall/door".into(), world_from_group: Some(at(2.0, 0.0)) },
+            Change::DeleteFeature { class: class(), id: 3 },
+            Change::DeleteObject { name: "hall".into() },
+            Change::DeleteObject { name: "cart".into() },
+            Change::SetPose { name: "cartridge".into(), world_from_object: at(-1.0, 0.0) },
+        ]
+    };
+    let before = everything(&world);
+    for done in 0..=steps().len() {
+        let mut changes = steps();
+        changes.truncate(done);
+        world.step_and_back(changes.clone());
+        changes.push(Change::DeleteObject { name: "nothing here".into() });
+        let (environment, index) = (Arc::as_ptr(&world.environment), Arc::as_ptr(&world.index));
+        let e = world.apply(Change::Group(changes)).unwrap_err();
+        assert!(e.to_string().contains(&format!("change {}", done + 1)), "{e}");
+        assert_eq!(everything(&world), before, "after {done} changes");
+        world.index().assert_well_formed(world.environment());
+        assert_eq!((environment, index), (Arc::as_ptr(&world.environment), Arc::as_ptr(&world.index)), "copied");
+    }
+}
+
+impl World {
+    /// That the steps of the test above do something: else nothing would have to be taken back.
+    fn step_and_back(&self, changes: Vec<Change>) {
+        let mut other = World::new(self.environment().as_ref().clone());
+        let empty = changes.is_empty();
+        other.apply(Change::Group(changes)).unwrap();
+        assert_eq!(format!("{:?}", other.environment()) == format!("{:?}", self.environment()), empty);
+    }
+}
