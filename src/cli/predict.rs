@@ -335,9 +335,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
     if args.explain {
-        print::data(&statistics.explanation())?;
+        print::lines(statistics.explanation())?;
     } else if !args.writes_something() {
-        print::data(&summary(&scene, &prediction, features.as_ref(), &statistics))?;
+        print::lines([summary(&scene, &prediction, features.as_ref(), &statistics)])?;
     }
     Ok(Verdict::Done)
 }
@@ -449,5 +449,5 @@ fn summary(
         parts.push(format!("{seen} of {} features seen", features.len()));
     }
     parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
-    parts.join(", ") + "\n"
+    parts.join(", ")
 }

@@ -96,7 +96,7 @@ impl VirtualArgs {
         if let (Some(path), Some(mask)) = (&self.mask, reading.mask()) {
             png::write_mask(path, mask)?;
         }
-        if in_file { Ok(()) } else { print::data(&format!("{}\n", reading.summary())) }
+        if in_file { Ok(()) } else { print::lines([reading.summary()]) }
     }
 }
 

@@ -6,6 +6,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::plan::{IdScheme, Images, Output, Outputs};
+use crate::printable::quoted;
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::meta::attribute::{AttributeValue, LineOrder, SampleType, Text};
 use ::exr::meta::header::{Header, LayerAttributes};
@@ -289,7 +290,7 @@ impl Attributes {
                 self.ids = Some(match text {
                     "model" => IdScheme::Model,
                     "source" => IdScheme::Source,
-                    _ => return Err(Error::invalid(format!("is {text:?}"), "write model or source")),
+                    _ => return Err(Error::invalid(format!("is {}", quoted(text)), "write model or source")),
                 });
             }
             "objects" => {
@@ -309,12 +310,12 @@ fn check_format(text: &str) -> Result<()> {
         Ok(newer) if newer > FORMAT => {
             Err(unsupported(format!("is {newer}, this presight reads up to {FORMAT}"), "use a newer presight"))
         }
-        _ => Err(Error::invalid(format!("is {text:?}"), format!("write {FORMAT}"))),
+        _ => Err(Error::invalid(format!("is {}", quoted(text)), format!("write {FORMAT}"))),
     }
 }
 
 fn pose_from_text(text: &str) -> Result<Pose> {
-    let wrong = || Error::invalid(format!("{text:?} is no pose"), "write x,y,z,qx,qy,qz,qw, finite numbers");
+    let wrong = || Error::invalid(format!("{} is no pose", quoted(text)), "write x,y,z,qx,qy,qz,qw, finite numbers");
     let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
     let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {
         return Err(wrong());

@@ -207,6 +207,11 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
 fn undo(path: &Path, change: u64, cascade: bool, note: &NoteArgs) -> Result<()> {
     let note = note.note(|| format!("undo of {change}"))?;
     let (mut store, environment) = Store::open(path)?;
+    let plan = store.undo_plan(change, cascade)?;
+    if plan.len() > 1 {
+        let numbers: Vec<String> = plan.iter().map(u64::to_string).collect();
+        print::message(&format!("note: undoing {} changes: {}", plan.len(), numbers.join(", ")));
+    }
     let made = store.undo(&mut unindexed(environment), change, cascade, &note)?;
     let made: Vec<String> = made.iter().map(u64::to_string).collect();
     print::data(&format!("change {}\n", made.join(", ")))

@@ -1,0 +1,188 @@
+//! Memory: what the system would still give this process, asked before work begins.
+//!
+//! Linux promises more memory than there is and ends programs that use it; a limit on addresses makes allocations fail in
+//! libraries that cannot answer with an error. So commands add up what they will take and ask here first.
+
+use crate::error::{Error, ErrorKind, Result};
+use std::path::Path;
+
+/// What a process may still take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// Bytes.
+    pub bytes: u64,
+    /// What sets the bound.
+    pub by: &'static str,
+}
+
+/// Address space that the C library sets aside for each thread that allocates.
+const ARENA: u64 = 64 << 20;
+
+/// The least of what the limit on addresses, the control groups (version 1 and 2) and the machine leave to this process;
+/// `None` where the system does not tell.
+pub fn room() -> Option<Room> {
+    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let status = read("/proc/self/status");
+    let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let addresses = address_limit(&read("/proc/self/limits")).map(|limit| {
+        let left = limit.saturating_sub(kilobytes(&status, "VmSize:").unwrap_or(0));
+        left - (ARENA * threads).min(left / 4)
+    });
+    let groups = group_folders(&read("/proc/self/cgroup"), Path::new("/sys/fs/cgroup"));
+    let groups = groups.iter().filter_map(|folder| left_in_group(folder)).min();
+    let machine = read("/proc/meminfo");
+    let machine = kilobytes(&machine, "MemAvailable:").map(|b| b + kilobytes(&machine, "SwapFree:").unwrap_or(0));
+    let all = [
+        (addresses, "the limit on its address space (ulimit -v)"),
+        (groups, "the memory limit of its control group"),
+        (machine, "the machine"),
+    ];
+    let told = all.into_iter().filter_map(|(bytes, by)| Some(Room { bytes: bytes?, by }));
+    told.min_by_key(|room| room.bytes)
+}
+
+/// That so many bytes more can be had.
+///
+/// # Errors
+/// [`ErrorKind::System`] with what is needed and what is left.
+pub fn require(bytes: u64) -> Result<()> {
+    match room() {
+        Some(room) if bytes > room.bytes => {
+            let what = format!("it takes about {} of memory, and {} leaves {}", sized(bytes), room.by, sized(room.bytes));
+            Err(Error::new(ErrorKind::System, what, REMEDY))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A vector that there is room for.
+///
+/// # Errors
+/// [`ErrorKind::System`] if the system refuses.
+pub(crate) fn reserved<T>(len: usize) -> Result<Vec<T>> {
+    let mut vector = Vec::new();
+    reserve(&mut vector, len)?;
+    Ok(vector)
+}
+
+/// Room for so many elements in all, and no more, in a vector that may hold some.
+///
+/// # Errors
+/// [`ErrorKind::System`] if the system refuses.
+pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
+    vector.try_reserve_exact(len.saturating_sub(vector.len())).map_err(|e| {
+        let what = format!("the system refuses {} of memory", sized(len.saturating_mul(size_of::<T>()) as u64));
+        Error::new(ErrorKind::System, what, REMEDY).caused_by(e)
+    })
+}
+
+const REMEDY: &str = "raise the limit, close other programs, or ask for smaller images or fewer of them";
+
+/// Bytes for people.
+fn sized(bytes: u64) -> String {
+    match bytes {
+        1_000_000_000.. => format!("{:.2} GB", bytes as f64 / 1e9),
+        _ => format!("{:.0} MB", bytes as f64 / 1e6),
+    }
+}
+
+/// The soft limit on address space, of `/proc/self/limits`.
+fn address_limit(limits: &str) -> Option<u64> {
+    let line = limits.lines().find(|line| line.starts_with("Max address space"))?;
+    line.split_whitespace().nth(3)?.parse().ok()
+}
+
+/// A line `Name:  123 kB`, in bytes.
+fn kilobytes(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find(|line| line.starts_with(name))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)
+}
+
+/// Folders of the memory control groups that a process is in, inner ones first, of both versions.
+fn group_folders(groups: &str, root: &Path) -> Vec<std::path::PathBuf> {
+    let mut folders = Vec::new();
+    for line in groups.lines() {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (Some(controllers), Some(path)) = (parts.next(), parts.next()) else { continue };
+        let mount = match controllers {
+            "" if root.join("unified").is_dir() => root.join("unified"),
+            "" => root.to_owned(),
+            _ if controllers.split(',').any(|c| c == "memory") => root.join("memory"),
+            _ => continue,
+        };
+        // In a container the path may be that of the host, where the own group is the root.
+        let inside = Path::new(path.trim_start_matches('/'));
+        folders.extend(inside.ancestors().map(|part| mount.join(part)));
+    }
+    folders
+}
+
+/// What a group's limit leaves; what is cached of files can be given up.
+fn left_in_group(folder: &Path) -> Option<u64> {
+    let number = |name: &str| std::fs::read_to_string(folder.join(name)).ok()?.trim().parse::<u64>().ok();
+    let limit = number("memory.max").or_else(|| number("memory.limit_in_bytes"))?;
+    let used = number("memory.current").or_else(|| number("memory.usage_in_bytes"))?;
+    let stat = std::fs::read_to_string(folder.join("memory.stat")).unwrap_or_default();
+    let of = |name: &str| {
+        let mut lines = stat.lines().filter_map(|line| line.split_once(' '));
+        lines.find(|(key, _)| *key == name).and_then(|(_, n)| n.trim().parse::<u64>().ok())
+    };
+    let cached = |kind: &str| of(&format!("total_{kind}")).or_else(|| of(kind)).unwrap_or(0);
+    let cached = cached("inactive_file") + cached("active_file");
+    Some(limit.saturating_sub(used.saturating_sub(cached)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_of_the_system_are_read() {
+        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
+            Max cpu time              unlimited            unlimited            seconds   \n\
+            Max address space         3072000000           unlimited            bytes     \n";
+        assert_eq!(address_limit(limits), Some(3_072_000_000));
+        assert_eq!(address_limit(&limits.replace("3072000000", "unlimited ")), None);
+        assert_eq!(kilobytes("VmPeak:\t  9 kB\nVmSize:\t    2048 kB\n", "VmSize:"), Some(2 << 20));
+    }
+
+    #[test]
+    fn groups_of_both_versions_leave_what_their_limits_say() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        };
+        let left = |groups: &str| {
+            let folders = group_folders(groups, folder.path());
+            folders.iter().filter_map(|f| left_in_group(f)).collect::<Vec<_>>()
+        };
+        // Version 2: the inner group has no limit, the outer one leaves 1000 - (600 - 150) bytes.
+        write("a/b/memory.max", "max\n");
+        write("a/b/memory.current", "500\n");
+        write("a/memory.max", "1000\n");
+        write("a/memory.current", "600\n");
+        write("a/memory.stat", "anon 450\ninactive_file 100\nactive_file 50\n");
+        assert_eq!(left("0::/a/b\n"), [550]);
+        // Version 1, where all numbers of the group's own children are the totals; a path that is not to be seen from here.
+        write("memory/memory.limit_in_bytes", "2000\n");
+        write("memory/memory.usage_in_bytes", "2500\n");
+        write("memory/memory.stat", "inactive_file 1\ntotal_inactive_file 700\ntotal_active_file 100\n");
+        assert_eq!(left("4:memory:/docker/x\n3:cpuset:/\n"), [300]);
+        assert_eq!(left("0::/a\n4:cpu,memory:/\n"), [550, 300]);
+    }
+
+    #[test]
+    fn more_than_there_is_is_refused_with_both_figures() {
+        let e = require(1 << 60).err();
+        assert_eq!(e.is_some(), room().is_some());
+        if let Some(e) = e {
+            assert_eq!(e.kind(), ErrorKind::System);
+            assert!(e.what().contains("1152921504.61 GB") && e.what().contains("leaves"), "{e}");
+        }
+        assert!(require(1 << 20).is_ok());
+        let e = reserved::<u64>(usize::MAX / 16).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::System);
+    }
+}
