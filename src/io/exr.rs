@@ -5,6 +5,7 @@ use super::atomic::write_atomically;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
+use crate::memory;
 use crate::plan::{IdScheme, Images, Output, Outputs};
 use crate::printable::quoted;
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
@@ -68,8 +69,11 @@ pub struct ImageFile {
 pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attributes) -> Result<()> {
     let mut channels = Vec::new();
     for output in outputs.iter() {
-        let floats = images.floats(output).map(|image| FlatSamples::F32(image.to_vec()));
-        let samples = floats.or_else(|| images.ids(output).map(|image| FlatSamples::U32(image.to_vec())));
+        let samples = match (images.floats(output), images.ids(output)) {
+            (Some(image), _) => Some(FlatSamples::F32(copied(image)?)),
+            (_, Some(image)) => Some(FlatSamples::U32(copied(image)?)),
+            _ => None,
+        };
         channels.extend(samples.map(|samples| AnyChannel::new(output.name(), samples)));
     }
     if channels.is_empty() {
@@ -90,6 +94,12 @@ pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attrib
         image.write().to_buffered(BufWriter::new(&mut *file)).map_err(to_io)?;
         sort_header(file)
     })
+}
+
+fn copied<T: Copy>(image: &[T]) -> Result<Vec<T>> {
+    let mut copy = memory::reserved(image.len())?;
+    copy.extend_from_slice(image);
+    Ok(copy)
 }
 
 fn to_io(e: ::exr::error::Error) -> io::Error {
@@ -169,6 +179,8 @@ fn read_unnamed(path: &Path) -> Result<ImageFile> {
     };
     check_header(header)?;
     let attributes = from_texts(header)?;
+    let (pixels, channels) = (header.layer_size.area() as u64, header.channels.list.len() as u64);
+    memory::require(4 * pixels * channels)?;
     let image = ::exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()

@@ -69,7 +69,11 @@ pub fn log(path: &Path, as_json: bool) -> Result<()> {
         lines.push(if as_json { json_line(&entry, path)? } else { line(&entry) });
         Ok(())
     })?;
-    if as_json { print::data(&lines.iter().map(|line| format!("{line}\n")).collect::<String>()) } else { print::lines(lines) }
+    if as_json {
+        print::data(&lines.iter().map(|line| format!("{line}\n")).collect::<String>())
+    } else {
+        print::lines(lines)
+    }
 }
 
 fn line(e: &LogEntry) -> String {

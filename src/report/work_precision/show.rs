@@ -2,9 +2,9 @@
 
 use super::{Finding, Findings, Row, tables};
 use crate::error::{Error, Result};
-use crate::report::{Machine, csv_field};
 use crate::report::chart::{Chart, Series, Style};
 use crate::report::page::{Part, Section, Table, page};
+use crate::report::{Machine, csv_field};
 use serde::Serialize;
 
 /// The version of report.json.
