@@ -1,5 +1,7 @@
 //! The one error type: whose fault, which file, which place, what, and what to do about it.
 
+use crate::limits;
+use crate::printable::{clipped, clipped_inside, printable};
 use std::error::Error as StdError;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -36,7 +38,7 @@ impl ErrorKind {
     }
 }
 
-/// An error with file, place and remedy; its `Display` is one line.
+/// An error with file, place and remedy; its `Display` is one line, printable, and of bounded length whatever the names in it.
 ///
 /// ```
 /// use presight::{Error, ErrorKind};
@@ -85,7 +87,8 @@ impl Error {
     pub fn io(file: impl AsRef<Path>, doing: &str, source: std::io::Error) -> Self {
         use std::io::ErrorKind as Io;
         let (kind, remedy) = match source.kind() {
-            Io::NotFound => (ErrorKind::Invalid, "check the path"),
+            Io::NotFound | Io::NotADirectory => (ErrorKind::Invalid, "check the path"),
+            Io::InvalidFilename | Io::InvalidInput => (ErrorKind::Invalid, "give a path that the system takes"),
             Io::UnexpectedEof => (ErrorKind::Invalid, "the file is truncated; fetch it again"),
             Io::PermissionDenied => (ErrorKind::System, "check the permissions"),
             Io::StorageFull => (ErrorKind::System, "free some disk space"),
@@ -111,6 +114,15 @@ impl Error {
             None => place.to_string(),
         });
         self
+    }
+
+    /// Names the place in `file` that named what is at fault: it comes before a file that is named already.
+    #[must_use]
+    pub fn named_in(mut self, file: impl AsRef<Path>, place: impl fmt::Display) -> Self {
+        if let Some(named) = self.0.file.take() {
+            self = self.at(named.display());
+        }
+        self.at(place).in_file(file)
     }
 
     /// Keeps the error that caused this one.
@@ -150,21 +162,16 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let e = &self.0;
         if let Some(file) = &e.file {
-            write!(f, "{}: ", file.display())?;
+            write!(f, "{}: ", printable(&clipped_inside(&file.to_string_lossy(), limits::MAX_SHOWN)))?;
         }
         if let Some(place) = &e.place {
-            write!(f, "{place}: ")?;
+            write!(f, "{}: ", printable(&clipped(place, limits::MAX_SHOWN)))?;
         }
         // Messages of other crates may span lines; ours is one line.
-        let mut words = e.what.split_whitespace();
-        if let Some(first) = words.next() {
-            f.write_str(first)?;
-        }
-        for word in words {
-            write!(f, " {word}")?;
-        }
+        let what = e.what.split_whitespace().collect::<Vec<_>>().join(" ");
+        f.write_str(&printable(&clipped(&what, limits::MAX_SHOWN)))?;
         if !e.remedy.is_empty() {
-            write!(f, "; {}", e.remedy)?;
+            write!(f, "; {}", printable(&clipped(&e.remedy, limits::MAX_SHOWN)))?;
         }
         Ok(())
     }
@@ -189,6 +196,23 @@ impl StdError for Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn messages_are_one_printable_line_of_bounded_length() {
+        let e = Error::invalid("no wall\n\u{1b}[2J here", "ask\nsomebody").at("mesh a\nb").in_file("a\u{7}.glb");
+        assert_eq!(e.to_string(), "a\\u{7}.glb: mesh a\\nb: no wall \\u{1b}[2J here; ask\\nsomebody");
+        assert_eq!(e.what(), "no wall\n\u{1b}[2J here", "programs get it as it is");
+        let long = "\u{1}x".repeat(1 << 20);
+        let line = Error::invalid(&long, &long).at(&long).in_file(format!("{long}/end.glb")).to_string();
+        assert!(line.len() < 40 * limits::MAX_SHOWN && line.contains("end.glb: "), "{} bytes", line.len());
+    }
+
+    #[test]
+    fn what_a_file_names_is_at_fault_where_it_is_named() {
+        let e = Error::invalid("is NaN", "").at("mesh 1").in_file("p.glb").named_in("c.jsonl", "line 2");
+        assert_eq!(e.to_string(), "c.jsonl: line 2: p.glb: mesh 1: is NaN");
+        assert_eq!(Error::invalid("no", "").at("b").named_in("c", "line 3").to_string(), "c: line 3: b: no");
+    }
 
     #[test]
     fn numbers_in_messages_are_short_and_read_back() {

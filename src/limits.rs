@@ -74,3 +74,5 @@ pub const MAX_SCRIPT_ASSEMBLIES: u32 = 64;
 pub const MAX_ROBOT_SENSORS: usize = 256;
 /// Longest line of a file of changes, in bytes.
 pub const MAX_LINE_BYTES: u64 = 64 << 20;
+/// Most characters of one part of a message (file, place, what is wrong, remedy); what follows is left out.
+pub const MAX_SHOWN: usize = 1000;

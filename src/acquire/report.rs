@@ -118,16 +118,20 @@ pub struct Problem {
     pub places: Vec<String>,
 }
 
+impl Problem {
+    /// One line for the whole, and one for each place, which are indented by `indent`.
+    pub(crate) fn lines(&self, indent: &str) -> Vec<String> {
+        let mut lines = vec![format!("{} {}", self.total, self.kind.title())];
+        lines.extend(self.places.iter().map(|place| format!("{indent}{place}")));
+        let more = self.total - self.places.len() as u64;
+        lines.extend((more > 0).then(|| format!("{indent}and {more} more")));
+        lines
+    }
+}
+
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", self.total, self.kind.title())?;
-        for place in &self.places {
-            write!(f, "\n  {place}")?;
-        }
-        match self.total - self.places.len() as u64 {
-            0 => Ok(()),
-            more => write!(f, "\n  and {more} more"),
-        }
+        f.write_str(&self.lines("  ").join("\n"))
     }
 }
 

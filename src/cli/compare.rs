@@ -110,7 +110,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
             .map_err(|e| Error::invalid(format!("the result is no JSON: {e}"), "").in_file(path))?;
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
-    print::data(&in_words(&report))?;
+    print::lines(in_words(&report))?;
     Ok(if report.fault == 0 { Verdict::Done } else { Verdict::Found })
 }
 
@@ -190,24 +190,23 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
     compare(&reference.images, other, &plan, args.precision.into())
 }
 
-fn in_words(report: &Report) -> String {
-    let mut text = format!(
-        "{} pixels: {} same, {} edge, {} coincident, {} faults\n",
+fn in_words(report: &Report) -> Vec<String> {
+    let mut lines = vec![format!(
+        "{} pixels: {} same, {} edge, {} coincident, {} faults",
         report.pixels, report.same, report.edge, report.coincident, report.fault
-    );
+    )];
     if let Some((column, row)) = report.worst_pixel {
         let w = &report.worst;
-        text += &format!(
-            "largest share of the error bound: range {:.3}, depth_z {:.3}, cos_incidence {:.3}, echo {:.3}; at pixel ({column}, {row})\n",
+        lines.push(format!(
+            "largest share of the error bound: range {:.3}, depth_z {:.3}, cos_incidence {:.3}, echo {:.3}; at pixel ({column}, {row})",
             w.range, w.depth_z, w.cos_incidence, w.echo
-        );
+        ));
     }
-    for fault in &report.faults {
-        text += &format!("fault at pixel ({}, {}): {}\n", fault.column, fault.row, fault.why);
-    }
+    let fault = |f: &crate::compare::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
+    lines.extend(report.faults.iter().map(fault));
     let more = report.fault - report.faults.len().min(report.fault);
     if more > 0 {
-        text += &format!("and {more} more\n");
+        lines.push(format!("and {more} more"));
     }
-    text
+    lines
 }

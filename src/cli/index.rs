@@ -101,7 +101,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         }
     };
     let rows = study.run(&world, &args.variants(), progress)?;
-    print::data(&table(&rows, count, world.environment().slot_count(), args.sweep))?;
+    print::lines(table(&rows, count, world.environment().slot_count(), args.sweep))?;
     if let Some(folder) = &args.out {
         let csv = index_study::to_csv(&rows, count, seed);
         write_atomically(&folder.join("index.csv"), |file| file.write_all(csv.as_bytes()))?;
@@ -123,11 +123,11 @@ impl Args {
     }
 }
 
-fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> String {
-    let mut text = format!("{polygons} polygons, {poses} poses, medians; selectivity = needed / returned\n");
+fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> Vec<String> {
+    let mut lines = vec![format!("{polygons} polygons, {poses} poses, medians; selectivity = needed / returned")];
     let wide = rows.iter().map(|r| r.query.len()).max().unwrap_or(0).max(5);
-    text += &format!(
-        "{:9}  {:wide$}  {:>9}  {:>11}  {:>9}  {:>8}  {:>8}  {:>11}  {:>13}{}\n",
+    lines.push(format!(
+        "{:9}  {:wide$}  {:>9}  {:>11}  {:>9}  {:>8}  {:>8}  {:>11}  {:>13}{}",
         "scheme",
         "query",
         "build ms",
@@ -138,10 +138,10 @@ fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> String {
         "selectivity",
         "prediction ms",
         if swept { "  tuned" } else { "" },
-    );
+    ));
     for r in rows {
         let prediction = r.prediction_ms.map_or_else(|| "-".into(), |ms| format!("{ms:.3}"));
-        text += &format!(
+        let mut line = format!(
             "{:9}  {:wide$}  {:>9.2}  {:>11}  {:>9.1}  {:>8}  {:>8}  {:>11.3}  {prediction:>13}",
             r.scheme.name(),
             r.query,
@@ -154,9 +154,9 @@ fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> String {
         );
         if swept {
             let Params { cell_polygons, least_cell, split_axis, .. } = r.params;
-            text += &format!("  {cell_polygons} polygons, {least_cell} m, {split_axis:?}");
+            line += &format!("  {cell_polygons} polygons, {least_cell} m, {split_axis:?}");
         }
-        text.push('\n');
+        lines.push(line);
     }
-    text
+    lines
 }

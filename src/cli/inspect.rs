@@ -43,14 +43,13 @@ pub fn run(args: &Args) -> Result<Verdict> {
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
     let mut scene = load::scene(&args.scene, &options, Scheme::None)?;
     scene.report.problems.extend(placement::problem(scene.world.environment())?);
-    let text = if args.json {
+    if args.json {
         let value = as_json(&args.scene, &scene);
         let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);
-        serde_json::to_string_pretty(&value).map_err(wrong)? + "\n"
+        print::data(&(serde_json::to_string_pretty(&value).map_err(wrong)? + "\n"))?;
     } else {
-        in_words(&args.scene, &scene)
-    };
-    print::data(&text)?;
+        print::lines(in_words(&args.scene, &scene))?;
+    }
     Ok(Verdict::Done)
 }
 
@@ -127,7 +126,7 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
     })
 }
 
-fn in_words(path: &Path, scene: &Scene) -> String {
+fn in_words(path: &Path, scene: &Scene) -> Vec<String> {
     let environment = scene.world.environment();
     let report = &scene.report;
     let mut lines = vec![path.display().to_string()];
@@ -145,29 +144,28 @@ fn in_words(path: &Path, scene: &Scene) -> String {
     }
     lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
     lines.push(format!("content    {}", environment.content_hash()));
-    lines.push("\nobjects (id, polygons, bounds in the world, name)".into());
+    lines.extend([String::new(), "objects (id, polygons, bounds in the world, name)".into()]);
     for (index, o) in live(environment) {
         let (polygons, bounds) = (o.mesh.polygon_count(), bounds_in_words(&o.world_bounds()));
         lines.push(format!("  {:>5}  {polygons:>8}  {bounds}  {}", index + 1, o.name));
     }
-    lines.push("\nmaterials (polygons, properties, name)".into());
+    lines.extend([String::new(), "materials (polygons, properties, name)".into()]);
     for (m, polygons) in environment.materials().iter().zip(polygons_by_material(environment)) {
         lines.push(format!("  {polygons:>8}  {}  {}", properties(m), m.name));
     }
-    if report.problems.is_empty() {
-        lines.push("\nno problems".into());
-    } else {
-        lines.push("\nproblems".into());
-    }
-    lines.extend(report.problems.iter().map(|p| format!("  {}", p.to_string().replace('\n', "\n  "))));
-    lines.join("\n") + "\n"
+    let found = if report.problems.is_empty() { "no problems" } else { "problems" };
+    lines.extend([String::new(), found.into()]);
+    lines.extend(report.problems.iter().flat_map(|p| p.lines("  ")).map(|line| format!("  {line}")));
+    lines
 }
 
 fn bounds_in_words(b: &Aabb) -> String {
     if b.is_empty() {
         return "empty".into();
     }
-    let side = |low: f64, high: f64| format!("{low:.3}..{high:.3}");
+    // Rounded, and -0 made plain by adding 0.
+    let plain = |x: f64| (x * 1e3).round() / 1e3 + 0.0;
+    let side = |low: f64, high: f64| format!("{:.3}..{:.3}", plain(low), plain(high));
     format!("x {} y {} z {} m", side(b.min.x, b.max.x), side(b.min.y, b.max.y), side(b.min.z, b.max.z))
 }
 

@@ -21,7 +21,7 @@ mod statistics;
 mod virtual_sensor;
 
 use crate::error::Result;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 
 /// Predicts what a robot's sensors should see.
@@ -80,7 +80,8 @@ enum Command {
 
 /// Runs the command on the process's arguments.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
         Ok(cli) => cli,
         Err(e) => return refuse(&e),
     };
@@ -102,6 +103,18 @@ pub fn main() -> ExitCode {
         Command::Env { .. } => Err(load::no_store()),
     };
     conclude(done)
+}
+
+/// The command line: numbers may be negative, so that what is wrong with one is said of the number.
+fn command() -> clap::Command {
+    fn numbers(command: clap::Command) -> clap::Command {
+        let negative = |arg: clap::Arg| match arg.get_action().takes_values() {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        };
+        command.mut_args(negative).mut_subcommands(numbers)
+    }
+    numbers(Cli::command())
 }
 
 /// What a command found, if it ended.
@@ -136,7 +149,9 @@ fn refuse(e: &clap::Error) -> ExitCode {
     let text = e.to_string();
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
-    let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty()).collect();
+    // To write `--` before it helps no option.
+    let useless = |line: &str| line.starts_with("tip: to pass") && line.contains("'-- ");
+    let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty() && !useless(line)).collect();
     let command = std::env::args()
         .nth(1)
         .filter(|a| Cli::command().find_subcommand(a).is_some())
@@ -152,6 +167,6 @@ mod tests {
 
     #[test]
     fn the_command_line_is_well_formed() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 }

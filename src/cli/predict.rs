@@ -12,11 +12,13 @@ use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
 use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor_toml};
+use crate::memory::{self, Frame};
 use crate::plan::{IdScheme, Output, Outputs, Request, Stats};
 use crate::predict::{Backend, Options, Prediction, Predictor};
-use crate::sensor::Sensor;
+use crate::sensor::{Geometry, Sensor};
 use crate::virtual_sensors::VirtualReading;
 use clap::ValueEnum;
+use std::collections::HashSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -234,6 +236,28 @@ impl Args {
         Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme() })
     }
 
+    /// What the prediction and its files take of memory.
+    fn frame(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> Frame {
+        let mut images = request.outputs;
+        if images.has(Output::Echo) {
+            // What it is made of, for which there may be no other reason.
+            images = images.with(Output::CosIncidence).with(Output::PolygonId).with(Output::ObjectId);
+        }
+        let picture = self.png.as_ref().map(|_| png::preview_size(sensor)).unwrap_or_default();
+        let written = self.out.as_ref().map_or(0, |_| self.outputs.iter().count());
+        Frame {
+            pixels: u64::from(sensor.width()) * u64::from(sensor.height()),
+            scanner: matches!(sensor.spec().geometry, Geometry::Scanner(_)),
+            on_device: predictor.engine_name() != "cpu",
+            images: images.iter().count() as u64,
+            exr: written as u64,
+            picture: u64::from(picture.0) * u64::from(picture.1),
+            depth_png: self.depth_png.is_some(),
+            points: self.points.is_some(),
+            reading: self.virtual_sensor.bytes_by_pixel(self.layers.writes_something()),
+        }
+    }
+
     fn scheme(&self) -> IdScheme {
         if self.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model }
     }
@@ -288,6 +312,8 @@ pub fn run(args: &Args) -> Result<Verdict> {
     args.virtual_sensor.check_sensor(&sensor)?;
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
+    let frame = args.frame(&sensor, &request, &predictor);
+    memory::require(frame.bytes())?;
     let scene = load::scene(&args.scene, &job.import, args.index)?;
     let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
     let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.scheme(), args.asked())?;
@@ -295,6 +321,8 @@ pub fn run(args: &Args) -> Result<Verdict> {
         sensor.check_projection().map_err(|e| e.in_file(&args.sensor))?;
     }
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
+    // What the scene has left.
+    memory::require(frame.bytes())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
     let mut features = of_layers(layers.as_ref(), &mut predictor, &scene, &mut prediction)?;
@@ -335,9 +363,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
     if args.explain {
-        print::data(&statistics.explanation())?;
+        print::lines(statistics.explanation())?;
     } else if !args.writes_something() {
-        print::data(&summary(&scene, &prediction, features.as_ref(), &statistics))?;
+        print::lines([summary(&scene, &prediction, features.as_ref(), &statistics)])?;
     }
     Ok(Verdict::Done)
 }
@@ -438,9 +466,9 @@ fn summary(
         });
     }
     if !images.object_id.is_empty() {
-        let mut ids: Vec<u32> = images.object_id.iter().copied().filter(|id| *id != 0).collect();
-        ids.sort_unstable();
-        ids.dedup();
+        // Neighbours mostly are the same: few are looked up.
+        let mut ids: HashSet<u32> = images.object_id.chunk_by(|a, b| a == b).map(|run| run[0]).collect();
+        ids.remove(&0);
         let there = scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
         parts.push(format!("{} of {there} objects seen", ids.len()));
     }
@@ -449,5 +477,5 @@ fn summary(
         parts.push(format!("{seen} of {} features seen", features.len()));
     }
     parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
-    parts.join(", ") + "\n"
+    parts.join(", ")
 }

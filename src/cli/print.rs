@@ -1,9 +1,24 @@
 //! Printing that survives a reader who went away.
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::limits;
+use crate::printable::{clipped, printable};
 use std::io::{self, Write};
 
-/// Prints a text to stdout. A closed pipe (`presight sensors | head -1`) is no error: nobody wants more.
+/// Prints lines for people to stdout: names in them cannot break a line, or drive the terminal.
+///
+/// # Errors
+/// As [`data`].
+pub fn lines<S: AsRef<str>>(lines: impl IntoIterator<Item = S>) -> Result<()> {
+    let mut text = String::new();
+    for line in lines {
+        text += &printable(line.as_ref());
+        text.push('\n');
+    }
+    data(&text)
+}
+
+/// Prints a text to stdout as it is. A closed pipe (`presight sensors | head -1`) is no error: nobody wants more.
 ///
 /// # Errors
 /// [`ErrorKind::System`] if stdout cannot be written for another reason (a full disk behind it).
@@ -18,9 +33,11 @@ pub fn data(text: &str) -> Result<()> {
     }
 }
 
-/// Prints one line to stderr. If stderr is gone nobody can be told.
+/// Prints one line to stderr, printable and of bounded length. If stderr is gone nobody can be told.
 pub fn message(line: &str) {
-    let _ = writeln!(io::stderr().lock(), "{line}");
+    // An error has four parts.
+    let line = clipped(line, 5 * limits::MAX_SHOWN);
+    let _ = writeln!(io::stderr().lock(), "{}", printable(&line));
 }
 
 /// Prints things to know that stopped nothing, one line each.

@@ -92,7 +92,8 @@ fn stability(args: &Args) -> Result<Verdict> {
     let faults = stability::faults(&rows);
     let families = study.families.len();
     let page = args.out.join("index.html");
-    print::data(&format!("{} cases in {families} families: {faults} faults\n{}\n", rows.len(), page.display()))?;
+    let outcome = format!("{} cases in {families} families: {faults} faults", rows.len());
+    print::lines([outcome, page.display().to_string()])?;
     Ok(if faults == 0 { Verdict::Done } else { Verdict::Found })
 }
 
@@ -115,7 +116,7 @@ fn work_precision(args: &Args) -> Result<Verdict> {
             ("report.json", work_precision::to_json(&findings, &machine)?),
         ],
     )?;
-    print::data(&summary(&args.out, &findings))?;
+    print::lines(summary(&args.out, &findings))?;
     Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
 }
 
@@ -135,9 +136,9 @@ fn bar(steps: u64) -> ProgressBar {
     ProgressBar::new(steps).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-fn summary(folder: &Path, findings: &Findings) -> String {
-    let advice: String = findings.findings.iter().map(|f| format!("{}\n", f.advice)).collect();
-    format!("{advice}{}\n", folder.join("index.html").display())
+fn summary(folder: &Path, findings: &Findings) -> impl Iterator<Item = String> {
+    let advice = findings.findings.iter().map(|f| f.advice.clone());
+    advice.chain([folder.join("index.html").display().to_string()])
 }
 
 impl Args {

@@ -140,7 +140,7 @@ impl Statistics {
     }
 
     /// What was done, what it cost, what was left out and why: the answer to `--explain`.
-    pub fn explanation(&self) -> String {
+    pub fn explanation(&self) -> Vec<String> {
         let mut lines = vec![
             format!("scene     {}", self.scene),
             format!("sensor    {}, {} x {}", self.sensor, self.width, self.height),
@@ -172,7 +172,7 @@ impl Statistics {
             lines.push("notices".into());
             lines.extend(self.notices.iter().map(|n| format!("  {n}")));
         }
-        lines.join("\n") + "\n"
+        lines
     }
 }
 

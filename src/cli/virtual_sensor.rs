@@ -66,6 +66,16 @@ impl VirtualArgs {
         self.task.map_or(Outputs::of(&[]), VirtualSensor::outputs)
     }
 
+    /// What the reading takes of memory for each pixel, and where it is written, its text too.
+    pub fn bytes_by_pixel(&self, written: bool) -> u64 {
+        match self.task {
+            None => 0,
+            Some(VirtualSensor::DepthImage) => 32 + if written { 72 } else { 0 },
+            Some(VirtualSensor::VerticalPlanes) => 64,
+            Some(_) => 6,
+        }
+    }
+
     /// What the task says: the corridor is read, and the floor found.
     pub fn settings(&self, scene: &Scene, sensor: &Sensor, pose: &Pose, predictor: &mut Predictor) -> Result<Settings> {
         let corridor = self.corridor.as_deref().map(corridor::read).transpose()?;
@@ -96,7 +106,7 @@ impl VirtualArgs {
         if let (Some(path), Some(mask)) = (&self.mask, reading.mask()) {
             png::write_mask(path, mask)?;
         }
-        if in_file { Ok(()) } else { print::data(&format!("{}\n", reading.summary())) }
+        if in_file { Ok(()) } else { print::lines([reading.summary()]) }
     }
 }
 

@@ -18,6 +18,7 @@ mod setup;
 mod spans;
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::memory::{self, Frame};
 use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
 use batch::{Batch, Winners};
@@ -62,11 +63,14 @@ impl Engine {
     /// Fills the asked images.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if the plan holds more polygons than the engine can number.
+    /// [`ErrorKind::Invalid`] if the plan holds more polygons than the engine can number; [`ErrorKind::System`] if there is no
+    /// memory for the images.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
-        images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());
+        let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
+        self.require_memory(plan, &bands, images)?;
+        images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
         // Winners are numbered in 32 bits, and a polygon over the azimuth seam is set up twice.
         if plan.polygon_count >= (u32::MAX / 2) as usize {
             return Err(Error::invalid(
@@ -81,12 +85,14 @@ impl Engine {
             stats.count("polygons selected", 0);
             return Ok(());
         }
-        let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
         let Self { pool, batches, winners, canvas } = self;
         let canvas = &mut canvas[..bands.count()];
+        for (band, buffer) in canvas.iter_mut().enumerate() {
+            buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
+        }
         // The whole frame on the pool: between two stages its threads stay awake.
         pool.install(|| {
             let used = draw_waves(plan, &bands, (batches, winners), canvas, images, stats);
@@ -95,6 +101,24 @@ impl Engine {
         });
         plan.finish_noting(images, stats);
         Ok(())
+    }
+}
+
+/// Images and buffers that take less are not asked for beforehand.
+const LITTLE: u64 = 64 << 20;
+
+impl Engine {
+    /// That there is room for what buffers and images do not hold yet.
+    fn require_memory(&self, plan: &FramePlan, bands: &Bands, images: &Images) -> Result<()> {
+        let frame = Frame {
+            pixels: (bands.lines * bands.samples) as u64,
+            scanner: bands.axis == LineAxis::Columns,
+            images: plan.drawn().iter().count() as u64,
+            ..Frame::default()
+        };
+        let held = self.canvas.iter().map(Buffer::bytes).sum::<u64>() + images.bytes();
+        let missing = frame.bytes().saturating_sub(held);
+        if missing > LITTLE { memory::require(missing) } else { Ok(()) }
     }
 }
 

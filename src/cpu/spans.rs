@@ -2,6 +2,8 @@
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, SetUp};
+use crate::error::Result;
+use crate::memory;
 use crate::sensor::{LineAxis, LineGrid, Octet};
 use pulp::Simd;
 
@@ -34,15 +36,36 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
+    /// From a line to the next one, from an octet to the next one on its line, and the octets in all.
+    fn layout(axis: LineAxis, lines: usize, samples: usize) -> [usize; 3] {
+        let octets = samples.div_ceil(EIGHT);
+        match axis {
+            LineAxis::Rows => [octets, 1, octets * lines],
+            // Odd, so that a line is spread over all sets of the cache.
+            LineAxis::Columns => [1, lines | 1, octets * (lines | 1)],
+        }
+    }
+
+    /// Bytes of memory held.
+    pub fn bytes(&self) -> u64 {
+        (size_of::<Depths>() * self.inverse.capacity() + size_of::<Numbers>() * self.winner.capacity()) as u64
+    }
+
+    /// Takes the memory that [`Buffer::clear`] needs.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses it.
+    pub fn reserve(&mut self, axis: LineAxis, lines: usize, samples: usize) -> Result<()> {
+        let [_, _, size] = Self::layout(axis, lines, samples);
+        memory::reserve(&mut self.inverse, size)?;
+        memory::reserve(&mut self.winner, size)
+    }
+
     /// Nothing drawn yet.
     pub fn clear(&mut self, axis: LineAxis, lines: usize, samples: usize) {
         let octets = samples.div_ceil(EIGHT);
-        (self.per_line, self.per_octet) = match axis {
-            LineAxis::Rows => (octets, 1),
-            // Odd, so that a line is spread over all sets of the cache.
-            LineAxis::Columns => (1, lines | 1),
-        };
-        let size = octets * lines.max(self.per_octet);
+        let size;
+        [self.per_line, self.per_octet, size] = Self::layout(axis, lines, samples);
         self.inverse.clear();
         self.inverse.resize(size, Depths([0.0; EIGHT]));
         self.winner.clear();

@@ -5,7 +5,9 @@ use super::atomic::write_atomically;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
+use crate::memory;
 use crate::plan::{IdScheme, Images, Output, Outputs};
+use crate::printable::quoted;
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::meta::attribute::{AttributeValue, LineOrder, SampleType, Text};
 use ::exr::meta::header::{Header, LayerAttributes};
@@ -67,8 +69,11 @@ pub struct ImageFile {
 pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attributes) -> Result<()> {
     let mut channels = Vec::new();
     for output in outputs.iter() {
-        let floats = images.floats(output).map(|image| FlatSamples::F32(image.to_vec()));
-        let samples = floats.or_else(|| images.ids(output).map(|image| FlatSamples::U32(image.to_vec())));
+        let samples = match (images.floats(output), images.ids(output)) {
+            (Some(image), _) => Some(FlatSamples::F32(copied(image)?)),
+            (_, Some(image)) => Some(FlatSamples::U32(copied(image)?)),
+            _ => None,
+        };
         channels.extend(samples.map(|samples| AnyChannel::new(output.name(), samples)));
     }
     if channels.is_empty() {
@@ -89,6 +94,12 @@ pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attrib
         image.write().to_buffered(BufWriter::new(&mut *file)).map_err(to_io)?;
         sort_header(file)
     })
+}
+
+fn copied<T: Copy>(image: &[T]) -> Result<Vec<T>> {
+    let mut copy = memory::reserved(image.len())?;
+    copy.extend_from_slice(image);
+    Ok(copy)
 }
 
 fn to_io(e: ::exr::error::Error) -> io::Error {
@@ -168,6 +179,8 @@ fn read_unnamed(path: &Path) -> Result<ImageFile> {
     };
     check_header(header)?;
     let attributes = from_texts(header)?;
+    let (pixels, channels) = (header.layer_size.area() as u64, header.channels.list.len() as u64);
+    memory::require(4 * pixels * channels)?;
     let image = ::exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -289,7 +302,7 @@ impl Attributes {
                 self.ids = Some(match text {
                     "model" => IdScheme::Model,
                     "source" => IdScheme::Source,
-                    _ => return Err(Error::invalid(format!("is {text:?}"), "write model or source")),
+                    _ => return Err(Error::invalid(format!("is {}", quoted(text)), "write model or source")),
                 });
             }
             "objects" => {
@@ -309,12 +322,12 @@ fn check_format(text: &str) -> Result<()> {
         Ok(newer) if newer > FORMAT => {
             Err(unsupported(format!("is {newer}, this presight reads up to {FORMAT}"), "use a newer presight"))
         }
-        _ => Err(Error::invalid(format!("is {text:?}"), format!("write {FORMAT}"))),
+        _ => Err(Error::invalid(format!("is {}", quoted(text)), format!("write {FORMAT}"))),
     }
 }
 
 fn pose_from_text(text: &str) -> Result<Pose> {
-    let wrong = || Error::invalid(format!("{text:?} is no pose"), "write x,y,z,qx,qy,qz,qw, finite numbers");
+    let wrong = || Error::invalid(format!("{} is no pose", quoted(text)), "write x,y,z,qx,qy,qz,qw, finite numbers");
     let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
     let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {
         return Err(wrong());

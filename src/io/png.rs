@@ -102,6 +102,11 @@ fn is_one_row_scan(sensor: &Sensor) -> bool {
     sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_))
 }
 
+/// Columns and rows of the image in a preview, about: text and a scale stand around it.
+pub(crate) fn preview_size(sensor: &Sensor) -> (u32, u32) {
+    view::drawn_size(sensor)
+}
+
 /// The images that a preview of one output is drawn from.
 pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
     let places = if is_one_row_scan(sensor) { Output::Range } else { output };

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::memory;
 use crate::plan::Images;
 use crate::sensor::Sensor;
 use glam::DVec3;
@@ -42,7 +43,7 @@ impl PointCloud {
             ));
         }
         let body_from_image = sensor.body_from_image();
-        let mut positions = Vec::with_capacity(pixels);
+        let mut positions = memory::reserved(pixels)?;
         for row in 0..sensor.height() {
             for column in 0..sensor.width() {
                 let range = images.range[row as usize * sensor.width() as usize + column as usize];

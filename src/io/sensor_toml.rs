@@ -43,6 +43,7 @@ use super::text::{check_format, read_text, toml_from_str};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
+use crate::printable::quoted;
 use crate::sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, SensorSpec};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
@@ -276,8 +277,11 @@ fn parse_directions(text: &str) -> Result<Vec<DVec3>> {
         }
         let numbers: Option<Vec<f64>> = line.split(',').map(|n| n.trim().parse().ok()).collect();
         let Some(&[x, y, z]) = numbers.as_deref() else {
-            return Err(Error::invalid(format!("{line:?} is no direction"), "write x,y,z (nan,nan,nan for no ray)")
-                .at(format!("line {}", i + 1)));
+            return Err(Error::invalid(
+                format!("{} is no direction", quoted(line)),
+                "write x,y,z (nan,nan,nan for no ray)",
+            )
+            .at(format!("line {}", i + 1)));
         };
         directions.push(DVec3::new(x, y, z));
         if directions.len() as u64 > limits::MAX_PIXELS {

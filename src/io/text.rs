@@ -3,6 +3,7 @@
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::file;
 use crate::limits;
+use crate::printable::quoted;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::io::Read;
@@ -21,9 +22,8 @@ pub(crate) fn check_name(name: &str) -> Result<()> {
     if name.len() <= limits::MAX_NAME_BYTES && name.split('/').all(sound) {
         return Ok(());
     }
-    let shown: String = name.chars().take(60).collect();
     let remedy = format!("give segments such as \"cell1/robot\", at most {} bytes", limits::MAX_NAME_BYTES);
-    Err(Error::invalid(format!("{shown:?} is no name of an object"), remedy))
+    Err(Error::invalid(format!("{} is no name of an object", quoted(name)), remedy))
 }
 
 /// Reads a whole file as text, or the content of a pipe that was passed to this process.

@@ -3,6 +3,7 @@
 use super::text::read_text;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::printable::quoted;
 use glam::{DQuat, DVec3};
 use std::path::Path;
 
@@ -45,10 +46,10 @@ fn stamped(line: &str) -> Result<Stamped> {
     for number in &mut numbers {
         let word = words.next().ok_or_else(|| wrong("there are fewer than eight numbers".into()))?;
         let value = word.parse::<f64>().ok().filter(|v| v.is_finite());
-        *number = value.ok_or_else(|| wrong(format!("{word:?} is not a finite number")))?;
+        *number = value.ok_or_else(|| wrong(format!("{} is not a finite number", quoted(word))))?;
     }
     if let Some(word) = words.next() {
-        return Err(wrong(format!("{word:?} comes after the eighth number")));
+        return Err(wrong(format!("{} comes after the eighth number", quoted(word))));
     }
     let [time, x, y, z, qx, qy, qz, qw] = numbers;
     let pose = Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));

@@ -1,6 +1,8 @@
 //! The images every engine fills.
 
 use super::request::{Output, Outputs};
+use crate::error::Result;
+use crate::memory;
 use crate::sensor::PixelGrid;
 
 /// The images of one prediction, row-major, row 0 on top. An image that was not requested is empty.
@@ -42,6 +44,23 @@ impl Images {
         self.cos_incidence.resize(len(Output::CosIncidence), 0.0);
         self.echo.resize(len(Output::Echo), 0.0);
         self.feature_id.clear();
+    }
+
+    /// [`Images::prepare`], if there is room for them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    pub(crate) fn try_prepare(&mut self, width: u32, height: u32, outputs: Outputs) -> Result<()> {
+        let pixels = width as usize * height as usize;
+        let len = |o| if outputs.has(o) { pixels } else { 0 };
+        memory::reserve(&mut self.range, len(Output::Range))?;
+        memory::reserve(&mut self.depth_z, len(Output::DepthZ))?;
+        memory::reserve(&mut self.polygon_id, len(Output::PolygonId))?;
+        memory::reserve(&mut self.object_id, len(Output::ObjectId))?;
+        memory::reserve(&mut self.cos_incidence, len(Output::CosIncidence))?;
+        memory::reserve(&mut self.echo, len(Output::Echo))?;
+        self.prepare(width, height, outputs);
+        Ok(())
     }
 
     /// Every image that is there shows that nothing is seen, and no ray where the sensor has none.

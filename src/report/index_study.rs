@@ -1,6 +1,6 @@
 //! What each index costs and how well it selects, over poses (paper section 2.2, Fig. 5).
 
-use super::median;
+use super::{csv_field, median};
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::index::{Found, Params, Region, Scheme, SplitAxis, polygon_meets};
@@ -187,7 +187,7 @@ pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
         text += &format!(
             "{},{},{poses},{seed},{:.3},{},{:.2},{},{},{:.4},{prediction},{},{},{axis},{}\n",
             r.scheme.name(),
-            r.query,
+            csv_field(&r.query),
             r.build_ms,
             r.bytes,
             r.access_us,

@@ -15,6 +15,12 @@ pub mod work_precision;
 #[cfg(feature = "report")]
 pub use machine::Machine;
 
+/// A text as a field of CSV (RFC 4180): other fields and rows stay what they are whatever is in it.
+fn csv_field(text: &str) -> std::borrow::Cow<'_, str> {
+    let special = text.contains([',', '"', '\n', '\r']);
+    if special { format!("\"{}\"", text.replace('"', "\"\"")).into() } else { text.into() }
+}
+
 /// The middle value; the mean of both of an even number, 0 of none.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);

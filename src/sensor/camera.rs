@@ -3,6 +3,7 @@
 use super::distortion::Distortion;
 use super::grid::{LineAxis, LineGrid, PixelGrid, RayGrid};
 use crate::error::{Error, Result};
+use crate::memory;
 use glam::{DMat3, DVec3};
 
 /// A camera; pixel (0, 0) is the *centre* of the top-left pixel.
@@ -56,7 +57,7 @@ impl Camera {
             return Ok(PixelGrid::Lines(self.line_grid()));
         }
         let lens = self.distortion.lens();
-        let mut directions = Vec::with_capacity(self.width as usize * self.height as usize);
+        let mut directions = memory::reserved(self.width as usize * self.height as usize)?;
         for row in 0..self.height {
             for column in 0..self.width {
                 let (xd, yd) = self.normalized(f64::from(column), f64::from(row));
@@ -64,7 +65,7 @@ impl Camera {
                 directions.push(ray.unwrap_or(DVec3::NAN));
             }
         }
-        Ok(PixelGrid::Rays(RayGrid::new(self.width, self.height, directions)))
+        Ok(PixelGrid::Rays(RayGrid::new(self.width, self.height, directions)?))
     }
 
     /// Lines are image rows; the line frame is (fy y, z, fx x) of the optical frame, so that t = u - cx.

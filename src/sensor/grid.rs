@@ -1,5 +1,7 @@
 //! The rays of a sensor as engines use them: straight lines of samples where the geometry allows, a table with tiles otherwise.
 
+use crate::error::Result;
+use crate::memory;
 use glam::{DMat3, DVec3};
 use pulp::Simd;
 
@@ -297,19 +299,23 @@ pub struct RayGrid {
 
 impl RayGrid {
     /// `directions` are unit, row-major, in the image frame; NaN is no ray.
-    pub(super) fn new(width: u32, height: u32, directions: Vec<DVec3>) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    pub(super) fn new(width: u32, height: u32, directions: Vec<DVec3>) -> Result<Self> {
         let ray = |c: u32, r: u32| {
             let d = directions[(r * width + c) as usize];
             (!d.is_nan()).then_some(d)
         };
-        let mut tiles = Vec::new();
+        let tiles_in = |side: u32| side.div_ceil(TILE_SIDE) as usize;
+        let mut tiles = memory::reserved(tiles_in(width) * tiles_in(height))?;
         for row in (0..height).step_by(TILE_SIDE as usize) {
             for column in (0..width).step_by(TILE_SIDE as usize) {
                 let (w, h) = (TILE_SIDE.min(width - column), TILE_SIDE.min(height - row));
                 tiles.push(Tile::around(column, row, w, h, ray));
             }
         }
-        Self { width, height, directions, tiles }
+        Ok(Self { width, height, directions, tiles })
     }
 
     /// Columns.

@@ -24,6 +24,7 @@ pub use undistort::Lens;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
+use crate::memory;
 use glam::{DMat3, DQuat, DVec3};
 use std::sync::Arc;
 
@@ -112,13 +113,19 @@ impl Sensor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
-    /// intrinsics, duplicate elevations, range limits out of order.
+    /// intrinsics, duplicate elevations, range limits out of order; [`crate::ErrorKind::System`] if there is no memory for the
+    /// ray tables.
     pub fn new(spec: SensorSpec) -> Result<Self> {
         let checked = check(&spec).and_then(|()| {
+            memory::require(ray_table_bytes(&spec))?;
             Ok(match &spec.geometry {
                 Geometry::Camera(c) => c.grid()?,
                 Geometry::Scanner(s) => s.grid()?,
-                Geometry::Rays(r) => PixelGrid::Rays(RayGrid::new(r.width(), r.height(), r.directions().to_vec())),
+                Geometry::Rays(r) => {
+                    let mut directions = memory::reserved(r.directions().len())?;
+                    directions.extend_from_slice(r.directions());
+                    PixelGrid::Rays(RayGrid::new(r.width(), r.height(), directions)?)
+                }
             })
         });
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
@@ -188,6 +195,19 @@ impl Geometry {
             Self::Rays(r) => (r.width(), r.height()),
         }
     }
+}
+
+/// Bytes of the rays and tiles of a sensor that needs a table of them.
+fn ray_table_bytes(spec: &SensorSpec) -> u64 {
+    let (width, height) = spec.geometry.size();
+    let by_rays = match &spec.geometry {
+        Geometry::Camera(c) => !c.distortion.is_none(),
+        Geometry::Scanner(_) => false,
+        Geometry::Rays(_) => true,
+    };
+    let tile = (size_of::<Tile>() as u64).div_ceil(u64::from(TILE_SIDE * TILE_SIDE));
+    let pixels = if by_rays { u64::from(width) * u64::from(height) } else { 0 };
+    pixels * (size_of::<DVec3>() as u64 + tile)
 }
 
 fn check(spec: &SensorSpec) -> Result<()> {

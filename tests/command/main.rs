@@ -1,6 +1,9 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
 mod features;
+#[cfg(target_os = "linux")]
+mod memory;
+mod messages;
 
 use assert_cmd::Command;
 use presight::io::exr;

@@ -188,12 +188,93 @@ fn lines_that_are_no_changes_name_their_place() {
         let output = presight().args(["env", "apply"]).args([&path, &changes]).output().unwrap();
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{line}: {message}");
-        // What a line names is at fault itself.
-        let place = if part == "none.glb" { "line 2" } else { "c.jsonl: line 2" };
-        assert!(message.contains(part) && message.contains(place), "{line}: {message}");
+        assert!(message.contains(part) && message.contains("c.jsonl: line 2: "), "{line}: {message}");
         assert!(message.trim_end().lines().count() == 1 && message.contains("; "), "{message}");
         assert_eq!(output.stdout, b"ack 1\n", "{line}");
         assert_eq!(store::read(&path).unwrap().content_hash(), before, "{line}");
+    }
+}
+
+/// Whatever is wrong with a line: those before it are stored and acknowledged.
+#[test]
+fn lines_before_one_that_cannot_be_read_are_stored() {
+    let long = format!("{{\"op\":\"{}\"}}\n", "x".repeat(presight::limits::MAX_LINE_BYTES as usize));
+    for (bad, says) in [(&b"{\"op\":\"\xff\"}\n"[..], "UTF-8"), (long.as_bytes(), "bytes long"), (b"{\n", "EOF")] {
+        let (folder, path) = folder_with_store();
+        let good: String = (1..=99).map(|k| super::numbered(k).1 + "\n").collect();
+        let changes = folder.path().join("c.jsonl");
+        std::fs::write(&changes, [good.as_bytes(), bad, good.as_bytes()].concat()).unwrap();
+        let output = presight().args(["env", "apply"]).args([&path, &changes]).output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(1) && message.contains("c.jsonl: line 100: "), "{message}");
+        assert!(message.contains(says) && message.len() < 1000, "{message}");
+        let acks: String = (1..=99).map(|k| format!("ack {k}\n")).collect();
+        assert_eq!(String::from_utf8(output.stdout).unwrap(), acks, "{says}");
+        assert_eq!(store::info(&path).unwrap().changes, 99, "{says}");
+    }
+}
+
+/// What is wrong in a file that a line names is said of that file, and the line's number of the file of changes.
+#[test]
+fn a_file_that_a_line_names_keeps_its_own_places() {
+    let (folder, path) = folder_with_store();
+    std::fs::write(folder.path().join("p.gltf"), "{\n\n x").unwrap();
+    let changes = folder.path().join("c.jsonl");
+    std::fs::write(&changes, "{\"op\":\"insert_object\",\"object\":\"x\",\"from\":\"p.gltf\"}\n").unwrap();
+    let (status, message) = refused_apply(&path, &changes);
+    let (of_changes, of_file) = message.split_once("c.jsonl: line 1: ").expect("the line comes first");
+    assert!(status == Some(1) && of_changes.starts_with("error: "), "{message}");
+    assert!(of_file.contains("p.gltf: JSON line 3, column 2: "), "{message}");
+}
+
+fn refused_apply(path: &Path, changes: &Path) -> (Option<i32>, String) {
+    let output = presight().args(["env", "apply"]).args([path, changes]).output().unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+#[test]
+fn an_id_or_a_cause_of_null_is_none() {
+    let (folder, path) = folder_with_store();
+    let changes = folder.path().join("c.jsonl");
+    let line = "{\"op\":\"group\",\"changes\":[],\"id\":null,\"cause\":null}\n";
+    std::fs::write(&changes, line.repeat(2)).unwrap();
+    assert_eq!(refused_apply(&path, &changes), (Some(0), String::new()));
+    let mut entries = Vec::new();
+    store::log(&path, |entry| {
+        entries.push((entry.id, entry.cause.ends_with(&format!("line {}", entry.number))));
+        Ok(())
+    })
+    .unwrap();
+    assert_eq!(entries, [(None, true), (None, true)], "the second is no repetition of the first");
+}
+
+/// SQLite finds that the file is no longer the one it opened.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_store_that_is_moved_away_is_said_to_be() {
+    use std::io::{BufRead, BufReader, Write};
+    for whole_folder in [false, true] {
+        let (folder, _) = folder_with_store();
+        let inner = folder.path().join("inner");
+        std::fs::create_dir(&inner).unwrap();
+        let path = create(&inner, &small());
+        let mut command = presight();
+        command.args(["env", "apply"]).arg(&path).arg("-");
+        let piped = std::process::Stdio::piped;
+        let mut child = command.stdin(piped()).stdout(piped()).stderr(piped()).spawn().unwrap();
+        let (mut stdin, mut stdout) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
+        let mut ack = String::new();
+        writeln!(stdin, "{}", super::numbered(1).1).unwrap();
+        stdout.read_line(&mut ack).unwrap();
+        assert_eq!(ack, "ack 1\n");
+        let from = if whole_folder { &inner } else { &path };
+        std::fs::rename(from, folder.path().join("moved")).unwrap();
+        let _ = writeln!(stdin, "{}", super::numbered(2).1);
+        drop(stdin);
+        let output = child.wait_with_output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(4) && message.contains("was moved"), "{whole_folder}: {message}");
+        assert!(!message.contains("permission") && message.trim_end().lines().count() == 1, "{message}");
     }
 }
 

@@ -80,6 +80,32 @@ fn later_changes_of_the_same_stand_in_the_way() {
     same_on_disk(store, &world);
 }
 
+/// Features that were taken back do not come again because the tolerance, which only coming again would need, is undone.
+#[test]
+fn cascading_does_no_more_than_it_must() {
+    let insert = |id| Change::InsertFeature { class: "video".into(), feature: point(id, 0.5, Some("a")) };
+    let tolerance = Change::SetTolerance { class: "video".into(), tolerance: 0.25 };
+    let mut changes: Vec<Change> = (11..32).map(insert).collect();
+    changes.push(tolerance);
+    let (_folder, mut store, mut world, _) = opened(changes);
+    let before = world.environment().layer("video").unwrap().tolerance;
+    for number in 1..=21 {
+        store.undo(&mut world, number, false, &note(9.0)).unwrap();
+    }
+    assert_eq!(before, 0.25);
+    assert_eq!(store.undo_plan(22, true).unwrap(), [22]);
+    assert_eq!(store.undo(&mut world, 22, true, &note(9.0)).unwrap(), [44]);
+    let layer = world.environment().layer("video").unwrap();
+    assert_eq!((layer.tolerance, layer.features.len()), (1e-3, 2), "those of the store alone, as it was made");
+    // A feature that is there does need it, and stands in the way.
+    store.apply(&mut world, Change::SetTolerance { class: "video".into(), tolerance: 0.5 }, &note(9.0)).unwrap();
+    store.apply(&mut world, insert(99), &note(9.0)).unwrap();
+    let e = store.undo(&mut world, 45, false, &note(9.0)).unwrap_err().to_string();
+    assert!(e.contains("before changes 46 (") && e.contains("it appends 2 changes"), "{e}");
+    assert_eq!(store.undo(&mut world, 45, true, &note(9.0)).unwrap(), [47, 48]);
+    same_on_disk(store, &world);
+}
+
 #[test]
 fn a_parents_move_and_a_group_are_undone_whole() {
     let group = Change::Group(vec![mover("b", 1.0), delete("a"), mover("b/lid", 7.0)]);

@@ -39,7 +39,7 @@ pub fn run(_: &Args) -> Result<Verdict> {
     let mut engine = cpu::Engine::new(0)?;
     let mut sound = check(&probe, &mut text, |plan, images| engine.render(plan, images, &mut Stats::default()));
     sound &= gpus(&probe, &mut text);
-    print::data(&text)?;
+    print::lines(text.lines())?;
     Ok(if sound { Verdict::Done } else { Verdict::Found })
 }
 

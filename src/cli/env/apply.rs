@@ -75,14 +75,22 @@ pub fn run(args: &Args) -> Result<()> {
         let mut applied = Vec::with_capacity(BATCH);
         let mut wrong = None;
         loop {
-            let Some((number, line)) = lines.next()? else {
-                ended = true;
-                break;
+            let (number, line) = match lines.next() {
+                Ok(Some(next)) => next,
+                Ok(None) => {
+                    ended = true;
+                    break;
+                }
+                // Those before it are stored and acknowledged first, as before a wrong change.
+                Err(e) => {
+                    wrong = Some(e);
+                    break;
+                }
             };
             if !line.is_empty() {
                 let note = args.note.note(|| format!("{} line {number}", path.display()))?;
                 if let Err(e) = batch.apply_line(&line, folder, &note) {
-                    wrong = Some(e.at(format!("line {number}")).in_file(path));
+                    wrong = Some(e.named_in(path, format!("line {number}")));
                     break;
                 }
             }

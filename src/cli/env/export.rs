@@ -55,9 +55,8 @@ pub fn run(args: &Args) -> Result<()> {
         let lost: Vec<u32> = lost.iter().filter(|(class, _)| *class == own.class).map(|(_, id)| *id).collect();
         layer::write_with_lost(path, own, &lost)?;
     }
-    let mut lines = format!("{}\n", scene.display());
-    files.iter().for_each(|(path, _)| lines += &format!("{}\n", path.display()));
-    print::data(&lines)
+    let written = std::iter::once(&scene).chain(files.iter().map(|(path, _)| path));
+    print::lines(written.map(|path| path.display().to_string()))
 }
 
 /// Layer files of an export before, of classes that are gone: who imports all that is there would bring back what was deleted.

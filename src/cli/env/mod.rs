@@ -13,6 +13,7 @@ use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use crate::io::layer;
 use crate::io::store::{self, Note, Store};
+use crate::memory;
 use crate::placement;
 use crate::world::World;
 use std::path::{Path, PathBuf};
@@ -165,6 +166,8 @@ fn unindexed(environment: Environment) -> World {
 fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
     let note = note.note(|| format!("create of {}", scene.display()))?;
     let environment = environment_of(scene)?;
+    let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
+    memory::require(memory::of_writing(polygons))?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
 }
@@ -181,6 +184,9 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
         true => (Some(layer::read(file)?), None),
         false => (None, Some(environment_of(file)?)),
     };
+    if let Some(scene) = &scene {
+        memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
+    }
     let (mut store, environment) = Store::open(path)?;
     // What the file says lost its surface, or lost it in the other store, is kept as it is there.
     let lost = match (&layer, &scene) {
@@ -207,6 +213,11 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
 fn undo(path: &Path, change: u64, cascade: bool, note: &NoteArgs) -> Result<()> {
     let note = note.note(|| format!("undo of {change}"))?;
     let (mut store, environment) = Store::open(path)?;
+    let plan = store.undo_plan(change, cascade)?;
+    if plan.len() > 1 {
+        let numbers: Vec<String> = plan.iter().map(u64::to_string).collect();
+        print::message(&format!("note: undoing {} changes: {}", plan.len(), numbers.join(", ")));
+    }
     let made = store.undo(&mut unindexed(environment), change, cascade, &note)?;
     let made: Vec<String> = made.iter().map(u64::to_string).collect();
     print::data(&format!("change {}\n", made.join(", ")))

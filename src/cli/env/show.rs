@@ -5,6 +5,7 @@ use crate::environment::{Environment, Object};
 use crate::error::{Error, Result};
 use crate::io::store::{self, LogEntry};
 use crate::placement;
+use crate::printable::clipped;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -48,7 +49,7 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
     lines.extend(environment.layers().iter().map(|l| format!("layer      {}: {} features", l.class, l.features.len())));
     lines.push(String::new());
     lines.extend(live(environment).map(|o| format!("  {}", o.name)));
-    print::data(&(lines.join("\n") + "\n"))
+    print::lines(lines)
 }
 
 /// `presight env check`.
@@ -56,32 +57,32 @@ pub fn check(path: &Path) -> Result<()> {
     let info = store::check(path)?;
     print::data(&format!("sound: {} objects, {} changes\n", live(&info.environment).count(), info.changes))?;
     match placement::problem(&info.environment)? {
-        Some(problem) => print::data(&format!("{}\n", problem.to_string().replace('\n', "\n  "))),
+        Some(problem) => print::lines(problem.lines("    ")),
         None => Ok(()),
     }
 }
 
 /// `presight env log`.
 pub fn log(path: &Path, as_json: bool) -> Result<()> {
-    let mut text = String::new();
+    let mut lines = Vec::new();
     store::log(path, |entry| {
-        text += &if as_json { json_line(&entry, path)? } else { line(&entry) };
-        text.push('\n');
+        lines.push(if as_json { json_line(&entry, path)? } else { line(&entry) });
         Ok(())
     })?;
-    print::data(&text)
+    if as_json {
+        print::data(&lines.iter().map(|line| format!("{line}\n")).collect::<String>())
+    } else {
+        print::lines(lines)
+    }
 }
 
 fn line(e: &LogEntry) -> String {
-    /// Longer changes are cut.
+    /// Longer causes, ids and changes are cut.
     const WIDTH: usize = 160;
     let undoes = e.undoes.map(|n| format!(" (undoes {n})")).unwrap_or_default();
-    let id = e.id.as_ref().map(|id| format!(" [{id}]")).unwrap_or_default();
-    let change = match e.change.char_indices().nth(WIDTH) {
-        None => e.change.clone(),
-        Some((end, _)) => format!("{}..", &e.change[..end]),
-    };
-    format!("{:>6}  {}  {}{id}{undoes}: {change}", e.number, utc(e.time), e.cause)
+    let id = e.id.as_ref().map(|id| format!(" [{}]", clipped(id, WIDTH))).unwrap_or_default();
+    let (cause, change) = (clipped(&e.cause, WIDTH), clipped(&e.change, WIDTH));
+    format!("{:>6}  {}  {cause}{id}{undoes}: {change}", e.number, utc(e.time))
 }
 
 fn json_line(e: &LogEntry, path: &Path) -> Result<String> {

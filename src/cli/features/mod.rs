@@ -120,11 +120,11 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if let Some(path) = &args.out {
         layer::write(path, &generated.layer)?;
     }
-    print::data(&in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
+    print::lines(in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
     Ok(Verdict::Done)
 }
 
-fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> String {
+fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> Vec<String> {
     let counts = &generated.counts;
     let mut lines = vec![format!("class        {}", generated.layer.class)];
     let kinds = Kind::ALL.into_iter().filter(|k| options.kinds.contains(k));
@@ -143,5 +143,5 @@ fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> S
         "left out     {} lines under {} m, {} smooth or flush, {} inside matter{off}",
         counts.short, options.min_length, counts.flat, counts.buried
     ));
-    lines.join("\n") + "\n"
+    lines
 }

@@ -89,7 +89,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         return Ok(Verdict::Found);
     };
     options.region = Some(Aabb { min: hit.p_in_world - args.reach, max: hit.p_in_world + args.reach });
-    print::data(&describe(&scene, &sensor, &sight, &hit, args, &options)?)?;
+    print::lines(describe(&scene, &sensor, &sight, &hit, args, &options)?)?;
     Ok(Verdict::Done)
 }
 
@@ -129,7 +129,7 @@ fn describe(
     hit: &Hit,
     args: &Args,
     options: &GenerateOptions,
-) -> Result<String> {
+) -> Result<Vec<String>> {
     let environment = scene.world.environment();
     let object = &environment.objects()[hit.object as usize];
     let object_from_world = object.world_from_object.inverse();
@@ -153,25 +153,28 @@ fn describe(
     let pixel = DVec2::new(f64::from(args.pixel.0), f64::from(args.pixel.1));
     let near = eye.near(layer, hit.p_in_world, pixel, args.reach)?;
     let (seen, hidden): (Vec<Near>, Vec<Near>) = near.into_iter().partition(|n| n.pixels.is_some());
+    lines.push(String::new());
     lines.push(format!(
-        "\nedges and corners seen within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
+        "edges and corners seen within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
         args.reach
     ));
     lines.extend(listed(&seen));
-    lines.push("\nothers as near that cannot be seen from here, nearest first".into());
+    lines.push(String::new());
+    lines.push("others as near that cannot be seen from here, nearest first".into());
     lines.extend(listed(&hidden));
     let point = point_at(hit, &object.name, p_in_object, normal_in_object, options);
-    lines.push("\nan entry for a layer; give it an id that the layer never used".into());
+    lines.push(String::new());
+    lines.push("an entry for a layer; give it an id that the layer never used".into());
     // What is seen beside the pixel may be meant, or the point itself.
     match seen.first() {
         Some(nearest) => {
             lines.push(layer::entry(&nearest.feature)?);
-            lines.push("\nor the point itself".into());
+            lines.extend([String::new(), "or the point itself".into()]);
             lines.push(layer::entry(&point)?);
         }
         None => lines.push(layer::entry(&point)?),
     }
-    Ok(lines.join("\n") + "\n")
+    Ok(lines)
 }
 
 fn listed(near: &[Near]) -> Vec<String> {

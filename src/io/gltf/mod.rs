@@ -22,6 +22,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
+use crate::memory;
 use accessor::Document;
 use exact::Placed;
 use glam::{DAffine3, DMat3, DVec3};
@@ -248,6 +249,7 @@ fn used_meshes(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<usize
             "split the environment into several files",
         ));
     }
+    memory::require(memory::of_meshes(claimed.values().copied()))?;
     Ok(used)
 }
 

@@ -83,7 +83,7 @@ pub fn page(width: u32, height: u32, overlay: Option<&Overlay<'_>>) -> Canvas {
 }
 
 /// The size in which pixels have the shape of their angles (a camera's: of its chip).
-fn drawn_size(sensor: &Sensor) -> (u32, u32) {
+pub fn drawn_size(sensor: &Sensor) -> (u32, u32) {
     let (w, h) = (f64::from(sensor.width()), f64::from(sensor.height()));
     let shape = match &sensor.spec().geometry {
         Geometry::Camera(c) => c.fx / c.fy,

@@ -10,6 +10,7 @@ use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
+use crate::printable::quoted;
 use std::sync::Arc;
 
 /// What stands in the log under an id.
@@ -22,7 +23,7 @@ pub(super) struct Known {
 impl Known {
     /// The error of another change under the same id.
     fn taken(&self, id: &str) -> Error {
-        let what = format!("id {id:?} is that of change {}, which is another change", self.number);
+        let what = format!("id {} is that of change {}, which is another change", quoted(id), self.number);
         Error::invalid(what, "give each change an id of its own")
     }
 

@@ -120,9 +120,10 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
             }
         }
     }
+    // What only its inverse reads is needed to undo it, and no reason to do that.
     let touched = |entry: &LogEntry| -> Result<Touched> {
         let (change, inverse): (Op, Op) = (from_json(&entry.change)?, from_json(&entry.inverse)?);
-        Ok(Touched::of(&[&change, &inverse]))
+        Ok(Touched { reads: Touched::of(&[&change]).reads, ..Touched::of(&[&change, &inverse]) })
     };
     let mut wrote = touched(wanted)?.writes;
     let (mut plan, mut in_the_way) = (vec![number], Vec::new());
@@ -137,10 +138,13 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
     }
     if !in_the_way.is_empty() && !cascade {
         const LISTED: usize = 10;
-        let more = if in_the_way.len() > LISTED { ", .." } else { "" };
+        let all = in_the_way.len();
+        let more = if all > LISTED { format!(" and {} more", all - LISTED) } else { String::new() };
         in_the_way.truncate(LISTED);
         let what = format!("change {number} cannot be undone before changes {}{more}", in_the_way.join(", "));
-        return Err(Error::invalid(what, "undo those first, or give --cascade to undo them, too"));
+        let remedy =
+            format!("undo those first, or give --cascade, which undoes them all: it appends {} changes", all + 1);
+        return Err(Error::invalid(what, remedy));
     }
     plan.reverse();
     Ok(plan)

@@ -272,11 +272,7 @@ impl Store {
     /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
     pub fn undo(&mut self, world: &mut World, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
         self.lock()?;
-        let mut entries = Vec::new();
-        log::walk(&self.connection, &self.path, &self.meta, |entry| {
-            entries.push(entry);
-            Ok(())
-        })?;
+        let entries = self.entries()?;
         let plan = log::undo_plan(&entries, number, cascade).map_err(|e| e.in_file(&self.path))?;
         let mut batch = self.batch(world)?;
         let mut made = Vec::with_capacity(plan.len());
@@ -289,6 +285,23 @@ impl Store {
         }
         batch.commit()?;
         Ok(made)
+    }
+
+    /// The entries that [`Store::undo`] would undo, in its order; nothing is changed.
+    ///
+    /// # Errors
+    /// As [`Store::undo`].
+    pub fn undo_plan(&self, number: u64, cascade: bool) -> Result<Vec<u64>> {
+        log::undo_plan(&self.entries()?, number, cascade).map_err(|e| e.in_file(&self.path))
+    }
+
+    fn entries(&self) -> Result<Vec<LogEntry>> {
+        let mut entries = Vec::new();
+        log::walk(&self.connection, &self.path, &self.meta, |entry| {
+            entries.push(entry);
+            Ok(())
+        })?;
+        Ok(entries)
     }
 
     /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is. With

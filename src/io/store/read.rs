@@ -10,6 +10,7 @@ use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::Trees;
 use crate::io::layer::{FeatureFields, from_fields};
+use crate::memory;
 use glam::DAffine3;
 use rusqlite::{Connection, Row};
 use std::collections::HashMap;
@@ -51,6 +52,10 @@ struct Placed {
 impl Reader<'_> {
     fn load(&self) -> Result<Loaded> {
         let meta = Meta::read(self.connection, self.path)?;
+        // Without reading them: SQLite knows the lengths.
+        self.each("meshes", "COALESCE(SUM(length(content)), 0)", |row| {
+            memory::require(memory::of_stored(get::<i64>(row, 0)? as u64, self.with_trees))
+        })?;
         let mut environment = Environment::new();
         let (mut groups, mut placed) = (Vec::new(), Vec::new());
         let (meshes, trees) = self.meshes(|| {

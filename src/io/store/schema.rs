@@ -154,6 +154,12 @@ pub(super) fn refusal(path: &Path, doing: &str, e: rusqlite::Error) -> Error {
     use ErrorKind::System;
     let system = |what: &str, remedy: &str| Error::new(System, format!("cannot {doing}: {what}"), remedy);
     let said = e.to_string();
+    let moved = e.sqlite_error().is_some_and(|e| e.extended_code == rusqlite::ffi::SQLITE_READONLY_DBMOVED);
+    let unopened = matches!(e.sqlite_error_code(), Some(ErrorCode::ReadOnly | ErrorCode::CannotOpen));
+    if moved || unopened && !path.exists() {
+        let what = "it was moved, replaced or deleted while it was open";
+        return system(what, "open it again where it is now").in_file(path).caused_by(e);
+    }
     let error = match e.sqlite_error_code() {
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::FileLockingProtocolFailed) => system(
             "another program has it open, for writing or reading (locked)",

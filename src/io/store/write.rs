@@ -167,12 +167,12 @@ impl<'a> Batch<'a> {
         let Unique(mut value) = serde_json::from_str(line).map_err(wrong)?;
         let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
         let cause = match take("cause") {
-            None => note.cause.clone(),
+            None | Some(serde_json::Value::Null) => note.cause.clone(),
             Some(serde_json::Value::String(cause)) => cause,
             Some(_) => return Err(Error::invalid("the cause is no text", "say why in words")),
         };
         let id = match take("id") {
-            None => None,
+            None | Some(serde_json::Value::Null) => None,
             Some(serde_json::Value::String(id)) => Some(id),
             Some(serde_json::Value::Number(id)) => Some(id.to_string()),
             Some(_) => return Err(Error::invalid("the id is neither text nor number", "give text")),

@@ -2,9 +2,9 @@
 
 use super::{Finding, Findings, Row, tables};
 use crate::error::{Error, Result};
-use crate::report::Machine;
 use crate::report::chart::{Chart, Series, Style};
 use crate::report::page::{Part, Section, Table, page};
+use crate::report::{Machine, csv_field};
 use serde::Serialize;
 
 /// The version of report.json.
@@ -63,13 +63,9 @@ const CHARTS: [(&str, &str, &str); 5] = [
 
 /// One line a row, with the contract's columns.
 pub fn to_csv(findings: &Findings) -> String {
-    let quoted = |text: &str| {
-        let special = text.contains([',', '"', '\n', '\r']);
-        if special { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
-    };
     let mut csv = format!("{COLUMNS}\n");
     for r in findings.findings.iter().flat_map(|f| &f.rows) {
-        let names = [&r.scene, &r.sensor, &r.engine, &r.variant].map(|name| quoted(name)).join(",");
+        let names = [&r.scene, &r.sensor, &r.engine, &r.variant].map(|name| csv_field(name)).join(",");
         let bound = r.bound.map(|b| format!("{b:e}")).unwrap_or_default();
         csv += &format!(
             "{names},{},{:e},{bound},{:.4},{:.4},{}\n",

@@ -1,0 +1,264 @@
+//! Memory: what the system would still give this process, asked before work begins.
+//!
+//! Linux promises more memory than there is and ends programs that use it; a limit on addresses makes allocations fail in
+//! libraries that cannot answer with an error. So commands add up what they will take and ask here first.
+
+use crate::error::{Error, ErrorKind, Result};
+use std::path::Path;
+
+/// What a process may still take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// Bytes.
+    pub bytes: u64,
+    /// What sets the bound.
+    pub by: &'static str,
+}
+
+/// Address space that the C library sets aside for each thread that allocates.
+const ARENA: u64 = 64 << 20;
+
+/// The least of what the limit on addresses, the control groups (version 1 and 2) and the machine leave to this process;
+/// `None` where the system does not tell.
+pub fn room() -> Option<Room> {
+    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let status = read("/proc/self/status");
+    let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let addresses = address_limit(&read("/proc/self/limits")).map(|limit| {
+        let left = limit.saturating_sub(kilobytes(&status, "VmSize:").unwrap_or(0));
+        left - (ARENA * threads).min(left / 4)
+    });
+    let groups = group_folders(&read("/proc/self/cgroup"), Path::new("/sys/fs/cgroup"));
+    let groups = groups.iter().filter_map(|folder| left_in_group(folder)).min();
+    let machine = read("/proc/meminfo");
+    let machine = kilobytes(&machine, "MemAvailable:").map(|b| b + kilobytes(&machine, "SwapFree:").unwrap_or(0));
+    let all = [
+        (addresses, "the limit on its address space (ulimit -v)"),
+        (groups, "the memory limit of its control group"),
+        (machine, "the machine"),
+    ];
+    let told = all.into_iter().filter_map(|(bytes, by)| Some(Room { bytes: bytes?, by }));
+    told.min_by_key(|room| room.bytes)
+}
+
+/// That so many bytes more can be had.
+///
+/// # Errors
+/// [`ErrorKind::System`] with what is needed and what is left.
+pub fn require(bytes: u64) -> Result<()> {
+    match room() {
+        Some(room) if bytes > room.bytes => {
+            let what =
+                format!("it takes about {} of memory, and {} leaves {}", sized(bytes), room.by, sized(room.bytes));
+            Err(Error::new(ErrorKind::System, what, REMEDY))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A vector that there is room for.
+///
+/// # Errors
+/// [`ErrorKind::System`] if the system refuses.
+pub(crate) fn reserved<T>(len: usize) -> Result<Vec<T>> {
+    let mut vector = Vec::new();
+    reserve(&mut vector, len)?;
+    Ok(vector)
+}
+
+/// Room for so many elements in all, and no more, in a vector that may hold some.
+///
+/// # Errors
+/// [`ErrorKind::System`] if the system refuses.
+pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
+    vector.try_reserve_exact(len.saturating_sub(vector.len())).map_err(|e| {
+        let what = format!("the system refuses {} of memory", sized(len.saturating_mul(size_of::<T>()) as u64));
+        Error::new(ErrorKind::System, what, REMEDY).caused_by(e)
+    })
+}
+
+/// What one prediction and its files will take, besides the scene and what the sensor holds.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Frame {
+    /// Columns times rows.
+    pub pixels: u64,
+    /// A scanner: its image is turned on the way from the engine.
+    pub scanner: bool,
+    /// On a device rather than by the CPU engine; of a device's own memory nothing is said.
+    pub on_device: bool,
+    /// Images in memory.
+    pub images: u64,
+    /// Images that an EXR file gets.
+    pub exr: u64,
+    /// Pixels of the picture, if one is drawn.
+    pub picture: u64,
+    /// A depth image is written.
+    pub depth_png: bool,
+    /// Points are written.
+    pub points: bool,
+    /// Bytes by pixel of what a virtual sensor reads from the images.
+    pub reading: u64,
+}
+
+impl Frame {
+    /// Bytes at the peak: buffers and images stay while one file after the other is made.
+    ///
+    /// ```
+    /// use presight::memory::Frame;
+    /// let frame = Frame { pixels: 1_000_000, images: 4, exr: 4, ..Frame::default() };
+    /// assert!((48_000_000..50_000_000).contains(&frame.bytes()));
+    /// ```
+    pub fn bytes(&self) -> u64 {
+        // Inverse depth and winner of the CPU engine; of a device what is read back.
+        let engine = if self.on_device { 4 * self.images } else { 16 };
+        // A pointer and a length for each row of each image in each band of at least 32 columns; padding of the buffers.
+        let turning = if self.scanner { 1 + self.images.div_ceil(2) } else { 0 };
+        let drawn = self.pixels * (engine + turning + 4 * self.images) + self.pixels / 2;
+        let files = [
+            4 * self.exr * self.pixels,
+            // Colours, and by pixel how crowded with borders it is and a sum for that; the page.
+            if self.picture > 0 { 11 * self.pixels + 3 * self.picture } else { 0 },
+            // Millimetres, their bytes, and what they are packed to.
+            if self.depth_png { 7 * self.pixels } else { 0 },
+            // Positions in f64 and ids.
+            if self.points { 28 * self.pixels } else { 0 },
+        ];
+        drawn + self.reading * self.pixels + files.into_iter().max().unwrap_or(0)
+    }
+}
+
+/// What meshes of so many triangles each will take while they are imported, besides the file: at worst, where no two triangles
+/// are merged. Measured on wavy ground of 720,000 triangles.
+pub fn of_meshes(triangles: impl Iterator<Item = u64>) -> u64 {
+    const KEPT: u64 = 100;
+    const BUILT: u64 = 140;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut largest: Vec<u64> = triangles.collect();
+    largest.sort_unstable_by(|a, b| b.cmp(a));
+    let built: u64 = largest.iter().take(threads).fold(0, |sum, n| sum.saturating_add(*n));
+    let all = largest.iter().fold(0u64, |sum, n| sum.saturating_add(*n));
+    KEPT.saturating_mul(all).saturating_add(BUILT.saturating_mul(built))
+}
+
+/// What meshes of so many bytes in a store will take, with the trees of an index or without. Measured on the same ground.
+pub fn of_stored(bytes: u64, with_trees: bool) -> u64 {
+    bytes + bytes / 10 * if with_trees { 7 } else { 3 }
+}
+
+/// What writing meshes into a store will take, by the polygons of each: the largest is laid out, and copied. Measured as
+/// [`of_meshes`].
+pub fn of_writing(polygons: impl Iterator<Item = u64>) -> u64 {
+    const LAID_OUT: u64 = 110;
+    LAID_OUT.saturating_mul(polygons.max().unwrap_or(0))
+}
+
+const REMEDY: &str = "raise the limit, close other programs, or ask for smaller images or fewer of them";
+
+/// Bytes for people.
+fn sized(bytes: u64) -> String {
+    match bytes {
+        1_000_000_000.. => format!("{:.2} GB", bytes as f64 / 1e9),
+        _ => format!("{:.0} MB", bytes as f64 / 1e6),
+    }
+}
+
+/// The soft limit on address space, of `/proc/self/limits`.
+fn address_limit(limits: &str) -> Option<u64> {
+    let line = limits.lines().find(|line| line.starts_with("Max address space"))?;
+    line.split_whitespace().nth(3)?.parse().ok()
+}
+
+/// A line `Name:  123 kB`, in bytes.
+fn kilobytes(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find(|line| line.starts_with(name))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)
+}
+
+/// Folders of the memory control groups that a process is in, inner ones first, of both versions.
+fn group_folders(groups: &str, root: &Path) -> Vec<std::path::PathBuf> {
+    let mut folders = Vec::new();
+    for line in groups.lines() {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (Some(controllers), Some(path)) = (parts.next(), parts.next()) else { continue };
+        let mount = match controllers {
+            "" if root.join("unified").is_dir() => root.join("unified"),
+            "" => root.to_owned(),
+            _ if controllers.split(',').any(|c| c == "memory") => root.join("memory"),
+            _ => continue,
+        };
+        // In a container the path may be that of the host, where the own group is the root.
+        let inside = Path::new(path.trim_start_matches('/'));
+        folders.extend(inside.ancestors().map(|part| mount.join(part)));
+    }
+    folders
+}
+
+/// What a group's limit leaves; what is cached of files can be given up.
+fn left_in_group(folder: &Path) -> Option<u64> {
+    let number = |name: &str| std::fs::read_to_string(folder.join(name)).ok()?.trim().parse::<u64>().ok();
+    let limit = number("memory.max").or_else(|| number("memory.limit_in_bytes"))?;
+    let used = number("memory.current").or_else(|| number("memory.usage_in_bytes"))?;
+    let stat = std::fs::read_to_string(folder.join("memory.stat")).unwrap_or_default();
+    let of = |name: &str| {
+        let mut lines = stat.lines().filter_map(|line| line.split_once(' '));
+        lines.find(|(key, _)| *key == name).and_then(|(_, n)| n.trim().parse::<u64>().ok())
+    };
+    let cached = |kind: &str| of(&format!("total_{kind}")).or_else(|| of(kind)).unwrap_or(0);
+    let cached = cached("inactive_file") + cached("active_file");
+    Some(limit.saturating_sub(used.saturating_sub(cached)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_of_the_system_are_read() {
+        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
+            Max cpu time              unlimited            unlimited            seconds   \n\
+            Max address space         3072000000           unlimited            bytes     \n";
+        assert_eq!(address_limit(limits), Some(3_072_000_000));
+        assert_eq!(address_limit(&limits.replace("3072000000", "unlimited ")), None);
+        assert_eq!(kilobytes("VmPeak:\t  9 kB\nVmSize:\t    2048 kB\n", "VmSize:"), Some(2 << 20));
+    }
+
+    #[test]
+    fn groups_of_both_versions_leave_what_their_limits_say() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        };
+        let left = |groups: &str| {
+            let folders = group_folders(groups, folder.path());
+            folders.iter().filter_map(|f| left_in_group(f)).collect::<Vec<_>>()
+        };
+        // Version 2: the inner group has no limit, the outer one leaves 1000 - (600 - 150) bytes.
+        write("a/b/memory.max", "max\n");
+        write("a/b/memory.current", "500\n");
+        write("a/memory.max", "1000\n");
+        write("a/memory.current", "600\n");
+        write("a/memory.stat", "anon 450\ninactive_file 100\nactive_file 50\n");
+        assert_eq!(left("0::/a/b\n"), [550]);
+        // Version 1, where all numbers of the group's own children are the totals; a path that is not to be seen from here.
+        write("memory/memory.limit_in_bytes", "2000\n");
+        write("memory/memory.usage_in_bytes", "2500\n");
+        write("memory/memory.stat", "inactive_file 1\ntotal_inactive_file 700\ntotal_active_file 100\n");
+        assert_eq!(left("4:memory:/docker/x\n3:cpuset:/\n"), [300]);
+        assert_eq!(left("0::/a\n4:cpu,memory:/\n"), [550, 300]);
+    }
+
+    #[test]
+    fn more_than_there_is_is_refused_with_both_figures() {
+        let e = require(1 << 60).err();
+        assert_eq!(e.is_some(), room().is_some());
+        if let Some(e) = e {
+            assert_eq!(e.kind(), ErrorKind::System);
+            assert!(e.what().contains("1152921504.61 GB") && e.what().contains("leaves"), "{e}");
+        }
+        assert!(require(1 << 20).is_ok());
+        let e = reserved::<u64>(usize::MAX / 16).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::System);
+    }
+}

@@ -1,0 +1,80 @@
+//! Texts of files and users on their way into a line that people read. Data formats keep such texts as they are.
+
+use std::borrow::Cow;
+
+/// Longest quotation of a file's own text in a message, in characters.
+const QUOTED: usize = 60;
+
+/// The text with what cannot be printed, line breaks included, as escapes: a name cannot break a line, or drive a terminal.
+pub(crate) fn printable(text: &str) -> Cow<'_, str> {
+    if text.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
+        return Cow::Borrowed(text);
+    }
+    let mut line = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            ' '..='~' => line.push(c),
+            // After a letter, marks that combine with it are printable.
+            _ => line.extend(String::from_iter(['a', c]).escape_debug().skip(1)),
+        }
+    }
+    Cow::Owned(line)
+}
+
+/// The first `longest` characters, and a sign that there are more.
+pub(crate) fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(longest) {
+        None => Cow::Borrowed(text),
+        Some((end, _)) => Cow::Owned(format!("{}..", &text[..end])),
+    }
+}
+
+/// At most about `longest` characters: of a longer text its start and its end, for paths end in what tells them apart.
+pub(crate) fn clipped_inside(text: &str, longest: usize) -> Cow<'_, str> {
+    if text.chars().nth(longest).is_none() {
+        return Cow::Borrowed(text);
+    }
+    let end = text.char_indices().nth(longest / 2).map_or(0, |(i, _)| i);
+    let start = text.char_indices().nth_back(longest / 2 - 1).map_or(0, |(i, _)| i);
+    Cow::Owned(format!("{}..{}", &text[..end], &text[start..]))
+}
+
+/// A text in quotation marks for a message; of a long one its start and its length.
+pub(crate) fn quoted(text: &str) -> String {
+    match text.char_indices().nth(QUOTED) {
+        None => format!("{text:?}"),
+        Some((end, _)) => format!("{:?}.. ({} bytes)", &text[..end], text.len()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_printed_is_escaped() {
+        let cases = [
+            ("a \"b\" \\ 'c'", "a \"b\" \\ 'c'"),
+            ("wall\nnorth\r\t", "wall\\nnorth\\r\\t"),
+            ("\u{1b}[31mred\u{9b}\u{7f}\0", "\\u{1b}[31mred\\u{9b}\\u{7f}\\0"),
+            // Both forms of an accent; turned text, a line of its own, a space without width.
+            ("é e\u{301} 壁 🤖", "é e\u{301} 壁 🤖"),
+            ("\u{202e}a\u{2028}b\u{200b}\u{feff}", "\\u{202e}a\\u{2028}b\\u{200b}\\u{feff}"),
+        ];
+        for (text, line) in cases {
+            assert_eq!(printable(text), line);
+            assert_eq!(printable(line), line, "what is printable stays");
+        }
+    }
+
+    #[test]
+    fn long_texts_are_cut_between_characters() {
+        assert_eq!(clipped("äöü", 3), "äöü");
+        assert_eq!(clipped("äöüß", 3), "äöü..");
+        assert_eq!(clipped_inside("abcdef", 6), "abcdef");
+        assert_eq!(clipped_inside("äbcdefg", 6), "äbc..efg");
+        assert_eq!(quoted("a\"\n"), r#""a\"\n""#);
+        assert_eq!(quoted(&"x".repeat(60)), format!("{:?}", "x".repeat(60)));
+        assert_eq!(quoted(&"é".repeat(61)), format!("{:?}.. (122 bytes)", "é".repeat(60)));
+    }
+}

@@ -1,0 +1,170 @@
+//! Memory: what commands say that they need is what they take, and where there is less they say so before they begin.
+
+use super::{Place, camera, glb};
+use serde_json::json;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+/// Runs the command under a limit on its address space, in kilobytes.
+fn under(place: &Place, kilobytes: u64, line: &str) -> (Option<i32>, String) {
+    let mut command = Command::new("sh");
+    command.args(["-c", &format!("ulimit -v {kilobytes} && exec \"$@\""), "sh", env!("CARGO_BIN_EXE_presight")]);
+    let output = command.args(line.split(' ')).current_dir(place.folder.path()).output().unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+/// The most memory that a run of the command had at a time, in bytes, as the system counts it until its end.
+fn peak(place: &Place, line: &str) -> u64 {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_presight"));
+    command.args(line.split(' ')).current_dir(place.folder.path()).stdout(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut most = 0;
+    loop {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+        let kilobytes = line.and_then(|l| l.split_whitespace().next()?.parse::<u64>().ok());
+        most = most.max(kilobytes.unwrap_or(0) * 1024);
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success(), "{line:?}");
+            return most;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// What a refusal says that is needed, in bytes.
+fn said(message: &str) -> f64 {
+    let (_, rest) = message.split_once("it takes about ").unwrap_or_else(|| panic!("{message}"));
+    let mut words = rest.split(' ');
+    let number: f64 = words.next().unwrap().parse().unwrap();
+    number * if words.next() == Some("GB") { 1e9 } else { 1e6 }
+}
+
+/// Below what is needed, above what the command has when it asks.
+const LITTLE: u64 = 420_000;
+
+/// Under a limit the command refuses, and says what it needs; without one its peak is that, to a fifth.
+fn check(place: &Place, line: &str, least: u64) {
+    let names = place.names();
+    let (status, message) = under(place, LITTLE, line);
+    assert_eq!((status, message.lines().count()), (Some(4), 1), "{line}: {message}");
+    assert!(message.contains("address space (ulimit -v) leaves "), "{line}: {message}");
+    assert_eq!(place.names(), names, "{line}");
+    let (said, peak) = (said(&message), (peak(place, line) - least) as f64);
+    assert!((0.8..1.2).contains(&(said / peak)), "{line}: {said:.3e} are said, {peak:.3e} taken");
+}
+
+fn square(width: u32, height: u32, more: &str) -> String {
+    camera(width, height).replace("fx = 100.0\nfy = 100.0", "fx = 3000.0\nfy = 3000.0") + more
+}
+
+#[test]
+fn predictions_take_what_they_say() {
+    let place = Place::new();
+    place.write("large.toml", square(4096, 4096, "").as_bytes());
+    place.write("tiny.toml", square(16, 16, "").as_bytes());
+    let scanner = "format = 1\nkind = \"scanner\"\n[azimuth]\nstart_deg = -180\nstep_deg = 0.0219\ncount = 16384\n\
+        [elevation]\nstart_deg = -40\nstep_deg = 0.07\ncount = 1024\n";
+    place.write("scanner.toml", scanner.as_bytes());
+    let predict = |sensor: &str, rest: &str| {
+        format!("predict wall.glb --pose 0,0,1,0,0,0 --backend cpu --threads 2 --sensor {sensor}.toml {rest}")
+    };
+    let least = peak(&place, &predict("tiny", "--out tiny.exr"));
+    for (sensor, rest) in [
+        ("large", "--out a.exr"),
+        ("large", "--outputs range,echo --explain"),
+        ("large", "--outputs range --png a.png"),
+        ("large", "--outputs range --depth-png a.png"),
+        ("large", "--outputs range --points a.ply"),
+        ("large", "--repeat 2 --stats a.json"),
+        ("large", "--outputs range --virtual free-floor"),
+        ("scanner", "--out a.exr"),
+    ] {
+        check(&place, &predict(sensor, rest), least);
+        ["a.exr", "a.png", "a.ply", "a.json"].iter().for_each(|name| drop(std::fs::remove_file(place.path(name))));
+    }
+    let lens = "[distortion]\nmodel = \"plumb_bob\"\ncoefficients = [0.01, 0.001, 0, 0, 0]\n";
+    place.write("lens.toml", square(4096, 4096, lens).as_bytes());
+    // The table is asked for before the images are.
+    let (status, message) = under(&place, LITTLE, &predict("lens", "--explain"));
+    assert!(status == Some(4) && (said(&message) / (4096.0 * 4096.0 * 25.0) - 1.0).abs() < 0.2, "{message}");
+}
+
+/// Wavy ground of so many squares a side, of which no two triangles are coplanar.
+fn ground(side: u32) -> Vec<u8> {
+    let height = |i: u32, j: u32| (f64::from(i) * 0.37).sin() * (f64::from(j) * 0.23).cos() * 0.3;
+    let mut bin = Vec::new();
+    for (i, j) in (0..=side).flat_map(|i| (0..=side).map(move |j| (i, j))) {
+        let p =
+            [f64::from(i) * 0.05, height(i, j) + f64::from((i * 7919 + j * 104_729) % 97) * 1e-3, f64::from(j) * 0.05];
+        p.iter().for_each(|c| bin.extend((*c as f32).to_le_bytes()));
+    }
+    let vertices = bin.len();
+    for (i, j) in (0..side).flat_map(|i| (0..side).map(move |j| (i, j))) {
+        let a = i * (side + 1) + j;
+        [a, a + 1, a + side + 1, a + 1, a + side + 2, a + side + 1].iter().for_each(|k| bin.extend(k.to_le_bytes()));
+    }
+    let root = json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "name": "ground", "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1 }] }],
+        "buffers": [{ "byteLength": bin.len() }],
+        "bufferViews": [
+            { "buffer": 0, "byteLength": vertices },
+            { "buffer": 0, "byteOffset": vertices, "byteLength": bin.len() - vertices },
+        ],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": vertices / 12, "type": "VEC3",
+              "min": [0, -1, 0], "max": [1000, 1, 1000] },
+            { "bufferView": 1, "componentType": 5125, "count": 6 * side * side, "type": "SCALAR" },
+        ],
+    });
+    glb(&root, &bin)
+}
+
+#[test]
+fn imports_take_what_they_say() {
+    let place = Place::new();
+    let ground = ground(1000);
+    place.write("ground.glb", &ground);
+    let least = peak(&place, "inspect wall.glb");
+    // The file itself is in memory when its meshes are asked for.
+    check(&place, "inspect ground.glb", least + ground.len() as u64);
+    #[cfg(feature = "store")]
+    {
+        place.done("env create ground.presight ground.glb");
+        let (line, least) = ("inspect ground.presight", peak(&place, "inspect wall.glb"));
+        let (status, message) = under(&place, 250_000, line);
+        assert_eq!(status, Some(4), "{message}");
+        let (said, peak) = (said(&message), (peak(&place, line) - least) as f64);
+        assert!((0.8..1.2).contains(&(said / peak)), "{line}: {said:.3e} are said, {peak:.3e} taken");
+    }
+}
+
+#[test]
+fn comparisons_take_what_they_say() {
+    let place = Place::new();
+    place.write("large.toml", square(4096, 4096, "").as_bytes());
+    let view = "--pose 0,0,1,0,0,0 --backend cpu --sensor large.toml";
+    place.done(&format!("predict wall.glb {view} --out a.exr"));
+    let (status, message) = under(&place, LITTLE, "compare a.exr a.exr");
+    assert_eq!((status, message.lines().count()), (Some(4), 1), "{message}");
+    // The first of the two fits or does not; it is what each of them is.
+    assert!((said(&message) / (4096.0 * 4096.0 * 16.0) - 1.0).abs() < 0.01, "{message}");
+    let twice = (peak(&place, "compare a.exr a.exr") - peak(&place, "inspect wall.glb")) as f64;
+    assert!((0.8..1.2).contains(&(2.0 * said(&message) / twice)), "{message} {twice:.3e}");
+}
+
+/// The largest images under 3 GB: refused at once, not ended by the system in the midst of it.
+#[test]
+fn a_large_camera_is_refused_with_both_figures() {
+    let place = Place::new();
+    place.write("huge.toml", square(16_384, 4096, "").as_bytes());
+    let line = "predict wall.glb --pose 0,0,1,0,0,0 --backend cpu --sensor huge.toml --out a.exr";
+    let (status, message) = under(&place, 3_000_000, line);
+    assert_eq!((status, message.lines().count()), (Some(4), 1), "{message}");
+    // 48.5 bytes a pixel: buffers of 16, four images, and their copies for the file.
+    assert!(message.starts_with("error: ") && message.contains("about 3.25 GB of memory"), "{message}");
+    assert!(message.contains("leaves 2.") && message.contains("; raise the limit"), "{message}");
+    assert!(!place.path("a.exr").exists());
+}
