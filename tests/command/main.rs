@@ -1,6 +1,10 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
 mod features;
+#[cfg(unix)]
+mod outputs;
+#[cfg(unix)]
+mod signals;
 
 use assert_cmd::Command;
 use presight::io::exr;

@@ -5,6 +5,7 @@ mod export;
 mod show;
 
 use super::load;
+use super::outputs::{OutputFiles, check_no_dash};
 use super::{Verdict, print};
 use crate::change::Change;
 use crate::environment::Environment;
@@ -163,8 +164,13 @@ fn unindexed(environment: Environment) -> World {
 }
 
 fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
+    check_no_dash(store)?;
+    let mut files = OutputFiles::new();
+    files.add_any(store)?;
+    files.check_named([scene])?;
     let note = note.note(|| format!("create of {}", scene.display()))?;
     let environment = environment_of(scene)?;
+    files.check_read()?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
 }
