@@ -1,5 +1,6 @@
 //! `presight compare`: do two predictions agree?
 
+use super::outputs::OutputFiles;
 use super::{Verdict, load, print};
 use crate::compare::{Precision, Report, compare, compare_exactly};
 use crate::error::{Error, Result};
@@ -48,7 +49,7 @@ pub struct Args {
     merge_tolerance: Option<f64>,
 
     /// Write the result as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.json")]
     json: Option<PathBuf>,
 }
 
@@ -88,6 +89,9 @@ struct Document<'a> {
 /// # Errors
 /// Those of reading the files; images that cannot be compared.
 pub fn run(args: &Args) -> Result<Verdict> {
+    let mut files = OutputFiles::new();
+    files.add("--json", args.json.as_deref(), &["json"])?;
+    files.check_named([&args.reference, &args.other].into_iter().chain(&args.scene).map(PathBuf::as_path))?;
     let mut reference = exr::read(&args.reference)?;
     let mut other = exr::read(&args.other)?;
     keep_common(&mut reference, &mut other).map_err(|e| e.in_file(&args.other))?;
@@ -96,6 +100,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         Some(scene) => compare_by_scene(args, scene, &reference, &other.images),
     }
     .map_err(|e| e.in_file(&args.other))?;
+    files.check_read()?;
     if let Some(path) = &args.json {
         let name = |p: &Path| p.display().to_string();
         let document = Document {

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
+use crate::io::temporary::{Access, Temporary};
 use crate::io::tum;
 use std::path::Path;
 
@@ -16,11 +17,7 @@ pub fn ready(folder: &Path) -> Result<()> {
         Error::new(ErrorKind::System, what, "give another --out").in_file(folder).caused_by(e)
     };
     std::fs::create_dir_all(folder).map_err(|e| refused("make the folder", e))?;
-    tempfile::Builder::new()
-        .prefix(".presight-")
-        .tempfile_in(folder)
-        .and_then(tempfile::NamedTempFile::close)
-        .map_err(|e| refused("write into the folder", e))
+    Temporary::new(folder, Access::Private).map(drop).map_err(|e| refused("write into the folder", e))
 }
 
 /// Poses from a file; there must be one at least.

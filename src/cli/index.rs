@@ -1,5 +1,6 @@
 //! `presight index`: what the spatial indexes cost and how well they select.
 
+use super::outputs::OutputFiles;
 use super::{Verdict, folder, load, print};
 use crate::error::Result;
 use crate::free_poses::free_poses;
@@ -12,7 +13,7 @@ use crate::predict::{Backend, Options};
 use crate::report::index_study::{self, Row, Study};
 use crate::sensor::PRESETS;
 use std::io::{IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight index hall.glb
@@ -70,11 +71,18 @@ pub struct Args {
     threads: usize,
 }
 
+/// What `--out` gets.
+const FILES: [&str; 1] = ["index.csv"];
+
 /// Runs the command.
 ///
 /// # Errors
 /// Those of the scene, the sensor and the poses, of predictions, and of writing.
 pub fn run(args: &Args) -> Result<Verdict> {
+    let mut files = OutputFiles::new();
+    args.out.as_deref().map_or(Ok(()), |folder| files.add_folder(folder, &FILES))?;
+    let named = [Some(args.scene.as_path()), args.poses.as_deref(), args.sensor.as_deref().map(Path::new)];
+    files.check_named(named.into_iter().flatten())?;
     let sensors = match &args.sensor {
         Some(name) => {
             let (sensor, notices) = load_sensor(name)?;
@@ -91,6 +99,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         None => free_poses(&world, args.count as usize, args.seed)?,
     };
     index_study::check_poses(&poses)?;
+    files.check_read()?;
     args.out.as_deref().map(folder::ready).transpose()?;
     let count = poses.len();
     let options = Options { backend: Backend::Cpu, threads: args.threads };
@@ -103,8 +112,9 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let rows = study.run(&world, &args.variants(), progress)?;
     print::lines(table(&rows, count, world.environment().slot_count(), args.sweep))?;
     if let Some(folder) = &args.out {
+        let [csv_file] = FILES.map(|name| folder.join(name));
         let csv = index_study::to_csv(&rows, count, seed);
-        write_atomically(&folder.join("index.csv"), |file| file.write_all(csv.as_bytes()))?;
+        write_atomically(&csv_file, |file| file.write_all(csv.as_bytes()))?;
     }
     Ok(Verdict::Done)
 }

@@ -19,7 +19,7 @@ use crate::plan::{IdScheme, Images, Output, Outputs, Stats};
 use crate::predict::{Prediction, Predictor};
 use crate::sensor::Sensor;
 use crate::virtual_sensors::{VirtualReading, VirtualSensor};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Which features are predicted, and where they go.
 #[derive(Debug, clap::Args)]
@@ -30,7 +30,7 @@ pub struct LayerArgs {
 
     /// Write what is seen of the features
     #[arg(long, value_name = "OUT.json")]
-    features: Option<PathBuf>,
+    pub features: Option<PathBuf>,
 
     /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
@@ -106,6 +106,12 @@ impl LayerArgs {
                 Err(Error::usage(what, "give a --layer, or --features OUT.json for the scene's own"))
             }
         }
+    }
+
+    /// Files that are named to be read.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let covariance = self.pose_cov.as_deref().and_then(pose_cov::file);
+        self.layers.iter().map(PathBuf::as_path).chain(covariance)
     }
 
     /// True if features are to be predicted.

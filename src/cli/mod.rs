@@ -10,6 +10,7 @@ mod index;
 mod inspect;
 mod layers;
 mod load;
+mod outputs;
 pub mod pose;
 pub mod pose_cov;
 mod predict;
@@ -17,6 +18,7 @@ mod print;
 #[cfg(feature = "report")]
 mod report;
 mod sensors;
+mod signals;
 mod statistics;
 mod virtual_sensor;
 
@@ -80,6 +82,7 @@ enum Command {
 
 /// Runs the command on the process's arguments.
 pub fn main() -> ExitCode {
+    signals::listen();
     let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,

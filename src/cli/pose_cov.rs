@@ -14,7 +14,12 @@ use std::path::Path;
 /// [`crate::ErrorKind::Usage`] for numbers that are none or negative; [`crate::ErrorKind::Invalid`] for a file that
 /// is no covariance.
 pub fn parse(text: &str) -> Result<PoseCovariance> {
-    if text.contains(',') { deviations(text) } else { from_file(Path::new(text)) }
+    file(text).map_or_else(|| deviations(text), from_file)
+}
+
+/// The file that it names, if it does.
+pub fn file(text: &str) -> Option<&Path> {
+    (!text.contains(',')).then_some(Path::new(text))
 }
 
 fn deviations(text: &str) -> Result<PoseCovariance> {

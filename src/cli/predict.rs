@@ -2,6 +2,7 @@
 
 use super::layers::{Asked, LayerArgs, Layers};
 use super::load::{self, Scene};
+use super::outputs::OutputFiles;
 use super::pose::{GivenPose, PoseArgs};
 use super::statistics::{Statistics, Subject};
 use super::virtual_sensor::VirtualArgs;
@@ -95,7 +96,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.png")]
     depth_png: Option<PathBuf>,
 
-    /// Write the seen points as a point cloud
+    /// Write the seen points as a point cloud; to a device or pipe without an ending as PLY
     #[arg(long, value_name = "FILE.ply|FILE.pcd")]
     points: Option<PathBuf>,
 
@@ -160,16 +161,10 @@ fn parse_output(name: &str) -> Result<Output> {
     found.ok_or_else(|| Error::usage("unknown output", format!("choose from {names}")))
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum PointsFormat {
-    Ply,
-    Pcd,
-}
-
 /// The arguments, checked as far as they go without touching the world.
 struct Job {
     pose: GivenPose,
-    points_format: Option<PointsFormat>,
+    files: OutputFiles,
     import: ImportOptions,
     options: Options,
 }
@@ -178,20 +173,31 @@ impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
         self.virtual_sensor.check()?;
-        let files = [
-            ("--out", &self.out, "exr"),
-            ("--png", &self.png, "png"),
-            ("--depth-png", &self.depth_png, "png"),
-            ("--stats", &self.stats, "json"),
-        ];
-        files.into_iter().try_for_each(|(option, path, ending)| check_ending(option, path.as_deref(), ending))?;
-        let points_format = self.points.as_deref().map(points_format).transpose()?;
         Ok(Job {
             pose: self.pose.parse()?,
-            points_format,
+            files: self.files()?,
             import: self.import_options()?,
             options: Options { backend: self.backend.into(), threads: self.threads },
         })
+    }
+
+    /// The files to write, none of which is named as one to read.
+    fn files(&self) -> Result<OutputFiles> {
+        let mut files = OutputFiles::new();
+        for (option, path, endings) in [
+            ("--out", &self.out, &["exr"] as &[_]),
+            ("--png", &self.png, &["png"]),
+            ("--depth-png", &self.depth_png, &["png"]),
+            ("--mask", &self.virtual_sensor.mask, &["png"]),
+            ("--points", &self.points, &["ply", "pcd"]),
+            ("--features", &self.layers.features, &["json"]),
+            ("--stats", &self.stats, &["json"]),
+        ] {
+            files.add(option, path.as_deref(), endings)?;
+        }
+        files.check_named([self.scene.as_path(), Path::new(&self.sensor)])?;
+        files.check_named(self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref()))?;
+        Ok(files)
     }
 
     fn import_options(&self) -> Result<ImportOptions> {
@@ -269,28 +275,6 @@ impl Args {
     }
 }
 
-/// A name that promises another format than is written misleads whoever opens the file.
-fn check_ending(option: &str, path: Option<&Path>, written: &str) -> Result<()> {
-    const FORMATS: [&str; 5] = ["exr", "png", "ply", "pcd", "json"];
-    let extension = path.and_then(Path::extension).and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-    match (path, extension) {
-        (Some(path), Some(e)) if e != written && FORMATS.contains(&e.as_str()) => {
-            let what = format!("{option} {}: {option} writes .{written}", path.display());
-            Err(Error::usage(what, format!("end the name in .{written}, or see presight predict --help for .{e}")))
-        }
-        _ => Ok(()),
-    }
-}
-
-fn points_format(path: &Path) -> Result<PointsFormat> {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    match extension.as_str() {
-        "ply" => Ok(PointsFormat::Ply),
-        "pcd" => Ok(PointsFormat::Pcd),
-        _ => Err(Error::usage(format!("--points {}: unknown format", path.display()), "end the name in .ply or .pcd")),
-    }
-}
-
 impl From<BackendArg> for Backend {
     fn from(backend: BackendArg) -> Self {
         match backend {
@@ -356,7 +340,8 @@ pub fn run(args: &Args) -> Result<Verdict> {
         None => Vec::new(),
     };
     let seen = seen.map(|(layers, features)| Seen { layers, features, sides: &sides });
-    write_files(args, job.points_format, &scene, &prediction, seen.as_ref(), reading.as_ref())?;
+    job.files.check_read()?;
+    write_files(args, &scene, &prediction, seen.as_ref(), reading.as_ref())?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
             .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
@@ -394,7 +379,6 @@ fn of_layers(
 
 fn write_files(
     args: &Args,
-    points_format: Option<PointsFormat>,
     scene: &Scene,
     prediction: &Prediction,
     seen: Option<&Seen<'_>>,
@@ -421,15 +405,15 @@ fn write_files(
     if let Some(path) = &args.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
     }
-    if let (Some(path), Some(format)) = (&args.points, points_format) {
+    if let Some(path) = &args.points {
         let frame = match args.points_frame {
             PointsFrameArg::Sensor => PointsFrame::Sensor,
             PointsFrameArg::World => PointsFrame::World,
         };
         let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?;
-        match format {
-            PointsFormat::Ply => ply::write(path, &cloud)?,
-            PointsFormat::Pcd => pcd::write(path, &cloud)?,
+        match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
+            true => pcd::write(path, &cloud)?,
+            false => ply::write(path, &cloud)?,
         }
     }
     Ok(())

@@ -1,5 +1,6 @@
 //! `presight report`: studies as pages.
 
+use super::outputs::OutputFiles;
 use super::{Verdict, folder, load, print};
 use crate::error::{Error, Result};
 use crate::free_poses::free_poses;
@@ -57,6 +58,10 @@ pub struct Args {
     seed: u64,
 }
 
+/// What studies write.
+const STABILITY: [&str; 3] = ["index.html", "stability.csv", "report.json"];
+const WORK_PRECISION: [&str; 3] = ["index.html", "work_precision.csv", "report.json"];
+
 /// Free poses in a full study; a quick one has one.
 const POSES: usize = 3;
 
@@ -65,7 +70,11 @@ const POSES: usize = 3;
 /// # Errors
 /// Wrong usage, those of scenes and sensors, of predictions, and of writing.
 pub fn run(args: &Args) -> Result<Verdict> {
-    if args.stability { stability(args) } else { work_precision(args) }
+    let mut files = OutputFiles::new();
+    files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
+    let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
+    files.check_named(named.chain(args.sensors.iter().map(Path::new)))?;
+    if args.stability { stability(args) } else { work_precision(args, files) }
 }
 
 fn stability(args: &Args) -> Result<Verdict> {
@@ -83,10 +92,11 @@ fn stability(args: &Args) -> Result<Verdict> {
     let about = stability::About { machine, notes };
     write(
         &args.out,
+        STABILITY,
         [
-            ("index.html", stability::to_html(&study, &rows, &about)?),
-            ("stability.csv", stability::to_csv(&rows)),
-            ("report.json", stability::to_json(&study, &rows, &about)?),
+            stability::to_html(&study, &rows, &about)?,
+            stability::to_csv(&rows),
+            stability::to_json(&study, &rows, &about)?,
         ],
     )?;
     let faults = stability::faults(&rows);
@@ -97,8 +107,9 @@ fn stability(args: &Args) -> Result<Verdict> {
     Ok(if faults == 0 { Verdict::Done } else { Verdict::Found })
 }
 
-fn work_precision(args: &Args) -> Result<Verdict> {
+fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
     let study = args.study()?;
+    files.check_read()?;
     folder::ready(&args.out)?;
     let progress = bar(study.steps() as u64);
     let findings = study.run(|what| {
@@ -110,18 +121,19 @@ fn work_precision(args: &Args) -> Result<Verdict> {
     let machine = Machine::this(std::env::args().collect());
     write(
         &args.out,
+        WORK_PRECISION,
         [
-            ("index.html", work_precision::to_html(&findings, &machine)?),
-            ("work_precision.csv", work_precision::to_csv(&findings)),
-            ("report.json", work_precision::to_json(&findings, &machine)?),
+            work_precision::to_html(&findings, &machine)?,
+            work_precision::to_csv(&findings),
+            work_precision::to_json(&findings, &machine)?,
         ],
     )?;
     print::lines(summary(&args.out, &findings))?;
     Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
 }
 
-fn write(folder: &Path, files: [(&str, String); 3]) -> Result<()> {
-    for (name, text) in files {
+fn write(folder: &Path, names: [&str; 3], texts: [String; 3]) -> Result<()> {
+    for (name, text) in names.into_iter().zip(texts) {
         write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
     }
     Ok(())

@@ -25,7 +25,7 @@ pub struct VirtualArgs {
 
     /// Where the robot is going to move, for radar-nearest: {polyline_in_robot, half_width, z_min, z_max}, metres
     #[arg(long, value_name = "FILE.json", requires = "task")]
-    corridor: Option<PathBuf>,
+    pub corridor: Option<PathBuf>,
 
     /// Height of the floor in the world, for free-floor [default: of the robot's origin; without a [mount], of what is
     /// straight below the sensor]
@@ -34,7 +34,7 @@ pub struct VirtualArgs {
 
     /// Write the pixels that free-floor marks, white on black
     #[arg(long, value_name = "FILE.png", requires = "task")]
-    mask: Option<PathBuf>,
+    pub mask: Option<PathBuf>,
 }
 
 impl VirtualArgs {

@@ -1,15 +1,18 @@
 //! Output files that appear whole or not at all.
 
+use super::access;
+use super::temporary::{Access, Temporary};
 use crate::error::{Error, ErrorKind, Result};
-use std::fs::{self, File};
+use std::fs::{self, File, Metadata};
 use std::io::{self, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Writes a file through a temporary one in the same folder: filled, synced to the disk, then renamed. Whatever goes
 /// wrong before, the final name keeps what it held, and the temporary file is removed.
 ///
-/// A target that exists and is no regular file (`/dev/null`, a pipe) is never renamed over: it gets the finished
-/// bytes.
+/// A file that is there keeps its mode, and owner and group as far as the system allows: it never gives anybody more rights
+/// than before. Links are followed, also those to a file that is not there yet. A target that exists and is no regular file
+/// (`/dev/null`, a pipe, `/dev/stdout`) is never renamed over: it gets the finished bytes.
 ///
 /// ```
 /// use presight::io::atomic::write_atomically;
@@ -23,54 +26,86 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// [`ErrorKind::System`] naming the file, whatever the system's reason: for an output a folder that is not there is
-/// no fault of a file.
+/// no fault of a file. So is a file that nobody, or not this user, may write.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
     let refused = |e| refused(path, e);
-    let target = fs::metadata(path);
-    match &target {
+    let old = match fs::metadata(path) {
         Ok(m) if m.is_dir() => return Err(refused(io::Error::from(io::ErrorKind::IsADirectory))),
-        Ok(m) if !m.is_file() => return write_through(path, fill).map_err(refused),
-        _ => {}
+        Ok(m) if !m.is_file() || is_given(path) => return write_through(path, fill).map_err(refused),
+        old => old.ok(),
+    };
+    let old = old.map(|old| open_old(path, &old)).transpose()?;
+    let target = target_of(path).map_err(refused)?;
+    let folder = target.parent().filter(|_| target.file_name().is_some());
+    let folder = folder.ok_or_else(|| refused(io::Error::from(io::ErrorKind::IsADirectory)))?;
+    let access = if old.is_some() { Access::Private } else { Access::Umask };
+    let mut temporary = Temporary::new(folder, access).map_err(refused)?;
+    let file = temporary.file();
+    fill(file).map_err(refused)?;
+    if let Some(old) = old {
+        access::keep(&old, file).map_err(refused)?;
     }
-    // A link stays a link: what it points to is replaced.
-    let path = if target.is_ok() { fs::canonicalize(path).map_err(refused)? } else { path.to_owned() };
-    let mut temporary = temporary_beside(&path).map_err(refused)?;
-    fill(temporary.as_file_mut()).map_err(refused)?;
-    temporary.as_file().sync_all().map_err(refused)?;
-    temporary.persist(&path).map_err(|e| refused(e.error))?;
-    Ok(())
+    file.sync_all().map_err(refused)?;
+    temporary.keep_as(&target).map_err(refused)
 }
 
-fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
-    let folder = match path.parent() {
-        Some(folder) if folder != Path::new("") => folder.to_owned(),
-        _ => PathBuf::from("."),
-    };
-    if path.file_name().is_none() {
-        return Err(io::Error::from(io::ErrorKind::IsADirectory));
+/// The file that is to be replaced, if it may be written. Root may write anything: a file without any write bit is meant to
+/// stay.
+fn open_old(path: &Path, old: &Metadata) -> Result<File> {
+    if old.permissions().readonly() {
+        let remedy = "allow writing to it first, or write elsewhere";
+        return Err(Error::new(ErrorKind::System, "cannot write: the file is read-only", remedy).in_file(path));
     }
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".presight-").suffix(".part");
-    // Temporary files are private by default; an output gets what the user's umask leaves of 0666.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder)
+    File::options().write(true).open(path).map_err(|e| refused(path, e))
+}
+
+/// What a path leads to through symbolic links, which may be nothing yet.
+pub(crate) fn target_of(path: &Path) -> io::Result<PathBuf> {
+    /// As many as Linux follows.
+    const LINKS: usize = 40;
+    let mut target = path.to_owned();
+    for _ in 0..LINKS {
+        match fs::read_link(&target) {
+            Ok(to) => target = target.parent().unwrap_or(Path::new("")).join(to),
+            Err(_) => return Ok(target),
+        }
+    }
+    Err(io::Error::other("too many links, one after the other"))
+}
+
+/// True for what this process was given open: it goes on where that is, whatever it is.
+pub(crate) fn is_given(path: &Path) -> bool {
+    ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
 }
 
 fn write_through(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let mut finished = tempfile::tempfile()?;
     fill(&mut finished)?;
     finished.seek(SeekFrom::Start(0))?;
-    let mut device = fs::OpenOptions::new().write(true).open(path)?;
-    io::copy(&mut finished, &mut device)?;
+    io::copy(&mut finished, &mut open_through(path)?)?;
     Ok(())
+}
+
+fn open_through(path: &Path) -> io::Result<File> {
+    #[cfg(unix)]
+    {
+        use std::os::fd::AsFd;
+        // The same open file: opened anew, one that stdout was led into would be written from its start.
+        if path == Path::new("/dev/stdout") {
+            return io::stdout().as_fd().try_clone_to_owned().map(File::from);
+        }
+        if path == Path::new("/dev/stderr") {
+            return io::stderr().as_fd().try_clone_to_owned().map(File::from);
+        }
+    }
+    File::options().write(true).append(is_given(path)).open(path)
 }
 
 fn refused(path: &Path, e: io::Error) -> Error {
     use io::ErrorKind as Io;
     let remedy = match e.kind() {
         Io::NotFound | Io::NotADirectory => "create the folder first, or write elsewhere",
-        Io::PermissionDenied | Io::ReadOnlyFilesystem => "check the folder's permissions, or write elsewhere",
+        Io::PermissionDenied | Io::ReadOnlyFilesystem => "check the permissions of folder and file, or write elsewhere",
         Io::IsADirectory => "name a file, not a folder",
         Io::StorageFull | Io::QuotaExceeded | Io::FileTooLarge => "free some disk space, or write elsewhere",
         _ => "write elsewhere, or see what the system says",
@@ -128,5 +163,61 @@ mod tests {
         assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o600, 0o600);
         write_atomically(Path::new("/dev/null"), |f| f.write_all(b"gone")).unwrap();
         assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+    }
+
+    /// Files of others can be made by root only.
+    #[cfg(unix)]
+    #[test]
+    fn owner_and_group_stay_as_far_as_the_system_allows() {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, b"old").unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        if chown(&path, Some(4711), Some(4712)).is_err() {
+            eprintln!("skipped: only root can give files away");
+            return;
+        }
+        write_atomically(&path, |f| {
+            let now = f.metadata()?;
+            assert_eq!(now.permissions().mode() & 0o777, 0o600, "nobody else may read along");
+            f.write_all(b"new")
+        })
+        .unwrap();
+        let kept = fs::metadata(&path).unwrap();
+        assert_eq!((kept.uid(), kept.gid(), kept.mode() & 0o777), (4711, 4712, 0o640));
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+    }
+
+    #[test]
+    fn a_file_that_nobody_may_write_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, b"old").unwrap();
+        let mut permissions = fs::metadata(&path).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&path, permissions).unwrap();
+        let e = write_atomically(&path, |f| f.write_all(b"new")).unwrap_err();
+        assert_eq!((e.kind(), e.file()), (ErrorKind::System, Some(path.as_path())));
+        assert!(e.to_string().contains("read-only"), "{e}");
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_to_nothing_yet_is_followed() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("sub")).unwrap();
+        symlink("sub/second", at("first")).unwrap();
+        symlink("../file", at("sub/second")).unwrap();
+        write_atomically(&at("first"), |f| f.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(at("file")).unwrap(), b"new");
+        assert!(["first", "sub/second"].iter().all(|link| fs::symlink_metadata(at(link)).unwrap().is_symlink()));
+        symlink("b", at("a")).unwrap();
+        symlink("a", at("b")).unwrap();
+        let e = write_atomically(&at("a"), |f| f.write_all(b"new")).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::System, "{e}");
     }
 }

@@ -2,6 +2,7 @@
 //! sensor, pose and scene.
 
 use super::atomic::write_atomically;
+use super::inputs;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
@@ -167,6 +168,7 @@ pub fn read(path: &Path) -> Result<ImageFile> {
 }
 
 fn read_unnamed(path: &Path) -> Result<ImageFile> {
+    inputs::note(path);
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let folder = file.metadata().is_ok_and(|m| m.is_dir());
     if folder {

@@ -1,11 +1,13 @@
 //! Files: one module per format. This module depends on the data types and on no engine.
 
+mod access;
 pub mod atomic;
 pub mod camera_info;
 pub mod corridor;
 pub mod exr;
 pub(crate) mod file;
 pub mod gltf;
+pub(crate) mod inputs;
 pub mod layer;
 mod load;
 pub mod materials;
@@ -20,6 +22,7 @@ pub mod script;
 pub mod sensor_toml;
 #[cfg(feature = "store")]
 pub mod store;
+pub(crate) mod temporary;
 pub(crate) mod text;
 pub mod tum;
 

@@ -4,6 +4,10 @@ mod features;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;
+#[cfg(unix)]
+mod outputs;
+#[cfg(unix)]
+mod signals;
 
 use assert_cmd::Command;
 use presight::io::exr;

@@ -1,5 +1,6 @@
 //! `presight env export`: a store as a scene with layer files.
 
+use crate::cli::outputs::{OutputFiles, check_no_dash};
 use crate::cli::print;
 use crate::environment::FeatureLayer;
 use crate::error::{Error, ErrorKind, Result};
@@ -29,24 +30,30 @@ pub struct Args {
 /// # Errors
 /// Those of reading the store and writing the files.
 pub fn run(args: &Args) -> Result<()> {
-    let environment = store::read(&args.store)?;
+    check_no_dash(&args.out)?;
     let is_file = args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"));
     let (scene, prefix) = match is_file {
         true => (args.out.clone(), format!("{}.", args.out.file_stem().unwrap_or_default().display())),
-        false => {
-            std::fs::create_dir_all(&args.out).map_err(|e| {
-                let remedy = "check the permissions, or write elsewhere";
-                let what = format!("cannot make the folder: {e}");
-                Error::new(ErrorKind::System, what, remedy).in_file(&args.out).caused_by(e)
-            })?;
-            (args.out.join("scene.glb"), String::new())
-        }
+        false => (args.out.join("scene.glb"), String::new()),
     };
+    let mut outputs = OutputFiles::new();
+    outputs.add_any(&scene)?;
+    outputs.check_named([args.store.as_path()])?;
+    let environment = store::read(&args.store)?;
     let folder = scene.parent().unwrap_or(Path::new(""));
     let full = |l: &&FeatureLayer| !(l.features.is_empty() && l.pose_covariances.is_empty());
     let mut files: Vec<(PathBuf, &FeatureLayer)> = Vec::new();
     for own in environment.layers().iter().filter(full) {
         files.push((folder.join(format!("{prefix}{}{SUFFIX}", file_name(&own.class))), own));
+    }
+    files.iter().try_for_each(|(path, _)| outputs.add_any(path))?;
+    outputs.check_read()?;
+    if !is_file {
+        std::fs::create_dir_all(&args.out).map_err(|e| {
+            let remedy = "check the permissions, or write elsewhere";
+            let what = format!("cannot make the folder: {e}");
+            Error::new(ErrorKind::System, what, remedy).in_file(&args.out).caused_by(e)
+        })?;
     }
     refuse_others(folder, &prefix, &files)?;
     let lost = placement::lost(&environment).map_err(|e| e.in_file(&args.store))?;

@@ -5,6 +5,7 @@ mod export;
 mod show;
 
 use super::load;
+use super::outputs::{OutputFiles, check_no_dash};
 use super::{Verdict, print};
 use crate::change::Change;
 use crate::environment::Environment;
@@ -164,10 +165,15 @@ fn unindexed(environment: Environment) -> World {
 }
 
 fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
+    check_no_dash(store)?;
+    let mut files = OutputFiles::new();
+    files.add_any(store)?;
+    files.check_named([scene])?;
     let note = note.note(|| format!("create of {}", scene.display()))?;
     let environment = environment_of(scene)?;
     let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
     memory::require(memory::of_writing(polygons))?;
+    files.check_read()?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
 }

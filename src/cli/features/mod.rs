@@ -4,6 +4,7 @@ mod near;
 mod pick;
 
 use super::load;
+use super::outputs::OutputFiles;
 use super::{Verdict, print};
 use crate::acquire::features::{GenerateOptions, Generated, Kind, generate};
 use crate::error::{Error, Result};
@@ -114,9 +115,13 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let (scene, class) = args.scene.as_ref().zip(args.class.as_ref()).ok_or_else(missing)?;
     let options = args.options.options();
     options.check()?;
+    let mut files = OutputFiles::new();
+    files.add("--out", args.out.as_deref(), &["json"])?;
+    files.check_named([scene.as_path()])?;
     let scene = load::scene(scene, &ImportOptions::default(), Scheme::None)?;
     let start = Instant::now();
     let generated = generate(scene.world.environment(), class, &options)?;
+    files.check_read()?;
     if let Some(path) = &args.out {
         layer::write(path, &generated.layer)?;
     }

@@ -6,7 +6,8 @@ use super::schema::{APPLICATION_ID, FORMAT, TABLES, refusal};
 use super::{Meshes, Note, Store};
 use crate::environment::Environment;
 use crate::error::{Error, ErrorKind, Result};
-use rusqlite::Connection;
+use crate::io::temporary::{Access, Temporary};
+use rusqlite::{Connection, OpenFlags};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
@@ -35,24 +36,37 @@ pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()>
         let remedy = "create the folder first, check its permissions, or write elsewhere";
         Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
     };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".presight-").suffix(".part");
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let temporary = builder.tempfile_in(&folder).map_err(refused)?.into_temp_path();
-    fill(&temporary, path, environment, note)?;
-    std::fs::File::open(&temporary).and_then(|f| f.sync_all()).map_err(refused)?;
-    temporary.persist_noclobber(path).map_err(|e| refused(e.error))?;
+    let mut temporary = Temporary::new(&folder, Access::Umask).map_err(refused)?;
+    // On Windows locks are for all: it would stand in the way of SQLite, whose own lock then holds the file.
+    if cfg!(windows) {
+        temporary.file().unlock().map_err(refused)?;
+    }
+    fill(temporary.path(), path, environment, note)?;
+    temporary.file().sync_all().map_err(refused)?;
+    temporary.keep_as_new(path).map_err(refused)?;
     // A folder is a file on Unix only.
     #[cfg(unix)]
     std::fs::File::open(&folder).and_then(|f| f.sync_all()).map_err(refused)?;
     Ok(())
 }
 
+/// Opens the file, which is locked already: network file systems would take another lock for that of a stranger.
+fn connect(file: &Path) -> rusqlite::Result<Connection> {
+    match cfg!(unix) {
+        true => Connection::open_with_flags_and_vfs(file, OpenFlags::default(), "unix-none"),
+        false => Connection::open(file),
+    }
+}
+
 /// Fills the file; errors speak of the one that it will be.
 fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Result<()> {
     let wrap = |e| refusal(path, "create the store", e);
-    let connection = Connection::open(file).map_err(wrap)?;
+    // Its message would name the temporary file.
+    let nameless = |e| match e {
+        rusqlite::Error::SqliteFailure(code, _) => rusqlite::Error::SqliteFailure(code, None),
+        other => other,
+    };
+    let connection = connect(file).map_err(|e| wrap(nameless(e)))?;
     connection.set_prepared_statement_cache_capacity(64);
     // Nobody sees the file before it is whole, and then it is synced in one go.
     let mut sql = format!(

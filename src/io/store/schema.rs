@@ -1,6 +1,7 @@
 //! The tables, how a store is opened, and what SQLite's refusals mean.
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::io::inputs;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 use std::path::Path;
 use std::time::Duration;
@@ -68,6 +69,7 @@ pub(super) enum Access {
 
 /// Opens a store; for writing, one whose tables are those of [`FORMAT`].
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
+    inputs::note(path);
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
     if !metadata.is_file() {
         return Err(Error::invalid("this is no file", "name a .presight file").in_file(path));

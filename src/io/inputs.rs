@@ -1,0 +1,25 @@
+//! Which files were read: a command must not write over them.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+/// Empty until somebody wants to know: the library alone keeps no list.
+static READ: OnceLock<Mutex<BTreeSet<PathBuf>>> = OnceLock::new();
+
+/// From now on it is noted what this process opens to read.
+pub(crate) fn record() {
+    READ.get_or_init(Mutex::default);
+}
+
+/// Whoever opens a file to read it calls this.
+pub(crate) fn note(path: &Path) {
+    if let Some(read) = READ.get() {
+        read.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned());
+    }
+}
+
+/// What was opened since [`record`], by the paths that were given.
+pub(crate) fn so_far() -> BTreeSet<PathBuf> {
+    READ.get().map(|read| read.lock().unwrap_or_else(PoisonError::into_inner).clone()).unwrap_or_default()
+}
