@@ -18,7 +18,7 @@ use proptest::test_runner::TestRunner;
 
 fn predictor() -> Option<Predictor> {
     let opening = Opening { all_on_device: true, ..Opening::default() };
-    match Predictor::opened(Options { backend: Backend::Gpu, threads: 2 }, opening) {
+    match Predictor::opened(Options { backend: Backend::Gpu, threads: 2.into() }, opening) {
         Ok(predictor) => Some(predictor),
         Err(e) => {
             assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
@@ -214,7 +214,7 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
 #[test]
 fn what_stays_on_the_cpu_is_said() {
     use presight::features::BoxOptions;
-    let Ok(mut predictor) = Predictor::new(Options { backend: Backend::Gpu, threads: 2 }) else {
+    let Ok(mut predictor) = Predictor::new(Options { backend: Backend::Gpu, threads: 2.into() }) else {
         eprintln!("SKIPPED: no adapter");
         return;
     };

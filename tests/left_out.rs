@@ -339,7 +339,7 @@ fn matrix(on: On, predictor: &mut Predictor) {
 }
 
 fn cpu() -> Predictor {
-    Predictor::new(Options { backend: Backend::Cpu, threads: 2 }).unwrap()
+    Predictor::new(Options { backend: Backend::Cpu, threads: 2.into() }).unwrap()
 }
 
 #[test]
@@ -431,7 +431,7 @@ mod device {
 
     fn predictor(all_on_device: bool) -> Option<Predictor> {
         let opening = Opening { all_on_device, ..Opening::default() };
-        there(Predictor::opened(Options { backend: Backend::Gpu, threads: 2 }, opening))
+        there(Predictor::opened(Options { backend: Backend::Gpu, threads: 2.into() }, opening))
     }
 
     #[test]

@@ -57,7 +57,7 @@ fn bits(images: &Images) -> Vec<u32> {
 }
 
 fn on(backend: Backend, opening: Opening) -> Predictor {
-    Predictor::opened(Options { backend, threads: 1 }, opening).unwrap()
+    Predictor::opened(Options { backend, threads: 1.into() }, opening).unwrap()
 }
 
 const ANY: Opening =
@@ -165,7 +165,7 @@ fn a_driver_that_draws_wrong_is_an_error_by_name_and_the_cpu_with_auto() {
 fn no_adapter_at_the_start_is_the_cpu_or_an_error() {
     let predictor = on(Backend::Auto, NOTHING);
     assert_eq!(predictor.engine_name(), "cpu");
-    let refused = Predictor::opened(Options { backend: Backend::Gpu, threads: 1 }, NOTHING);
+    let refused = Predictor::opened(Options { backend: Backend::Gpu, threads: 1.into() }, NOTHING);
     assert_eq!(refused.err().map(|e| e.kind()), Some(ErrorKind::NoDevice));
 }
 

@@ -137,8 +137,9 @@ fn refuse(e: &clap::Error) -> ExitCode {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty()).collect();
-    let command = std::env::args()
+    let command = std::env::args_os()
         .nth(1)
+        .and_then(|a| a.into_string().ok())
         .filter(|a| Cli::command().find_subcommand(a).is_some())
         .map(|a| format!(" {a}"))
         .unwrap_or_default();

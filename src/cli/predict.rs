@@ -15,6 +15,7 @@ use crate::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor
 use crate::plan::{IdScheme, Output, Outputs, Request, Stats};
 use crate::predict::{Backend, Options, Prediction, Predictor};
 use crate::sensor::Sensor;
+use crate::threads::Threads;
 use crate::virtual_sensors::VirtualReading;
 use clap::ValueEnum;
 use std::io::Write;
@@ -184,11 +185,13 @@ impl Args {
         ];
         files.into_iter().try_for_each(|(option, path, ending)| check_ending(option, path.as_deref(), ending))?;
         let points_format = self.points.as_deref().map(points_format).transpose()?;
+        let (pose, import) = (self.pose.parse()?, self.import_options()?);
+        let threads = Threads::from(self.threads).started()?;
         Ok(Job {
-            pose: self.pose.parse()?,
+            pose,
             points_format,
-            import: self.import_options()?,
-            options: Options { backend: self.backend.into(), threads: self.threads },
+            import: ImportOptions { threads: threads.clone(), ..import },
+            options: Options { backend: self.backend.into(), threads },
         })
     }
 

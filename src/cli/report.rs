@@ -10,6 +10,7 @@ use crate::io::{load_sensor, preset};
 use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
 use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
+use crate::threads::Threads;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -65,6 +66,7 @@ const POSES: usize = 3;
 /// # Errors
 /// Wrong usage, those of scenes and sensors, of predictions, and of writing.
 pub fn run(args: &Args) -> Result<Verdict> {
+    Threads::SHARED.started()?;
     if args.stability { stability(args) } else { work_precision(args) }
 }
 
@@ -79,7 +81,7 @@ fn stability(args: &Args) -> Result<Verdict> {
         progress.inc(1);
     });
     progress.finish_and_clear();
-    let (rows, machine) = (rows?, Machine::this(std::env::args().collect()));
+    let (rows, machine) = (rows?, Machine::this(command_line()));
     let about = stability::About { machine, notes };
     write(
         &args.out,
@@ -106,7 +108,7 @@ fn work_precision(args: &Args) -> Result<Verdict> {
     });
     progress.finish_and_clear();
     let findings = findings?;
-    let machine = Machine::this(std::env::args().collect());
+    let machine = Machine::this(command_line());
     write(
         &args.out,
         [
@@ -117,6 +119,11 @@ fn work_precision(args: &Args) -> Result<Verdict> {
     )?;
     print::data(&summary(&args.out, &findings))?;
     Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
+}
+
+/// As it was given; what is no UTF-8 is replaced.
+fn command_line() -> Vec<String> {
+    std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()).collect()
 }
 
 fn write(folder: &Path, files: [(&str, String); 3]) -> Result<()> {
