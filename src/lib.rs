@@ -61,6 +61,9 @@ mod random;
 pub mod reference;
 pub mod report;
 pub mod sensor;
+#[cfg(all(test, feature = "gpu"))]
+#[path = "../tests/common/skip.rs"]
+mod skip;
 mod threads;
 pub mod virtual_sensors;
 mod world;

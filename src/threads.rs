@@ -5,7 +5,7 @@
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::limits;
-use rayon::{Scope, ThreadPool, ThreadPoolBuilder};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
@@ -127,7 +127,7 @@ pub(crate) fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
 /// # Errors
 /// As [`Threads::new`], if these do not run yet.
 #[cfg(feature = "store")]
-pub(crate) fn in_place_scope<'scope, R>(work: impl FnOnce(&Scope<'scope>) -> R) -> Result<R> {
+pub(crate) fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) -> Result<R> {
     if rayon::current_thread_index().is_some() {
         return Ok(rayon::in_place_scope(work));
     }

@@ -6,6 +6,7 @@ pub mod engines;
 pub mod hard;
 pub mod oracle;
 pub mod scenes;
+pub mod skip;
 
 use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
 

@@ -27,7 +27,6 @@ fn scene(folder: &Path) -> (PathBuf, PathBuf) {
 }
 
 #[test]
-#[cfg(feature = "script")]
 fn nothing_uses_the_global_pool() {
     forbid_global_pool();
     let folder = tempfile::tempdir().unwrap();
@@ -87,12 +86,11 @@ fn predict_all(
 /// A script has a thread of its own; what it imports is built on the threads of the options, of which the only one waits
 /// for the script here.
 #[test]
-#[cfg(feature = "script")]
 fn a_script_that_imports_may_be_loaded_on_a_single_thread() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
     let script = folder.path().join("outer.rhai");
-    std::fs::write(&script, r#"print("hello"); place("balls", import("balls.glb"));"#).unwrap();
+    std::fs::write(&script, r#"print("hello"); place("balls", import_gltf("balls.glb"));"#).unwrap();
     let threads = Threads::new(1).unwrap();
     let options = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut said = Vec::new();
