@@ -68,7 +68,8 @@ fn main() {
 fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[PlacedFeature]) {
     let sensor = preset(sensor).expect("a preset");
     let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 }).expect("the CPU engine starts");
+    let mut predictor =
+        Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).expect("the CPU engine starts");
     let image_ms = fastest(|| {
         let seen = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
         assert!(!seen.images.polygon_id.is_empty());
@@ -93,10 +94,10 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
         let rays = || fastest(|| assert_eq!(predict(&list, Visibility::Rays).stats.samples, samples));
         let by_rays = if no_rays { f64::NAN } else { rays() };
         let each = |ms: f64| ms * 1e6 / samples as f64;
-        let region_us = with_regions(Options { backend: Backend::Cpu, threads: 1 }, world, &sensor, pose, &list)
+        let region_us = with_regions(Options { backend: Backend::Cpu, threads: 1.into() }, world, &sensor, pose, &list)
             .map_or(f64::NAN, |[features, both]| (both - features) * 1e3 / count as f64);
         let all_threads = [Backend::Cpu, Backend::Gpu].map(|backend| {
-            let both = with_regions(Options { backend, threads: 0 }, world, &sensor, pose, &list);
+            let both = with_regions(Options { backend, threads: 0.into() }, world, &sensor, pose, &list);
             both.map_or(f64::NAN, |[_, both]| both)
         });
         println!(

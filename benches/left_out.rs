@@ -243,12 +243,14 @@ fn device(scene: &Scene) {
 
 fn main() {
     for scene in scenes() {
-        let cpu = || Predictor::new(Options { backend: Backend::Cpu, threads: 0 }).expect("threads");
+        let cpu = || Predictor::new(Options { backend: Backend::Cpu, threads: 0.into() }).expect("threads");
         table(&scene, &cpu);
         #[cfg(feature = "gpu")]
-        if Predictor::new(Options { backend: Backend::Gpu, threads: 0 }).is_ok() {
+        if Predictor::new(Options { backend: Backend::Gpu, threads: 0.into() }).is_ok() {
             let opening = Opening { all_on_device: true, ..Opening::default() };
-            let gpu = || Predictor::opened(Options { backend: Backend::Gpu, threads: 0 }, opening).expect("an adapter");
+            let gpu = || {
+                Predictor::opened(Options { backend: Backend::Gpu, threads: 0.into() }, opening).expect("an adapter")
+            };
             table(&scene, &gpu);
             device(&scene);
         }

@@ -3,6 +3,7 @@
 //! In a loop, where caches and memory stay warm, `store` measures the same.
 #![expect(clippy::print_stdout, reason = "its figures are what it is for")]
 
+use presight::Threads;
 use presight::index::{Params, Scheme, WorldIndex};
 use presight::io::store::{self, Note};
 use std::error::Error;
@@ -57,7 +58,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Milliseconds of one of the three.
 fn once(mode: &str, path: &Path) -> Result<f64, Box<dyn Error>> {
-    rayon::broadcast(|_| ());
+    Threads::SHARED.run(|| rayon::broadcast(|_| ())).expect("threads");
     let (scheme, params) = (Scheme::default(), Params::tuned(Scheme::default()));
     match mode {
         "bytes" => timed(|| Ok(std::fs::read(path)?)),

@@ -37,7 +37,8 @@ fn main() {
 }
 
 fn measure(scene: &str, world: &World, pose: &Pose) {
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 }).expect("the CPU engine starts");
+    let mut predictor =
+        Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).expect("the CPU engine starts");
     // Five metres ahead, as wide as a robot of 60 cm.
     let corridor = Corridor::new(vec![[0.0, 0.0], [5.0, 0.0]], 0.3, -1.0, 1.0).expect("a corridor");
     let settings = Settings { floor_z_world: Some(0.0), corridor: Some(corridor) };

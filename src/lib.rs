@@ -81,6 +81,10 @@ mod random;
 pub mod reference;
 pub mod report;
 pub mod sensor;
+#[cfg(all(test, feature = "gpu"))]
+#[path = "../tests/common/skip.rs"]
+mod skip;
+mod threads;
 pub mod virtual_sensors;
 mod world;
 
@@ -94,6 +98,7 @@ pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, S
 pub use predict::Opening;
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
+pub use threads::Threads;
 pub use world::World;
 
 /// The README's example is compiled and run as a doc test.

@@ -10,6 +10,8 @@ pub const MAX_POLYGONS: u64 = 1 << 28;
 pub const MAX_OBJECTS: usize = 1 << 22;
 /// Most corners of one polygon.
 pub const MAX_CORNERS: usize = 64;
+/// Most worker threads of one pool, or twice the cores where that is more.
+pub const MAX_THREADS: usize = 64;
 /// Largest file read into memory, in bytes.
 pub const MAX_FILE_BYTES: u64 = 4 << 30;
 /// Polygons of one mesh cluster: the unit that selection keeps or drops.

@@ -12,6 +12,7 @@ use crate::plan::{FramePlan, Images, Output, Request, Stats};
 #[cfg(feature = "gpu")]
 use crate::probe::{Probe, Task, Told};
 use crate::sensor::Sensor;
+use crate::threads::Threads;
 use crate::world::World;
 use std::time::Instant;
 
@@ -28,12 +29,12 @@ pub enum Backend {
 }
 
 /// How a [`Predictor`] works.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Options {
     /// The engine to use.
     pub backend: Backend,
-    /// CPU threads; 0 takes all cores.
-    pub threads: usize,
+    /// CPU threads: a handle to share, or a number (`2.into()`), 0 for all cores.
+    pub threads: Threads,
 }
 
 /// The images of one sensor at one pose, with statistics.
@@ -57,7 +58,7 @@ pub struct Prediction {
 /// use presight::{Backend, Environment, Options, Pose, Predictor, Request, World};
 /// let world = World::new(Environment::new());
 /// let sensor = presight::preset("laser-scanner")?;
-/// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 })?;
+/// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
 /// let prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
 /// assert!(prediction.images.range.iter().all(|r| *r == f32::INFINITY));
 /// # Ok::<(), presight::Error>(())
@@ -68,9 +69,6 @@ pub struct Predictor {
     #[cfg(feature = "gpu")]
     opening: Opening,
     engine: Engine,
-    /// Threads of a predictor whose engine has none.
-    #[cfg(feature = "gpu")]
-    pool: Option<rayon::ThreadPool>,
     plan: Option<FramePlan>,
     /// What befell the GPU, once something did.
     notice: Option<String>,
@@ -119,11 +117,11 @@ impl Predictor {
     /// [`Predictor::new`] with the GPU opened in a way of one's own.
     #[doc(hidden)]
     pub fn opened(options: Options, opening: Opening) -> Result<Self> {
-        let on_cpu = || Ok(Engine::Cpu(cpu::Engine::new(options.threads)?));
+        let on_cpu = || Ok(Engine::Cpu(cpu::Engine::new(options.threads.clone())?));
         let (engine, notice) = match options.backend {
             Backend::Cpu => (on_cpu()?, None),
-            Backend::Gpu => (open_gpu(options, opening)?, None),
-            Backend::Auto => match open_gpu(options, opening) {
+            Backend::Gpu => (open_gpu(&options, opening)?, None),
+            Backend::Auto => match open_gpu(&options, opening) {
                 Ok(engine) => (engine, None),
                 // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
                 Err(e) if e.kind() == ErrorKind::NoDevice => (on_cpu()?, None),
@@ -136,8 +134,6 @@ impl Predictor {
             #[cfg(feature = "gpu")]
             opening,
             engine,
-            #[cfg(feature = "gpu")]
-            pool: None,
             plan: None,
             notice,
         })
@@ -291,11 +287,11 @@ impl Predictor {
         if let Engine::Gpu(engine, proven) = &mut self.engine
             && engine.proposes()
         {
-            let pool = pool_of(&mut self.pool, self.options.threads)?;
             let sound = prove_regions(engine, proven, sensor);
             let before = engine.work();
-            let mut make = || engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
-            match sound.and_then(|()| pool.install(&mut make)) {
+            let made =
+                sound.and_then(|()| engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options));
+            match made {
                 Ok(made) => {
                     stats.work.add(engine.work().since(before));
                     stats.count("regions of interest made on the device", made);
@@ -328,10 +324,10 @@ impl Predictor {
     /// # Errors
     /// [`ErrorKind::System`] if threads cannot be started.
     pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
-        match &self.engine {
+        match &mut self.engine {
             Engine::Cpu(engine) => Ok(engine.on_threads(work)),
             #[cfg(feature = "gpu")]
-            Engine::Gpu(..) => Ok(pool_of(&mut self.pool, self.options.threads)?.install(work)),
+            Engine::Gpu(engine, _) => engine.on_threads(work),
         }
     }
 
@@ -417,7 +413,7 @@ impl Predictor {
     fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
         if again
             && fault.kind() == ErrorKind::DeviceLost
-            && let Ok(engine) = open_gpu(self.options, self.opening)
+            && let Ok(engine) = open_gpu(&self.options, self.opening)
         {
             self.engine = engine;
             self.notice = Some(format!("the GPU was opened again after this: {fault}"));
@@ -426,7 +422,7 @@ impl Predictor {
         if self.options.backend != Backend::Auto {
             return Err(fault);
         }
-        self.engine = Engine::Cpu(cpu::Engine::new(self.options.threads)?);
+        self.engine = Engine::Cpu(cpu::Engine::new(self.options.threads.clone())?);
         self.notice = Some(format!("the CPU engine took over: {fault}"));
         Ok(())
     }
@@ -460,19 +456,9 @@ impl Predictor {
     }
 }
 
-/// The threads of a predictor whose engine has none, started when they are first needed.
-#[cfg(feature = "gpu")]
-fn pool_of(pool: &mut Option<rayon::ThreadPool>, threads: usize) -> Result<&rayon::ThreadPool> {
-    let started = match pool.take() {
-        Some(started) => started,
-        None => cpu::threads(threads)?,
-    };
-    Ok(pool.insert(started))
-}
-
 /// No GPU engine was built.
 #[cfg(not(feature = "gpu"))]
-fn open_gpu(_: Options, _: Opening) -> Result<Engine> {
+fn open_gpu(_: &Options, _: Opening) -> Result<Engine> {
     Err(Error::new(
         ErrorKind::NoDevice,
         "this presight was built without the GPU engine",
@@ -482,7 +468,7 @@ fn open_gpu(_: Options, _: Opening) -> Result<Engine> {
 
 /// The GPU engine: on hardware only, unless it was asked for by name.
 #[cfg(feature = "gpu")]
-fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
+fn open_gpu(options: &Options, opening: Opening) -> Result<Engine> {
     if opening.nothing {
         return Err(Error::new(ErrorKind::NoDevice, "no adapter was found", "use --backend cpu"));
     }
@@ -492,7 +478,7 @@ fn open_gpu(options: Options, opening: Opening) -> Result<Engine> {
         all_on_device: opening.all_on_device,
         ..Default::default()
     })?;
-    Ok(Engine::Gpu(Box::new(engine), Proven::default()))
+    Ok(Engine::Gpu(Box::new(engine.with_threads(options.threads.clone())), Proven::default()))
 }
 
 /// Holds a device to the CPU before it makes regions of interest for a kind of sensor for the first time. What it says of

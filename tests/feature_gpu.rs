@@ -1,10 +1,11 @@
 //! Features by the GPU engine: what its images propose on the device, against what the CPU's images propose. Answers are
 //! the same bit by bit, for both are confirmed in f64; how much is proposed differs only by ties.
 #![cfg(feature = "gpu")]
-#![expect(clippy::print_stderr, reason = "a skipped test says so, and counts are worth reading")]
+#![expect(clippy::print_stderr, reason = "counts are worth reading")]
 
 mod common;
 
+use common::skip::no_adapter;
 use common::{Random, data, hard, scenes};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
@@ -18,11 +19,10 @@ use proptest::test_runner::TestRunner;
 
 fn predictor() -> Option<Predictor> {
     let opening = Opening { all_on_device: true, ..Opening::default() };
-    match Predictor::opened(Options { backend: Backend::Gpu, threads: 2 }, opening) {
+    match Predictor::opened(Options { backend: Backend::Gpu, threads: 2.into() }, opening) {
         Ok(predictor) => Some(predictor),
         Err(e) => {
-            assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
-            eprintln!("SKIPPED: no adapter: {e}");
+            no_adapter(e);
             None
         }
     }
@@ -214,9 +214,9 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
 #[test]
 fn what_stays_on_the_cpu_is_said() {
     use presight::features::BoxOptions;
-    let Ok(mut predictor) = Predictor::new(Options { backend: Backend::Gpu, threads: 2 }) else {
-        eprintln!("SKIPPED: no adapter");
-        return;
+    let mut predictor = match Predictor::new(Options { backend: Backend::Gpu, threads: 2.into() }) {
+        Ok(predictor) => predictor,
+        Err(e) => return no_adapter(e),
     };
     let (world, sensor) = (scenes::room_world(1, 6), scenes::camera(64, 48));
     let placed = features(&world, 20, &mut Random(5));

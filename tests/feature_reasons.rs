@@ -255,7 +255,7 @@ fn a_predictor_predicts_features_on_its_own_threads() {
     use presight::{Backend, Options, Predictor, Request, Stats};
     let (world, camera) = (wall(Appearance::Opaque, false), scenes::camera(101, 81));
     let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 3 }).unwrap();
+    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 3.into() }).unwrap();
     assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
     let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
     assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")), "none were asked for");

@@ -1,5 +1,8 @@
 //! A quick stability study of every engine: no fault; and planted faults, each of which it has to find.
 
+#[path = "common/skip.rs"]
+mod skip;
+
 use presight::compare::Precision;
 use presight::features::FeaturePrediction;
 use presight::report::stability::{
@@ -18,7 +21,9 @@ fn no_engine_has_a_fault() {
     let (mut engines, notes) = subjects(1).unwrap();
     for note in &notes {
         eprintln!("{note}");
-        assert!(!note.starts_with("SKIPPED") || std::env::var_os("CI").is_none(), "CI needs an adapter: {note}");
+        if cfg!(feature = "gpu") && note.starts_with("SKIPPED") {
+            skip::no_adapter(note);
+        }
     }
     let study = Study::new(std::env::var_os("PRESIGHT_FULL").is_none());
     let start = std::time::Instant::now();

@@ -188,6 +188,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
     let options = ImportOptions {
         merge: ids == IdScheme::Model,
         merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
+        ..default
     };
     let world = load::scene(scene, &options, Scheme::default())?.world;
     let request = Request { outputs: reference.images.outputs(), ids };

@@ -12,6 +12,7 @@ use crate::io::{load_sensor, preset};
 use crate::predict::{Backend, Options};
 use crate::report::index_study::{self, Row, Study};
 use crate::sensor::PRESETS;
+use crate::threads::Threads;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
@@ -83,6 +84,8 @@ pub fn run(args: &Args) -> Result<Verdict> {
     args.out.as_deref().map_or(Ok(()), |folder| files.add_folder(folder, &FILES))?;
     let named = [Some(args.scene.as_path()), args.poses.as_deref(), args.sensor.as_deref().map(Path::new)];
     files.check_named(named.into_iter().flatten())?;
+    let threads = Threads::from(args.threads).started()?;
+    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let sensors = match &args.sensor {
         Some(name) => {
             let (sensor, notices) = load_sensor(name)?;
@@ -92,7 +95,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
     let given = args.poses.as_deref().map(folder::poses).transpose()?;
-    let world = load::scene(&args.scene, &ImportOptions::default(), Scheme::default())?.world;
+    let world = load::scene(&args.scene, &import, Scheme::default())?.world;
     let seed = given.is_none().then_some(args.seed);
     let poses: Vec<Pose> = match given {
         Some(given) => given,
@@ -102,7 +105,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     files.check_read()?;
     args.out.as_deref().map(folder::ready).transpose()?;
     let count = poses.len();
-    let options = Options { backend: Backend::Cpu, threads: args.threads };
+    let options = Options { backend: Backend::Cpu, threads };
     let study = Study { poses, sensors, options, repeats: args.repeat as usize };
     let progress = |what: &str| {
         if std::io::stderr().is_terminal() {

@@ -26,13 +26,14 @@ pub struct Scene {
     pub report: ImportReport,
 }
 
-/// Imports a scene; its world gets an index of that scheme.
+/// Imports a scene on the threads of the options; its world gets an index of that scheme.
 ///
 /// # Errors
 /// Those of the import.
 pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Scene> {
+    let threads = options.threads.started()?;
     if is_store(path) {
-        return stored(path, scheme);
+        return threads.run(|| stored(path, scheme))?;
     }
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let (imported, world_from_scene) = match extension.as_str() {
@@ -40,9 +41,10 @@ pub fn scene(path: &Path, options: &ImportOptions, scheme: Scheme) -> Result<Sce
         _ => (import(path, options)?, Sidecar::beside(path)?.world_from_scene),
     };
     let z_up_from_y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
+    let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
     Ok(Scene {
         path: path.to_owned(),
-        world: World::with_index(imported.environment, scheme, Params::tuned(scheme)),
+        world,
         world_from_gltf: world_from_scene * z_up_from_y_up,
         report: imported.report,
     })

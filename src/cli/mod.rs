@@ -155,8 +155,9 @@ fn refuse(e: &clap::Error) -> ExitCode {
     // To write `--` before it helps no option.
     let useless = |line: &str| line.starts_with("tip: to pass") && line.contains("'-- ");
     let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty() && !useless(line)).collect();
-    let command = std::env::args()
+    let command = std::env::args_os()
         .nth(1)
+        .and_then(|a| a.into_string().ok())
         .filter(|a| Cli::command().find_subcommand(a).is_some())
         .map(|a| format!(" {a}"))
         .unwrap_or_default();

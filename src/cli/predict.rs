@@ -17,6 +17,7 @@ use crate::memory::{self, Frame};
 use crate::plan::{IdScheme, Output, Outputs, Request, Stats};
 use crate::predict::{Backend, Options, Prediction, Predictor};
 use crate::sensor::{Geometry, Sensor};
+use crate::threads::Threads;
 use crate::virtual_sensors::VirtualReading;
 use clap::ValueEnum;
 use std::collections::HashSet;
@@ -173,11 +174,13 @@ impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
         self.virtual_sensor.check()?;
+        let (pose, files, import) = (self.pose.parse()?, self.files()?, self.import_options()?);
+        let threads = Threads::from(self.threads).started()?;
         Ok(Job {
-            pose: self.pose.parse()?,
-            files: self.files()?,
-            import: self.import_options()?,
-            options: Options { backend: self.backend.into(), threads: self.threads },
+            pose,
+            files,
+            import: ImportOptions { threads: threads.clone(), ..import },
+            options: Options { backend: self.backend.into(), threads },
         })
     }
 

@@ -11,6 +11,7 @@ use crate::io::{load_sensor, preset};
 use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
 use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
+use crate::threads::Threads;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -74,6 +75,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
     let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
     files.check_named(named.chain(args.sensors.iter().map(Path::new)))?;
+    Threads::SHARED.started()?;
     if args.stability { stability(args) } else { work_precision(args, files) }
 }
 
@@ -88,7 +90,7 @@ fn stability(args: &Args) -> Result<Verdict> {
         progress.inc(1);
     });
     progress.finish_and_clear();
-    let (rows, machine) = (rows?, Machine::this(std::env::args().collect()));
+    let (rows, machine) = (rows?, Machine::this(command_line()));
     let about = stability::About { machine, notes };
     write(
         &args.out,
@@ -118,7 +120,7 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
     });
     progress.finish_and_clear();
     let findings = findings?;
-    let machine = Machine::this(std::env::args().collect());
+    let machine = Machine::this(command_line());
     write(
         &args.out,
         WORK_PRECISION,
@@ -130,6 +132,11 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
     )?;
     print::lines(summary(&args.out, &findings))?;
     Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
+}
+
+/// As it was given; what is no UTF-8 is replaced.
+fn command_line() -> Vec<String> {
+    std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()).collect()
 }
 
 fn write(folder: &Path, names: [&str; 3], texts: [String; 3]) -> Result<()> {

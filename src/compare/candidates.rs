@@ -2,7 +2,8 @@
 
 use super::bound::{FaceBound, Precision};
 use crate::plan::{FramePlan, Instance};
-use crate::reference::{Face, beams, cones, descend, instances};
+use crate::reference::{Beam, Face, beams, cones, descend, instances};
+use crate::threads::parallel_or_here;
 use glam::DVec3;
 use std::collections::HashMap;
 
@@ -51,7 +52,6 @@ pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision)
     if pixels.is_empty() {
         return Vec::new();
     }
-    let instances = instances(plan);
     let mut beams = beams::<CandidateSet>(&plan.sensor, pixels.iter().copied());
     let mut widest = 0.0f64;
     for beam in &mut beams {
@@ -59,9 +59,19 @@ pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision)
         beam.found.span = span(plan, beam.column, beam.row, precision);
         widest = widest.max(beam.found.span);
     }
+    parallel_or_here(|| find(plan, &mut beams, precision, widest));
+    // Beams come back in another order than they went.
+    let found: HashMap<(u32, u32), CandidateSet> = beams.into_iter().map(|b| ((b.column, b.row), b.found)).collect();
+    let no_ray = CandidateSet { no_ray: true, ..CandidateSet::default() };
+    pixels.iter().map(|pixel| found.get(pixel).unwrap_or(&no_ray).clone()).collect()
+}
+
+/// Fills the candidate sets of rays, of which the greatest span is `widest`.
+fn find(plan: &FramePlan, beams: &mut [Beam<CandidateSet>], precision: Precision, widest: f64) {
+    let instances = instances(plan);
     let bound = |face: &Face, object: u32| FaceBound::new(face, instances[object as usize].center_in_mesh, precision);
     let (cones, _) = cones(plan, &instances, |face, object| Some(bound(face, object).widest() + widest));
-    descend(&mut beams, &cones, &|beams, cones| {
+    descend(beams, &cones, &|beams, cones| {
         for cone in cones {
             let face = face_of(plan, &instances, cone.object, cone.polygon);
             let bound = bound(&face, cone.object);
@@ -77,10 +87,6 @@ pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision)
         }
         beams.iter_mut().for_each(|beam| beam.found.keep_nearest(precision, plan.sensor.spec().range_max));
     });
-    // Beams come back in another order than they went.
-    let found: HashMap<(u32, u32), CandidateSet> = beams.into_iter().map(|b| ((b.column, b.row), b.found)).collect();
-    let no_ray = CandidateSet { no_ray: true, ..CandidateSet::default() };
-    pixels.iter().map(|pixel| found.get(pixel).unwrap_or(&no_ray).clone()).collect()
 }
 
 /// A polygon on whose plane pixels are compared.

@@ -17,20 +17,22 @@ mod resolve;
 mod setup;
 mod spans;
 
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, Result};
 use crate::memory::{self, Frame};
 use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
+use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
 use rayon::prelude::*;
 use spans::Buffer;
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// The CPU engine with its threads and buffers.
 pub struct Engine {
-    pool: rayon::ThreadPool,
+    pool: Arc<rayon::ThreadPool>,
     batches: Vec<Batch>,
     winners: Winners,
     canvas: Vec<Buffer>,
@@ -46,12 +48,12 @@ const FIRST_WAVE: usize = 4096;
 const SIFTED: usize = 64;
 
 impl Engine {
-    /// With so many threads; 0 takes all cores.
+    /// On these threads, or on so many; 0 takes all cores.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if the threads cannot be started.
-    pub fn new(threads: usize) -> Result<Self> {
-        let pool = self::threads(threads)?;
+    /// As [`Threads::new`].
+    pub fn new(threads: impl Into<Threads>) -> Result<Self> {
+        let pool = threads.into().pool()?;
         Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
     }
 
@@ -63,8 +65,8 @@ impl Engine {
     /// Fills the asked images.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if the plan holds more polygons than the engine can number; [`ErrorKind::System`] if there is no
-    /// memory for the images.
+    /// [`crate::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
+    /// [`crate::ErrorKind::System`] if there is no memory for the images.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
@@ -120,14 +122,6 @@ impl Engine {
         let missing = frame.bytes().saturating_sub(held);
         if missing > LITTLE { memory::require(missing) } else { Ok(()) }
     }
-}
-
-/// So many threads; 0 takes all cores.
-pub(crate) fn threads(count: usize) -> Result<rayon::ThreadPool> {
-    let threads = rayon::ThreadPoolBuilder::new().num_threads(count).thread_name(|i| format!("presight-{i}"));
-    threads.build().map_err(|e| {
-        Error::new(ErrorKind::System, "cannot start the threads of the CPU engine", "lower --threads").caused_by(e)
-    })
 }
 
 /// Sets up and draws all runs, nearest first; the answer is the number of batches in use.

@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::limits;
+use crate::threads::parallel_or_here;
 #[cfg(feature = "store")]
 use glam::DMat3;
 use glam::{DVec3, Vec3};
@@ -488,13 +489,18 @@ fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
 fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
     // Centres beside the indices, in f32: ordering needs no more, and the loops stay in cache.
     let mut items: Vec<(Vec3, u32)> = boxes.iter().zip(0..).map(|(b, i)| (b.center().as_vec3(), i)).collect();
-    halve(&mut items);
+    if items.len() >= 2 * PARALLEL {
+        parallel_or_here(|| halve(&mut items));
+    } else {
+        halve(&mut items);
+    }
     items.iter().map(|item| item.1).collect()
 }
 
+/// Below this a task of its own costs more than it saves.
+const PARALLEL: usize = 4096;
+
 fn halve(items: &mut [(Vec3, u32)]) {
-    /// Below this a task of its own costs more than it saves.
-    const PARALLEL: usize = 4096;
     if items.len() <= limits::CLUSTER_POLYGONS {
         items.sort_unstable_by_key(|item| item.1);
         return;

@@ -24,6 +24,7 @@ pub use visible::{Asked, Proposal};
 use crate::error::{ErrorKind, Result};
 use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
 use crate::sensor::Sensor;
+use crate::threads::Threads;
 use device::Gpu;
 use frame::Frame;
 use geometry::Arena;
@@ -65,6 +66,8 @@ pub struct Engine {
     software: bool,
     /// Made when boxes are first asked for.
     roi: Option<roi::RoiStage>,
+    /// What is left to the CPU is done there.
+    threads: Threads,
 }
 
 impl Engine {
@@ -90,7 +93,23 @@ impl Engine {
             rebind: true,
             software,
             roi: None,
+            threads: Threads::SHARED,
         })
+    }
+
+    /// The same engine; what it leaves to the CPU is done on these threads, or on so many, and not on the shared ones.
+    #[must_use]
+    pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
+        Self { threads: threads.into(), ..self }
+    }
+
+    /// Does something on the threads that help it, which start when they are first needed.
+    ///
+    /// # Errors
+    /// As [`Threads::new`].
+    pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
+        self.threads = self.threads.started()?;
+        self.threads.run(work)
     }
 
     /// The adapter it works on.
@@ -123,7 +142,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`ErrorKind::DeviceLost`], after which the engine must be built anew; [`ErrorKind::DeviceMemory`], after which
-    /// it can go on with smaller tasks.
+    /// it can go on with smaller tasks; those of [`Threads::new`] if the adapter is a program, which leaves work to the CPU.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         stats.engine = "gpu".into();
         stats.adapter = Some(self.gpu.adapter.to_string());
@@ -201,6 +220,9 @@ impl Engine {
             self.frame.fill(plan, tables, &self.arena, self.software);
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
+        if self.frame.on_host {
+            self.threads = self.threads.started()?;
+        }
         Ok(())
     }
 
@@ -268,7 +290,7 @@ impl Engine {
         if self.frame.on_host {
             let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
             let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));
-            counters.lost_ids += resolve::resolve(plan, params, keys, slots, images);
+            counters.lost_ids += self.threads.run(|| resolve::resolve(plan, params, keys, slots, images))?;
         } else {
             self.copy_images(&view[..at.counters as usize], images);
         }

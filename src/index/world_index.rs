@@ -7,6 +7,7 @@ use super::shapes::Shape;
 use super::{Found, Params, Region, Scheme, Skd, SpatialIndex, build};
 use crate::environment::{Environment, Mesh, Object};
 use crate::geometry::Aabb;
+use crate::threads::parallel_or_here;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -253,7 +254,7 @@ fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
     let tree = |(mesh, known): &(&Arc<Mesh>, Option<&Arc<MeshTree>>)| {
         known.map_or_else(|| Arc::new(MeshTree::new(mesh)), Arc::clone)
     };
-    let each: Vec<Arc<MeshTree>> = meshes.par_iter().with_max_len(1).map(tree).collect();
+    let each: Vec<Arc<MeshTree>> = parallel_or_here(|| meshes.par_iter().with_max_len(1).map(tree).collect());
     let trees = environment.objects().iter().map(|o| each[numbers[&Arc::as_ptr(&o.mesh)]].clone()).collect();
     let boxes: Vec<(u32, Aabb)> = (0..)
         .zip(environment.objects())

@@ -11,12 +11,13 @@
 mod bundle;
 mod face;
 
-use bundle::{Beam, Cone};
-pub(crate) use bundle::{beams, cones, descend, instances};
+use bundle::Cone;
+pub(crate) use bundle::{Beam, beams, cones, descend, instances};
 pub(crate) use face::{Edge, Face, UNIT_ROUNDOFF};
 
 use crate::error::Result;
 use crate::plan::{FramePlan, Images, Output};
+use crate::threads::parallel_or_here;
 use glam::DVec3;
 
 /// What [`render`] counted.
@@ -69,10 +70,15 @@ pub fn render_pixels(
 
 /// The nearest polygon of some pixels' rays.
 fn cast(plan: &FramePlan, pixels: impl Iterator<Item = (u32, u32)>) -> (Vec<Beam<Option<Hit>>>, Counts) {
+    let mut beams = beams(&plan.sensor, pixels);
+    let counts = parallel_or_here(|| cast_beams(plan, &mut beams));
+    (beams, counts)
+}
+
+fn cast_beams(plan: &FramePlan, beams: &mut [Beam<Option<Hit>>]) -> Counts {
     let instances = instances(plan);
     let (cones, edge_on) = cones(plan, &instances, |face, _| (!face.edge_on()).then_some(0.0));
-    let mut beams = beams(&plan.sensor, pixels);
-    descend(&mut beams, &cones, &|beams, cones| {
+    descend(beams, &cones, &|beams, cones| {
         let mut face = Face::default();
         for cone in cones {
             let mesh = &plan.environment().objects()[cone.object as usize].mesh;
@@ -80,7 +86,7 @@ fn cast(plan: &FramePlan, pixels: impl Iterator<Item = (u32, u32)>) -> (Vec<Beam
             paint(plan, &face, cone, beams);
         }
     });
-    (beams, Counts { polygons: cones.len() + edge_on, edge_on })
+    Counts { polygons: cones.len() + edge_on, edge_on }
 }
 
 /// Tests one polygon against a few rays.

@@ -68,7 +68,7 @@ impl Study {
     pub fn run(&self, world: &World, variants: &[(Scheme, Params)], progress: impl Fn(&str)) -> Result<Vec<Row>> {
         progress("counting what each query needs");
         let queries = self.queries(world);
-        let mut predictor = Predictor::new(self.options)?;
+        let mut predictor = Predictor::new(self.options.clone())?;
         let mut rows = Vec::new();
         for &(scheme, params) in variants {
             progress(scheme.name());

@@ -237,7 +237,7 @@ impl VirtualSensor {
     ///
     /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
     /// let request = Request { outputs: task.outputs(), ids: IdScheme::Model };
-    /// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 })?;
+    /// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
     /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &request)?;
     /// let environment = world.environment();
     /// let input = Input { environment, prediction: &prediction, ids: request.ids, features: None };

@@ -476,6 +476,7 @@ fn wrong_usage() {
                 &["cuda", "auto, cpu, gpu", "; see"],
             ),
             bad(posed("--index r-tree"), 2, &["r-tree", "choose from none, grid", "; see"]),
+            bad(posed("--threads 100000"), 2, &["100000 threads", "; give at most"]),
             bad("index wall.glb --count 0", 2, &["--count", "; see presight index --help"]),
             bad("index wall.glb --count 3", 1, &["free poses", "; give poses"]),
             bad("index wall.glb --poses none.tum", 1, &["none.tum", "; "]),

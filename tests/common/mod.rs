@@ -6,6 +6,7 @@ pub mod engines;
 pub mod hard;
 pub mod oracle;
 pub mod scenes;
+pub mod skip;
 
 use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
 
@@ -69,4 +70,15 @@ pub fn summary(report: &presight::compare::Report) -> String {
         report.worst.cos_incidence,
         report.worst.echo
     )
+}
+
+/// From now on everything that runs on rayon's global pool panics: the product has its own threads, whose start can fail
+/// without a panic.
+pub fn forbid_global_pool() {
+    let refuse = |_| Err(std::io::Error::other("forbidden here"));
+    // The first call fails and leaves the pool without threads for good; a later one finds it so.
+    let started = rayon::ThreadPoolBuilder::new().num_threads(1).spawn_handler(refuse).build_global();
+    assert!(started.is_err());
+    let used = std::panic::catch_unwind(|| rayon::join(|| (), || ()));
+    assert!(used.is_err(), "something used the global pool before");
 }

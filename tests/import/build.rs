@@ -2,7 +2,7 @@
 
 use presight::acquire::Imported;
 use presight::io::gltf::{ImportOptions, import};
-use presight::{Error, Object};
+use presight::{Error, Object, Threads};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -14,7 +14,7 @@ pub const U16: u32 = 5123;
 pub const U32: u32 = 5125;
 
 /// Every triangle by itself, in source order.
-pub const SOURCE: ImportOptions = ImportOptions { merge: false, merge_tolerance: 1e-6 };
+pub const SOURCE: ImportOptions = ImportOptions { merge: false, merge_tolerance: 1e-6, threads: Threads::SHARED };
 
 /// The four corners of a unit square and a fifth point off it.
 pub const SQUARE: [[f32; 3]; 5] =

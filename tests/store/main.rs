@@ -2,6 +2,8 @@
 
 mod bad;
 mod command;
+#[path = "../common/mod.rs"]
+mod common;
 mod damage;
 mod durable;
 mod exports;
@@ -104,16 +106,6 @@ fn numbered(k: u64) -> (Change, String) {
 }
 
 /// The shared data's hospital, if it is there.
-#[expect(clippy::print_stderr, reason = "a skipped test says so")]
 fn hospital() -> Option<PathBuf> {
-    let root = std::env::var_os("PRESIGHT_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = root.join("env/hospital.glb");
-    if path.exists() {
-        return Some(path);
-    }
-    let needed = std::env::var_os("CI").is_some() || std::env::var("PRESIGHT_REQUIRE_DATA").is_ok_and(|v| v == "1");
-    assert!(!needed, "{} is not there", path.display());
-    eprintln!("SKIPPED: {} is not there; set PRESIGHT_DATA", path.display());
-    None
+    common::data::file("env/hospital.glb")
 }

@@ -26,6 +26,7 @@ mod wings;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use crate::error::{Error, Result, short};
 use crate::geometry::Aabb;
+use crate::threads::parallel;
 use drafts::{Draft, by_place, ordered};
 use glam::DMat3;
 use rayon::prelude::*;
@@ -181,12 +182,17 @@ pub struct Generated {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty.
+/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty; those of
+/// [`crate::Threads::new`].
 pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
     options.check()?;
     if class.is_empty() {
         return Err(Error::usage("the sensor class is empty", "name one, such as \"video\""));
     }
+    parallel(|| generate_checked(environment, class, options))
+}
+
+fn generate_checked(environment: &Environment, class: &str, options: &GenerateOptions) -> Generated {
     let touch = options.touch();
     let near = options.region.map(|r| soup::grown(&r, 10.0 * touch));
     let soup = soup::Soup::new(environment, class, near.as_ref());
@@ -210,7 +216,7 @@ pub fn generate(environment: &Environment, class: &str, options: &GenerateOption
         drafts.extend(wanted.map(Draft::from));
     }
     let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off);
-    Ok(Generated { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
+    Generated { layer: layer_of(environment, class, options, drafts, &mut counts), counts }
 }
 
 impl GenerateOptions {

@@ -13,6 +13,7 @@ use crate::environment::check_covariance;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::sensor::Sensor;
+use crate::threads::parallel;
 use crate::world::World;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -70,7 +71,8 @@ impl BoxOptions {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1; [`crate::ErrorKind::Invalid`] for a covariance that is not
-/// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about.
+/// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about; those of
+/// [`crate::Threads::new`].
 pub fn add_boxes(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
@@ -80,8 +82,7 @@ pub fn add_boxes(
     options: &BoxOptions,
 ) -> Result<()> {
     let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
-    let features = prediction.features.par_iter_mut().zip(placed).with_min_len(64);
-    features.for_each_init(Room::default, |room, (seen, placed)| {
+    let add = |room: &mut Room, (seen, placed): (&mut SeenFeature, &PlacedFeature)| {
         // What is not seen is not looked for.
         if seen.visible.is_empty() {
             return;
@@ -91,8 +92,11 @@ pub fn add_boxes(
             let found = room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method);
             frame.set(seen, found);
         }
-    });
-    Ok(())
+    };
+    parallel(|| {
+        let features = prediction.features.par_iter_mut().zip(placed).with_min_len(64);
+        features.for_each_init(Room::default, add);
+    })
 }
 
 /// What one worker keeps.

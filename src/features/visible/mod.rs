@@ -33,6 +33,7 @@ use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Images};
 use crate::sensor::Sensor;
+use crate::threads::parallel;
 use crate::world::World;
 use frame::Frame;
 #[cfg(feature = "gpu")]
@@ -85,7 +86,7 @@ impl Default for FeatureOptions {
 ///
 /// let world = World::new(Environment::new());
 /// let sensor = presight::preset("video-camera")?;
-/// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1 })?;
+/// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
 /// let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
 /// let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &request)?;
 /// // An edge 3 m ahead in an empty world.
@@ -102,7 +103,8 @@ impl Default for FeatureOptions {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
-/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range.
+/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range;
+/// those of [`crate::Threads::new`].
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,
@@ -111,7 +113,8 @@ pub fn predict_features(
     placed: &[PlacedFeature],
     options: &FeatureOptions,
 ) -> Result<FeaturePrediction> {
-    Ok(Prepared::new(world, sensor, world_from_sensor, images, placed, options)?.finish(None))
+    let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
+    parallel(|| prepared.finish(None))
 }
 
 /// Features that were checked against a world and a sensor, to be predicted.

@@ -141,7 +141,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] as
-    /// [`Engine::render`]: the boxes may then be found on the CPU.
+    /// [`Engine::render`]: the boxes may then be found on the CPU; those of [`crate::Threads::new`].
     pub fn add_boxes(
         &mut self,
         prediction: &mut FeaturePrediction,
@@ -152,7 +152,8 @@ impl Engine {
         options: &BoxOptions,
     ) -> Result<usize> {
         if self.software {
-            return add_boxes(prediction, placed, world, sensor, world_from_sensor, options).map(|()| 0);
+            let add = || add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
+            return self.on_threads(add)?.map(|()| 0);
         }
         let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));
@@ -171,7 +172,8 @@ impl Engine {
                 beyond.push(*i);
             }
         }
-        frame.finish(prediction, placed, &beyond);
+        self.threads = self.threads.started()?;
+        self.threads.run(|| frame.finish(prediction, placed, &beyond))?;
         let count = stage.plan.on_device.len() + stage.plan.on_host.len();
         let made = count.saturating_sub(beyond.len());
         stage.plan.on_host = beyond;

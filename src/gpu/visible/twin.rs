@@ -7,6 +7,7 @@ use crate::gpu::{DeviceOptions, Engine};
 use crate::plan::{FramePlan, Images, Request, Stats};
 use crate::random::SplitMix64;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, SensorSpec};
+use crate::skip::no_adapter;
 use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use glam::{DQuat, Vec3};
 use std::collections::BTreeSet;
@@ -142,8 +143,7 @@ fn the_device_answers_as_its_twin() {
         let mut engine = match Engine::new(options) {
             Ok(engine) => engine,
             Err(e) => {
-                assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
-                eprintln!("SKIPPED: no adapter: {e}");
+                no_adapter(e);
                 return;
             }
         };

@@ -3,6 +3,7 @@
 use super::{Bucket, Entry, LEAF, NOWHERE, Node, Skd};
 use crate::index::SplitAxis;
 use crate::index::boxes::{Box32, Boxes8};
+use crate::threads::parallel_or_here;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Below this a task of its own costs more than it saves.
@@ -34,7 +35,12 @@ impl<const K: usize> Skd<K> {
     pub(super) fn subtree(&mut self, entries: &mut [Entry], parent: u32, capacity: usize) -> (u32, Box32) {
         let levels = (usize::BITS - entries.len().div_ceil(capacity).leading_zeros() + 1) as usize;
         let axes: Vec<AtomicU8> = (0..1usize << levels).map(|_| AtomicU8::new(0)).collect();
-        order::<K>(entries, capacity, 1, self.params.split_axis, &axes);
+        let split = self.params.split_axis;
+        if entries.len() >= 2 * PARALLEL {
+            parallel_or_here(|| order::<K>(entries, capacity, 1, split, &axes));
+        } else {
+            order::<K>(entries, capacity, 1, split, &axes);
+        }
         self.link(entries, parent, 1, capacity, &axes)
     }
 

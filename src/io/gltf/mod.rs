@@ -23,6 +23,7 @@ use crate::geometry::Pose;
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
 use crate::memory;
+use crate::threads::Threads;
 use accessor::Document;
 use exact::Placed;
 use glam::{DAffine3, DMat3, DVec3};
@@ -43,11 +44,13 @@ pub struct ImportOptions {
     pub merge: bool,
     /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
     pub merge_tolerance: f64,
+    /// Where meshes are built, side by side.
+    pub threads: Threads,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        Self { merge: true, merge_tolerance: 1e-6 }
+        Self { merge: true, merge_tolerance: 1e-6, threads: Threads::SHARED }
     }
 }
 
@@ -73,7 +76,7 @@ const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compressi
 /// # Errors
 /// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
 /// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
-/// impossible options.
+/// impossible options; those of [`Threads::new`].
 pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
     import_within(path.as_ref(), None, options)
 }
@@ -117,8 +120,8 @@ fn import_bytes(
     let used = used_meshes(&document, &nodes)?;
     let mut environment = Environment::new();
     let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
-    let built: Vec<Result<Built>> =
-        used.par_iter().map(|&mesh| build_mesh(&document, mesh, default_material, options)).collect();
+    let build = |&mesh| build_mesh(&document, mesh, default_material, options);
+    let built: Vec<Result<Built>> = options.threads.run(|| used.par_iter().map(build).collect())?;
     let mut report = ImportReport::default();
     let mut by_mesh = HashMap::with_capacity(used.len());
     for (&mesh, built) in used.iter().zip(built) {

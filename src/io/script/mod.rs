@@ -69,7 +69,8 @@ use rhai::{Engine, OptimizationLevel, Scope};
 use std::cell::{Cell, RefCell};
 use std::path::Path;
 use std::rc::Rc;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
 use studio::Studio;
 
 /// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
@@ -89,10 +90,24 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
         let refused = |e: std::io::Error| Error::new(ErrorKind::System, format!("no thread: {e}"), "free some memory");
         let thread = std::thread::Builder::new().name("script".into()).stack_size(STACK);
         let running = thread.spawn_scoped(scope, || run(path, options, sender)).map_err(refused)?;
-        // Ends when the script has ended and dropped the sender.
-        receiver.iter().for_each(|line: String| say(&line));
+        listen_to(&receiver, say);
         running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })
+}
+
+/// Hands on what the script prints until it has ended and dropped the sender.
+fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
+    if rayon::current_thread_index().is_none() {
+        return lines.iter().for_each(|line| say(&line));
+    }
+    // This is a worker, and what the script imports may need it: it works while it waits.
+    loop {
+        match lines.recv_timeout(Duration::from_millis(1)) {
+            Ok(line) => say(&line),
+            Err(RecvTimeoutError::Timeout) => while rayon::yield_now() == Some(rayon::Yield::Executed) {},
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+    }
 }
 
 fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Imported> {

@@ -8,6 +8,7 @@ use super::schema::{damaged, pragma, refusal};
 use crate::environment::Mesh;
 use crate::error::{Error, Result};
 use crate::index::{MeshTree, PolygonBoxes, Trees};
+use crate::threads::in_place_scope;
 use rusqlite::{Connection, Row};
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -90,14 +91,14 @@ impl Reader<'_> {
             let tree = boxes.map(|boxes| Arc::new(MeshTree::with_boxes(&mesh, boxes)));
             Ok((content, Some(Arc::new(mesh)), tree))
         };
-        rayon::in_place_scope(|scope| -> Result<()> {
+        in_place_scope(|scope| -> Result<()> {
             for (row, done) in rows.iter().zip(&mut done) {
                 let parts = row.content(self.connection, self.path).map_err(|e| row.place(e))?;
                 let used = used.contains(&row.number);
                 scope.spawn(move |_| *done = Some(decode(row, parts, used).map_err(|e| row.place(e))));
             }
             beside()
-        })?;
+        })??;
         let (mut meshes, mut trees) = (HashMap::with_capacity(rows.len()), Trees::default());
         for (row, done) in rows.into_iter().zip(done) {
             let (content, mesh, tree) = done.ok_or_else(|| damaged("a mesh was not proven"))??;

@@ -4,6 +4,7 @@ use super::oracle::{ExactFace, Oracle, Sight, Truth};
 use crate::compare::{Precision, Values, span, ulp};
 use crate::plan::{FramePlan, Images};
 use crate::sensor::Sensor;
+use crate::threads::parallel_or_here;
 use rayon::prelude::*;
 
 /// The truth of all pixels of a plan, row by row.
@@ -51,7 +52,8 @@ impl<'a> Picture<'a> {
         let (w, h) = (plan.sensor.width(), plan.sensor.height());
         let pixels = (0..h).flat_map(|row| (0..w).map(move |column| (column, row)));
         let pixels: Vec<_> = pixels.collect();
-        let pixels = pixels.into_par_iter().map(|(column, row)| oracle.look(column, row)).collect();
+        let look = |(column, row)| oracle.look(column, row);
+        let pixels = parallel_or_here(|| pixels.into_par_iter().map(look).collect());
         Self { oracle, plan, pixels }
     }
 

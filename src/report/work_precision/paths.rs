@@ -116,7 +116,8 @@ pub(super) struct Engines {
 impl Engines {
     /// Opens what there is; a GPU that is not there is no error, lavapipe counts as one.
     pub fn open() -> Result<Self> {
-        let cpu = |threads| Predictor::new(Options { backend: Backend::Cpu, threads }).map(Box::new);
+        let cpu =
+            |threads: usize| Predictor::new(Options { backend: Backend::Cpu, threads: threads.into() }).map(Box::new);
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         let (gpu, gpu_keys, hardware, adapter) = match open_gpu() {
             Ok(gpu) => (Some(gpu.drawers), gpu.keys, gpu.hardware, gpu.adapter),
@@ -196,7 +197,7 @@ fn open_gpu() -> Result<OpenedGpu> {
     let (wide, hardware) = (engine.abilities().int64_atomics, engine.adapter().hardware);
     let adapter = engine.adapter().to_string();
     drop(engine);
-    let predictor = Predictor::new(Options { backend: Backend::Gpu, threads: 0 })?;
+    let predictor = Predictor::new(Options { backend: Backend::Gpu, ..Options::default() })?;
     let narrow = Engine::new(DeviceOptions { without_int64: true, ..DeviceOptions::default() })?;
     let keys = if wide { "64-bit keys" } else { "its 32-bit keys" };
     let drawers = (Drawer::Predictor(Box::new(predictor)), Drawer::Narrow(Box::new(narrow)));

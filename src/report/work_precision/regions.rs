@@ -14,6 +14,7 @@ use crate::geometry::Pose;
 use crate::plan::Stats;
 use crate::random::SplitMix64;
 use crate::sensor::Sensor;
+use crate::threads::parallel_or_here;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -154,7 +155,7 @@ impl Boxing {
             let missed = missed(sensor, case.pose, seen, self.errors, draws, i as u64);
             Some(Region { missed, area: (x1 - x0) * (y1 - y0) / pixels })
         };
-        seen.features.par_iter().enumerate().filter_map(told).collect()
+        parallel_or_here(|| seen.features.par_iter().enumerate().filter_map(told).collect())
     }
 
     /// Kind, error, and bound where there is one.
