@@ -5,7 +5,6 @@ use crate::io::file;
 use crate::limits;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use std::io::Read;
 use std::path::Path;
 
 /// The newest version of the TOML files that this build reads; there is no older one.
@@ -28,16 +27,7 @@ pub(crate) fn check_name(name: &str) -> Result<()> {
 
 /// A whole file as text, or what a pipe gives that this process was given.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    let mut file = file::open_or_given(path)?;
-    let mut bytes = Vec::new();
-    file.by_ref()
-        .take(limits::MAX_FILE_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|e| Error::io(path, "read it", e))?;
-    if bytes.len() as u64 > limits::MAX_FILE_BYTES {
-        return Err(Error::invalid("the file is too large", format!("give at most {} bytes", limits::MAX_FILE_BYTES))
-            .in_file(path));
-    }
+    let bytes = file::read(file::open_or_given(path)?, path, limits::MAX_FILE_BYTES)?;
     String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         Error::invalid(format!("byte {} is not UTF-8", e.utf8_error().valid_up_to()), "save the file as UTF-8 text")
             .in_file(path)

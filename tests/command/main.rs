@@ -1,6 +1,7 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
 mod features;
+mod special;
 
 use assert_cmd::Command;
 use presight::io::exr;
