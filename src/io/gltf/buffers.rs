@@ -78,9 +78,11 @@ impl<'a> Buffers<'a> {
             all.buffers.push((owned, 0));
         }
         let first = all.owned.len();
-        for named in files.named {
-            let index = named.buffer;
-            all.owned.push(named.read(memory).map_err(place(index))?);
+        for named in &mut files.named {
+            named.count(memory).map_err(place(named.buffer))?;
+        }
+        for named in &files.named {
+            all.owned.push(named.read().map_err(place(named.buffer))?);
         }
         of_file.into_iter().for_each(|(buffer, file)| all.buffers[buffer].0 = Some(first + file));
         for (index, buffer) in root.buffers.iter().enumerate() {
@@ -145,13 +147,16 @@ impl Files {
 }
 
 impl Named {
-    /// Its bytes, as many as are claimed if there are so many.
-    fn read(&self, memory: &mut Memory) -> Result<Vec<u8>> {
+    /// Counts the bytes that are going to be read of it: as many as are claimed, if there are so many.
+    fn count(&mut self, memory: &mut Memory) -> Result<()> {
+        self.claimed = self.claimed.min(file::open_as(&self.real, &self.shown)?.limit());
+        memory.take(self.claimed, &self.shown.display().to_string())
+    }
+
+    /// Those bytes.
+    fn read(&self) -> Result<Vec<u8>> {
         let opened = file::open_as(&self.real, &self.shown)?;
-        let length = opened.limit().min(self.claimed);
-        memory.take(length, &format!("{}", self.shown.display()))?;
-        let (file, limit) = (opened.into_inner(), length);
-        file::read(file.take(limit), &self.shown, limit)
+        file::read(opened.into_inner().take(self.claimed), &self.shown, self.claimed)
     }
 }
 
