@@ -12,8 +12,11 @@ pub const MAX_OBJECTS: usize = 1 << 22;
 pub const MAX_CORNERS: usize = 64;
 /// Largest file read into memory, in bytes.
 pub const MAX_FILE_BYTES: u64 = 4 << 30;
-/// Most bytes of memory that importing a scene file may take, its buffers included, as far as they are known before.
+/// Most bytes of memory that importing a scene file may take, its buffers included, or reading JSON, as far as they are
+/// known before.
 pub const MAX_IMPORT_BYTES: u64 = 4 << 30;
+/// Largest file of settings, of a sensor, a robot or materials, in bytes: what is made of TOML takes some dozen times as much.
+pub const MAX_SETTINGS_BYTES: u64 = 32 << 20;
 /// Polygons of one mesh cluster: the unit that selection keeps or drops.
 pub const CLUSTER_POLYGONS: usize = 64;
 /// Largest finite coordinate or range accepted, in metres: beyond it squares overflow f32.

@@ -3,11 +3,9 @@
 use super::accessor::Document;
 use super::mesh::mesh_words;
 use crate::error::{Error, Result};
+use crate::io::text::json_memory;
 use crate::limits;
 
-/// Bytes of the parsed JSON for each of its objects, and each element of its lists: more than the largest of them takes.
-const JSON_OBJECT: u64 = 768;
-const JSON_ELEMENT: u64 = 32;
 /// Bytes of a node and the object that it becomes, besides its path, and copies of that path.
 const NODE: u64 = 1200;
 const PATHS: u64 = 6;
@@ -55,8 +53,7 @@ impl Memory {
 
     /// Counts JSON text as what it becomes.
     pub(super) fn take_json(&mut self, text: &[u8]) -> Result<()> {
-        let count = |byte: u8| text.iter().filter(|&&b| b == byte).count() as u64;
-        self.take(text.len() as u64 + JSON_OBJECT * count(b'{') + JSON_ELEMENT * count(b','), "its JSON")
+        self.take(json_memory(text), "its JSON")
     }
 
     /// Counts a node of the scene that has a path of so many bytes.

@@ -145,7 +145,7 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
         other => {
             let text = other.to_string();
             let what = text.split(" (line ").next().unwrap_or(&text).to_owned();
-            invalid(what, "correct the script")
+            invalid(shortened(&what), "correct the script")
         }
     }
 }

@@ -65,8 +65,8 @@ struct Bracket {
 }
 
 /// What of a text was parsed so far.
-#[derive(Default)]
 struct Parsed {
+    /// The first is the whole text.
     brackets: Vec<Bracket>,
     /// Names of the variables and modules that are known, those of an inner block last.
     variables: Vec<String>,
@@ -77,6 +77,21 @@ struct Parsed {
     /// The next block is a function's.
     in_signature: bool,
     excess: Option<(Excess, Position)>,
+}
+
+impl Default for Parsed {
+    fn default() -> Self {
+        let whole = Bracket { closed_by: Token::EOF, of: Excess::Entries, commas: 0, variables: 0, unseen: 0 };
+        Self {
+            brackets: vec![whole],
+            variables: Vec::new(),
+            unseen: 0,
+            functions: 0,
+            declares: false,
+            in_signature: false,
+            excess: None,
+        }
+    }
 }
 
 /// Counts what parsers read.
@@ -146,7 +161,7 @@ impl Parsed {
             self.unseen = variables;
         }
         self.brackets.push(Bracket { closed_by, of, commas: 0, variables, unseen });
-        (self.brackets.len() > limits::MAX_SCRIPT_NESTING).then_some(Excess::Nesting)
+        (self.brackets.len() - 1 > limits::MAX_SCRIPT_NESTING).then_some(Excess::Nesting)
     }
 
     fn close(&mut self, token: &Token) {
