@@ -14,6 +14,11 @@ pub const MAX_CORNERS: usize = 64;
 pub const MAX_THREADS: usize = 64;
 /// Largest file read into memory, in bytes.
 pub const MAX_FILE_BYTES: u64 = 4 << 30;
+/// Most bytes of memory that importing a scene file may take, its buffers included, or reading JSON, as far as they are
+/// known before.
+pub const MAX_IMPORT_BYTES: u64 = 4 << 30;
+/// Largest file of settings, of a sensor, a robot or materials, in bytes: what is made of TOML takes some dozen times as much.
+pub const MAX_SETTINGS_BYTES: u64 = 32 << 20;
 /// Polygons of one mesh cluster: the unit that selection keeps or drops.
 pub const CLUSTER_POLYGONS: usize = 64;
 /// Largest finite coordinate or range accepted, in metres: beyond it squares overflow f32.
@@ -21,7 +26,7 @@ pub const MAX_COORDINATE: f64 = 1e12;
 /// Most triangles stored in one scene file, instances counted once.
 pub const MAX_STORED_TRIANGLES: u64 = 1 << 25;
 /// Most elements of an accessor that has no data behind it (zeros, replaced by a sparse part).
-pub const MAX_ZERO_FILLED: u64 = 1 << 20;
+pub const MAX_ZERO_FILLED: u64 = 1 << 16;
 /// Deepest nesting of nodes.
 pub const MAX_NODE_DEPTH: usize = 1024;
 /// Longest full node path, in bytes.
@@ -47,6 +52,12 @@ pub const MAX_SCRIPT_CALLS: usize = 32;
 pub const MAX_SCRIPT_NESTING: usize = 128;
 /// Most variables of one call in a script.
 pub const MAX_SCRIPT_VARIABLES: usize = 256;
+/// Most arguments of a call in a script, and parameters of a function.
+pub const MAX_SCRIPT_ARGUMENTS: usize = 16;
+/// Most functions of a script or module of one.
+pub const MAX_SCRIPT_FUNCTIONS: usize = 256;
+/// Longest name of a variable or function in a script, in bytes.
+pub const MAX_SCRIPT_NAME: usize = 256;
 /// Most elements of an array in a script, those of arrays in it included.
 pub const MAX_SCRIPT_ARRAY: usize = 4096;
 /// Most copies of a shape that `repeat` makes.

@@ -8,6 +8,7 @@ use crate::error::ErrorKind;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme};
+use crate::io::file;
 use crate::io::gltf::{ImportOptions, import};
 use crate::io::materials::Sidecar;
 use crate::world::World;
@@ -64,10 +65,8 @@ fn script(path: &Path, _options: &ImportOptions) -> Result<Imported> {
 
 /// True for a stored environment, whatever its name.
 fn is_store(path: &Path) -> bool {
-    let mut start = [0; 16];
-    let read = || std::io::Read::read_exact(&mut std::fs::File::open(path)?, &mut start);
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"))
-        || std::fs::metadata(path).is_ok_and(|m| m.is_file()) && { read }().is_ok() && start == *b"SQLite format 3\0"
+        || file::starts_with(path, b"SQLite format 3\0")
 }
 
 /// A store is in presight's frame already.
@@ -111,9 +110,8 @@ pub fn no_report() -> Error {
 /// # Errors
 /// Those of reading it.
 pub fn blake3_of(path: &Path) -> Result<String> {
-    let wrap = |e| Error::io(path, "read", e);
     let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(std::fs::File::open(path).map_err(wrap)?).map_err(wrap)?;
+    hasher.update_reader(file::open(path)?).map_err(|e| Error::io(path, "read it", e))?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 

@@ -3,7 +3,7 @@
 use crate::environment::check_covariance;
 use crate::error::{Error, Result};
 use crate::features::roi::PoseCovariance;
-use crate::io::text::read_text;
+use crate::io::text::read_settings;
 use crate::limits;
 use std::path::Path;
 
@@ -40,7 +40,7 @@ fn deviations(text: &str) -> Result<PoseCovariance> {
 }
 
 fn from_file(path: &Path) -> Result<PoseCovariance> {
-    read_text(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
+    read_settings(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
 }
 
 /// Reads the JSON text of 36 numbers.

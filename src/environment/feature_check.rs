@@ -5,6 +5,7 @@ use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, plane_of_polygon};
 use crate::limits;
 use glam::{DMat3, DVec3};
+use std::collections::HashSet;
 
 /// How far a covariance's entries may be off a positive semidefinite one, relative to the standard deviations they
 /// belong to: half a unit of the sixth significant digit, the shortest that programs print by default.
@@ -76,9 +77,10 @@ impl FeatureLayer {
                 "give a small one above 0, such as 0.001",
             ));
         }
-        for (i, (object, covariance)) in self.pose_covariances.iter().enumerate() {
+        let mut seen = HashSet::with_capacity(self.pose_covariances.len());
+        for (object, covariance) in &self.pose_covariances {
             let place = || format!("pose covariance of object {object:?}");
-            if self.pose_covariances[..i].iter().any(|(other, _)| other == object) {
+            if !seen.insert(object) {
                 return Err(Error::invalid("it is given twice", "keep one of them").at(place()));
             }
             check_covariance(covariance).map_err(|e| e.at(place()))?;

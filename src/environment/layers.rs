@@ -2,6 +2,7 @@
 
 use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
+use std::collections::HashSet;
 
 impl Environment {
     /// Its feature layers, by rising class name.
@@ -62,7 +63,8 @@ impl Environment {
             let what = format!("id {} is taken", feature.id);
             return Err(Error::invalid(what, "give each feature of a class an id of its own"));
         }
-        let twice = |(object, _): &&(String, _)| present.pose_covariances.iter().any(|(other, _)| other == object);
+        let known: HashSet<&String> = present.pose_covariances.iter().map(|(object, _)| object).collect();
+        let twice = |(object, _): &&(String, _)| known.contains(object);
         match layer.pose_covariances.iter().find(twice) {
             Some((object, _)) => {
                 let what = format!("the pose covariance of object {object:?} is given twice");

@@ -14,7 +14,7 @@
 //! ROS's own `image_geometry` leaves the two halves out, `cx' = (cx - x_offset) / b`, which is right only for cameras
 //! that skip pixels and keep the first: it differs by (b - 1) / (2 b), under half a binned pixel. A notice says so.
 
-use super::text::{line_of, read_text};
+use super::text::{line_of, read_settings};
 use crate::error::{Error, ErrorKind, Result};
 use crate::sensor::{Camera, Distortion, Geometry, SensorSpec};
 use serde::Deserialize;
@@ -29,7 +29,7 @@ use std::path::Path;
 /// model that presight does not have; [`crate::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<(SensorSpec, Vec<String>)> {
     let name = path.file_stem().map_or_else(|| "camera".into(), |s| s.to_string_lossy());
-    parse(&read_text(path)?, &name).map_err(|e| e.in_file(path))
+    parse(&read_settings(path)?, &name).map_err(|e| e.in_file(path))
 }
 
 #[derive(Deserialize)]

@@ -7,7 +7,7 @@
 //! A line on the ground in the robot's frame, half the width that the robot sweeps along it, and the heights over the robot's
 //! origin between which something is in its way; metres. `format` may be left out.
 
-use super::text::{FORMAT, read_text};
+use super::text::{FORMAT, read_settings};
 use crate::error::{Error, ErrorKind, Result};
 use crate::virtual_sensors::{Corridor, CorridorFields};
 use std::path::Path;
@@ -27,7 +27,7 @@ use std::path::Path;
 /// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, and those of [`Corridor::new`];
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<Corridor> {
-    read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+    read_settings(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 
 /// Reads the text of a corridor.

@@ -2,7 +2,7 @@
 //! sensor, pose and scene.
 
 use super::atomic::write_atomically;
-use super::inputs;
+use super::file;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
@@ -168,12 +168,7 @@ pub fn read(path: &Path) -> Result<ImageFile> {
 }
 
 fn read_unnamed(path: &Path) -> Result<ImageFile> {
-    inputs::note(path);
-    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-    let folder = file.metadata().is_ok_and(|m| m.is_dir());
-    if folder {
-        return Err(Error::invalid("is a folder", "name an EXR file"));
-    }
+    let file = file::open(path)?;
     let chunks = ::exr::block::read(BufReader::new(file), false).map_err(from_exr)?;
     let header = match chunks.headers() {
         [header] => header,

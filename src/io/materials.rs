@@ -91,7 +91,7 @@ impl Sidecar {
         let path = sidecar_path(scene);
         match std::fs::metadata(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            _ => Self::parse(&text::read_text(&path)?).map_err(|e| e.in_file(&path)),
+            _ => Self::parse(&text::read_settings(&path)?).map_err(|e| e.in_file(&path)),
         }
     }
 

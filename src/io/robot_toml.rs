@@ -12,7 +12,7 @@
 
 use super::load::{load_sensor, preset_names};
 use super::sensor_toml::MountTable;
-use super::text::{check_format, read_text, toml_from_str};
+use super::text::{check_format, read_settings, toml_from_str};
 use crate::error::{Error, ErrorKind, Result};
 use crate::limits;
 use crate::sensor::{PRESETS, Sensor};
@@ -51,7 +51,7 @@ struct Entry {
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] with file and place: of this file, or of the sensor file at fault.
 pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
-    let text = read_text(path)?;
+    let text = read_settings(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut notices = Vec::new();
     let load = |text: &str, notices: &mut Vec<String>| -> Result<Robot> {

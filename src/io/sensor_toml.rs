@@ -39,7 +39,7 @@ mod write;
 
 pub use write::to_string;
 
-use super::text::{check_format, read_text, toml_from_str};
+use super::text::{check_format, read_settings, read_text, toml_from_str};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
@@ -56,7 +56,7 @@ use std::path::Path;
 /// format, [`crate::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<SensorSpec> {
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
-    parse(&read_text(path)?, &name, path.parent()).map_err(|e| e.in_file(path))
+    parse(&read_settings(path)?, &name, path.parent()).map_err(|e| e.in_file(path))
 }
 
 /// Reads the text of a sensor file. `name` is used if the text gives none; `file = "X.csv"` is relative to `folder`.

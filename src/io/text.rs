@@ -6,7 +6,6 @@ use crate::limits;
 use crate::printable::quoted;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use std::io::Read;
 use std::path::Path;
 
 /// The only version of the TOML files that this build reads.
@@ -26,18 +25,43 @@ pub(crate) fn check_name(name: &str) -> Result<()> {
     Err(Error::invalid(format!("{} is no name of an object", quoted(name)), remedy))
 }
 
+/// Bytes of memory for each object of JSON text, and each element of its lists: more than the largest of them takes that we
+/// read.
+const JSON_OBJECT: u64 = 768;
+const JSON_ELEMENT: u64 = 32;
+
+/// The bytes that reading JSON text takes at most.
+pub(crate) fn json_memory(text: &[u8]) -> u64 {
+    let (mut objects, mut elements) = (0, 0);
+    for byte in text {
+        objects += u64::from(*byte == b'{');
+        elements += u64::from(*byte == b',');
+    }
+    text.len() as u64 + JSON_OBJECT * objects + JSON_ELEMENT * elements
+}
+
+/// Refuses JSON text that would take too much memory, before any is taken.
+pub(crate) fn check_json_memory(text: &str) -> Result<()> {
+    let bytes = json_memory(text.as_bytes());
+    if bytes <= limits::MAX_IMPORT_BYTES {
+        return Ok(());
+    }
+    let what = format!("reading its JSON could take {bytes} bytes of memory");
+    Err(Error::invalid(what, format!("{} are the limit: split it", limits::MAX_IMPORT_BYTES)))
+}
+
 /// Reads a whole file as text, or the content of a pipe that was passed to this process.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    let mut file = file::open_or_given(path)?;
-    let mut bytes = Vec::new();
-    file.by_ref()
-        .take(limits::MAX_FILE_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|e| Error::io(path, "read it", e))?;
-    if bytes.len() as u64 > limits::MAX_FILE_BYTES {
-        return Err(Error::invalid("the file is too large", format!("give at most {} bytes", limits::MAX_FILE_BYTES))
-            .in_file(path));
-    }
+    read_up_to(path, limits::MAX_FILE_BYTES)
+}
+
+/// As [`read_text`], of a file that is small unless something is wrong.
+pub(crate) fn read_settings(path: &Path) -> Result<String> {
+    read_up_to(path, limits::MAX_SETTINGS_BYTES)
+}
+
+fn read_up_to(path: &Path, limit: u64) -> Result<String> {
+    let bytes = file::read(file::open_or_given(path)?, path, limit)?;
     String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         Error::invalid(format!("byte {} is not UTF-8", e.utf8_error().valid_up_to()), "save the file as UTF-8 text")
             .in_file(path)
@@ -51,6 +75,10 @@ pub(crate) fn line_of(text: &str, offset: usize) -> usize {
 
 /// Reads TOML into a type, with the line in the error.
 pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
+    if text.len() as u64 > limits::MAX_SETTINGS_BYTES {
+        let what = format!("the TOML has {} bytes", text.len());
+        return Err(Error::invalid(what, format!("{} are the limit: give rays in a file", limits::MAX_SETTINGS_BYTES)));
+    }
     toml::from_str(text).map_err(|e| {
         let wrong = Error::invalid(e.message().to_owned(), "correct the file; docs/formats.md describes its keys");
         let placed = match e.span() {

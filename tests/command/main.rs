@@ -8,6 +8,7 @@ mod messages;
 mod outputs;
 #[cfg(unix)]
 mod signals;
+mod special;
 
 use assert_cmd::Command;
 use presight::io::exr;

@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 
 /// Longest one input may take on a busy machine; no reader of the corpora's sizes takes a hundredth of it.
 const SLOW: Duration = Duration::from_secs(20);
-/// Most memory of the process, bytes.
-const MEMORY: u64 = 4 << 30;
+/// Most memory of the process, all targets together, bytes: as much as the command is held to.
+const MEMORY: u64 = 500_000_000;
 
 /// The input that is being run, for the guard and the message.
 #[derive(Default)]

@@ -5,4 +5,5 @@ mod build;
 #[path = "../common/mod.rs"]
 mod common;
 mod features;
+mod memory;
 mod scenes;

@@ -8,6 +8,7 @@ mod common;
 mod functions;
 mod same;
 mod scenes;
+mod size;
 
 use presight::acquire::Imported;
 use presight::io::script;

@@ -3,10 +3,9 @@
 use super::{NoteArgs, unindexed};
 use crate::cli::print;
 use crate::error::{Error, Result};
-use crate::io::file::without_mark;
+use crate::io::file::{self, without_mark};
 use crate::io::store::Store;
 use crate::limits;
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -63,8 +62,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
         (Box::new(std::io::stdin()), Path::new("."))
     } else {
-        let file = File::open(&args.changes).map_err(|e| Error::io(&args.changes, "open it", e))?;
-        (Box::new(file), args.changes.parent().unwrap_or(Path::new(".")))
+        (Box::new(file::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
     };
     let (mut store, environment) = Store::open(&args.store)?;
     let mut world = unindexed(environment);

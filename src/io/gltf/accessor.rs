@@ -1,42 +1,87 @@
 //! Accessors: every size is checked against the buffer it claims before anything is allocated.
 
+use super::buffers::Buffers;
 use crate::error::{Error, ErrorKind, Result};
 use crate::limits;
 use glam::Vec3;
 use gltf::json;
 use json::accessor::{Accessor, ComponentType, Type};
 use json::validation::Checked;
+use std::cmp::Ordering;
+use std::collections::HashMap;
 
 const REPAIR: &str = "repair the model or export it again";
 
 /// The parsed file with the bytes of its buffers.
 pub(super) struct Document<'a> {
     pub root: json::Root,
-    pub buffers: Vec<std::borrow::Cow<'a, [u8]>>,
+    pub buffers: Buffers<'a>,
 }
 
-/// Positions of a primitive, mesh frame.
-pub(super) enum Positions<'a> {
-    /// Plain f32 triples, read in place.
-    Plain { bytes: &'a [u8], stride: usize, count: usize },
-    /// What had to be computed: sparse or quantized.
-    Computed(Vec<Vec3>),
+/// Positions of a primitive, mesh frame, read where they lie: of a large accessor a small primitive may use a part.
+pub(super) struct Positions<'a> {
+    count: usize,
+    /// `None` is all zeros.
+    base: Option<Elements<'a>>,
+    component: ComponentType,
+    normalized: bool,
+    sparse: Option<Sparse<'a>>,
+}
+
+/// Values in place of some elements, their indices rising.
+struct Sparse<'a> {
+    count: usize,
+    component: ComponentType,
+    indices: Elements<'a>,
+    values: Elements<'a>,
 }
 
 impl Positions<'_> {
     pub fn count(&self) -> usize {
-        match self {
-            Self::Plain { count, .. } => *count,
-            Self::Computed(v) => v.len(),
-        }
+        self.count
     }
 
     /// Position i, which must be below the count.
     pub fn get(&self, i: usize) -> Vec3 {
-        match self {
-            Self::Plain { bytes, stride, .. } => vec3_at(&bytes[i * stride..]),
-            Self::Computed(v) => v[i],
+        let replaced = self.sparse.as_ref().and_then(|sparse| sparse.of(i));
+        let Some(bytes) = replaced.or_else(|| self.base.as_ref().map(|base| base.at(i))) else { return Vec3::ZERO };
+        let size = self.component.size();
+        let component = |k: usize| component_at(&bytes[k * size..], self.component, self.normalized);
+        Vec3::new(component(0), component(1), component(2))
+    }
+}
+
+impl<'a> Sparse<'a> {
+    fn index(&self, k: usize) -> u32 {
+        index_at(self.indices.at(k), self.component)
+    }
+
+    /// The bytes of the value in place of element i.
+    fn of(&self, i: usize) -> Option<&'a [u8]> {
+        let (mut low, mut high) = (0, self.count);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            match (self.index(middle) as usize).cmp(&i) {
+                Ordering::Less => low = middle + 1,
+                Ordering::Equal => return Some(self.values.at(middle)),
+                Ordering::Greater => high = middle,
+            }
         }
+        None
+    }
+
+    /// That its indices rise and are of elements that there are.
+    fn prove(&self, elements: u64) -> Result<()> {
+        let mut before = None;
+        for k in 0..self.count {
+            let target = self.index(k);
+            if u64::from(target) >= elements || before.is_some_and(|b| b >= target) {
+                let what = format!("index {k} is {target}; indices must rise and stay below {elements}");
+                return Err(Error::invalid(what, REPAIR).at("sparse"));
+            }
+            before = Some(target);
+        }
+        Ok(())
     }
 }
 
@@ -44,15 +89,22 @@ fn f32_at(b: &[u8]) -> f32 {
     f32::from_le_bytes([b[0], b[1], b[2], b[3]])
 }
 
-fn vec3_at(b: &[u8]) -> Vec3 {
-    Vec3::new(f32_at(b), f32_at(&b[4..]), f32_at(&b[8..]))
-}
-
-/// `count` elements of `size` bytes, `stride` apart.
+/// Elements of an accessor or a part of it, proven to be there.
+#[derive(Clone, Copy)]
 struct Elements<'a> {
     bytes: &'a [u8],
     stride: usize,
 }
+
+impl<'a> Elements<'a> {
+    /// The bytes from element i on.
+    fn at(&self, i: usize) -> &'a [u8] {
+        &self.bytes[i * self.stride..]
+    }
+}
+
+/// The accessors whose data was proven to be there, with their counts: each is proven once, however many primitives use it.
+pub(super) type Proven = HashMap<usize, u64>;
 
 impl<'a> Document<'a> {
     pub fn accessor(&self, index: json::Index<Accessor>) -> Result<&Accessor> {
@@ -64,23 +116,51 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// The count of an accessor once its data is proven to be there, before anything is read.
-    pub fn proven_count(&self, index: json::Index<Accessor>) -> Result<u64> {
+    /// The count of an accessor once its data is proven to be there, before anything is made of it.
+    pub fn proven_count(&self, index: json::Index<Accessor>, proven: &mut Proven) -> Result<u64> {
+        if let Some(&count) = proven.get(&index.value()) {
+            return Ok(count);
+        }
         let accessor = self.accessor(index)?;
         let prove = || {
-            let count = accessor.count.0;
-            let components = if matches!(accessor.type_, Checked::Valid(Type::Vec3)) { 3 } else { 1 };
-            let size = components * component_of(accessor)?.size();
-            match accessor.buffer_view {
-                None => zero_filled(count).map(drop)?,
-                Some(view) => {
-                    let offset = accessor.byte_offset.map_or(0, |o| o.0);
-                    self.elements(view.value(), offset, count, size, components == 3).map(drop)?;
-                }
+            let vector = matches!(accessor.type_, Checked::Valid(Type::Vec3));
+            let size = if vector { 3 } else { 1 } * component_of(accessor)?.size();
+            self.base(accessor, size, vector)?;
+            if let Some(sparse) = self.sparse(accessor, size)? {
+                sparse.prove(accessor.count.0)?;
             }
-            Ok(count)
+            Ok(accessor.count.0)
         };
-        prove().map_err(|e: Error| e.at(format!("accessor {}", index.value())))
+        let count = prove().map_err(|e: Error| e.at(format!("accessor {}", index.value())))?;
+        proven.insert(index.value(), count);
+        Ok(count)
+    }
+
+    /// The elements that an accessor has without its sparse part; none where they are zeros.
+    fn base(&self, accessor: &Accessor, size: usize, strided: bool) -> Result<Option<Elements<'_>>> {
+        let count = accessor.count.0;
+        let Some(view) = accessor.buffer_view else { return zero_filled(count).map(|()| None) };
+        let offset = accessor.byte_offset.map_or(0, |o| o.0);
+        self.elements(view.value(), offset, count, size, strided).map(Some)
+    }
+
+    /// The sparse part of an accessor whose elements are of `size` bytes.
+    fn sparse(&self, accessor: &Accessor, size: usize) -> Result<Option<Sparse<'_>>> {
+        let Some(sparse) = &accessor.sparse else { return Ok(None) };
+        let broken = |what: String| Error::invalid(what, REPAIR).at("sparse");
+        let Checked::Valid(kind) = sparse.indices.component_type else {
+            return Err(broken("indices must be u8, u16 or u32".into()));
+        };
+        let component = kind.0;
+        let count = sparse.count.0;
+        if count > accessor.count.0 {
+            return Err(broken(format!("{count} values replace {}", accessor.count.0)));
+        }
+        let i = &sparse.indices;
+        let indices = self.elements(i.buffer_view.value(), i.byte_offset.0, count, component.size(), false)?;
+        let v = &sparse.values;
+        let values = self.elements(v.buffer_view.value(), v.byte_offset.0, count, size, false)?;
+        Ok(Some(Sparse { count: count as usize, component, indices, values }))
     }
 
     /// The bytes of a view from `offset` on, proven to hold `count` elements.
@@ -124,7 +204,7 @@ impl<'a> Document<'a> {
         Ok(Elements { bytes: whole.get(offset as usize..).unwrap_or_default(), stride })
     }
 
-    /// The POSITION data of an accessor.
+    /// The POSITION data of an accessor whose sparse part is proven.
     pub fn positions(&self, index: json::Index<Accessor>) -> Result<Positions<'_>> {
         let place = format!("accessor {}", index.value());
         let accessor = self.accessor(index)?;
@@ -137,30 +217,9 @@ impl<'a> Document<'a> {
             return Err(Error::invalid("positions must be VEC3", REPAIR));
         }
         let size = 3 * component.size();
-        let count = accessor.count.0;
-        let base = match accessor.buffer_view {
-            None => None,
-            Some(view) => {
-                Some(self.elements(view.value(), accessor.byte_offset.map_or(0, |o| o.0), count, size, true)?)
-            }
-        };
-        if let (Some(e), None, ComponentType::F32) = (&base, &accessor.sparse, component) {
-            return Ok(Positions::Plain { bytes: e.bytes, stride: e.stride, count: count as usize });
-        }
-        let decode = |b: &[u8]| {
-            let c = component.size();
-            Vec3::new(
-                component_at(b, component, accessor.normalized),
-                component_at(&b[c..], component, accessor.normalized),
-                component_at(&b[2 * c..], component, accessor.normalized),
-            )
-        };
-        let mut all: Vec<Vec3> = match &base {
-            Some(e) => (0..count as usize).map(|i| decode(&e.bytes[i * e.stride..])).collect(),
-            None => vec![Vec3::ZERO; zero_filled(count)?],
-        };
-        self.apply_sparse(accessor, size, |i, b| all[i] = decode(b))?;
-        Ok(Positions::Computed(all))
+        let base = self.base(accessor, size, true)?;
+        let sparse = self.sparse(accessor, size)?;
+        Ok(Positions { count: accessor.count.0 as usize, base, component, normalized: accessor.normalized, sparse })
     }
 
     /// Vertex indices of an accessor.
@@ -177,48 +236,18 @@ impl<'a> Document<'a> {
             return Err(Error::invalid("indices must be SCALAR of u8, u16 or u32", REPAIR));
         }
         let size = component.size();
-        let count = accessor.count.0;
-        let mut all = match accessor.buffer_view {
-            None => vec![0; zero_filled(count)?],
-            Some(view) => {
-                let offset = accessor.byte_offset.map_or(0, |o| o.0);
-                let e = self.elements(view.value(), offset, count, size, false)?;
-                let bytes = &e.bytes[..count as usize * size];
-                bytes.chunks_exact(size).map(|b| index_at(b, component)).collect::<Vec<u32>>()
-            }
+        let count = accessor.count.0 as usize;
+        let mut all = match self.base(accessor, size, false)? {
+            None => vec![0; count],
+            Some(e) => e.bytes[..count * size].chunks_exact(size).map(|b| index_at(b, component)).collect::<Vec<u32>>(),
         };
-        self.apply_sparse(accessor, size, |i, b| all[i] = index_at(b, component))?;
+        if let Some(sparse) = self.sparse(accessor, size)? {
+            sparse.prove(accessor.count.0)?;
+            for k in 0..sparse.count {
+                all[sparse.index(k) as usize] = index_at(sparse.values.at(k), component);
+            }
+        }
         Ok(all)
-    }
-
-    fn apply_sparse(&self, accessor: &Accessor, size: usize, mut set: impl FnMut(usize, &[u8])) -> Result<()> {
-        let Some(sparse) = &accessor.sparse else { return Ok(()) };
-        let broken = |what: String| Error::invalid(what, REPAIR).at("sparse");
-        let Checked::Valid(kind) = sparse.indices.component_type else {
-            return Err(broken("indices must be u8, u16 or u32".into()));
-        };
-        let kind = kind.0;
-        let count = sparse.count.0;
-        if count > accessor.count.0 {
-            return Err(broken(format!("{count} values replace {}", accessor.count.0)));
-        }
-        let i = &sparse.indices;
-        let at = self.elements(i.buffer_view.value(), i.byte_offset.0, count, kind.size(), false)?;
-        let v = &sparse.values;
-        let values = self.elements(v.buffer_view.value(), v.byte_offset.0, count, size, false)?;
-        let mut before = None;
-        for k in 0..count as usize {
-            let target = index_at(&at.bytes[k * at.stride..], kind);
-            if u64::from(target) >= accessor.count.0 || before.is_some_and(|b| b >= target) {
-                return Err(broken(format!(
-                    "index {k} is {target}; indices must rise and stay below {}",
-                    accessor.count.0
-                )));
-            }
-            before = Some(target);
-            set(target as usize, &values.bytes[k * values.stride..]);
-        }
-        Ok(())
     }
 }
 
@@ -230,14 +259,14 @@ fn component_of(accessor: &Accessor) -> Result<ComponentType> {
 }
 
 /// An accessor without bytes behind it is all zeros: a tiny file could ask for any amount.
-fn zero_filled(count: u64) -> Result<usize> {
+fn zero_filled(count: u64) -> Result<()> {
     if count > limits::MAX_ZERO_FILLED {
         return Err(Error::invalid(
             format!("{count} elements are claimed without data, {} are the limit", limits::MAX_ZERO_FILLED),
             REPAIR,
         ));
     }
-    Ok(count as usize)
+    Ok(())
 }
 
 fn index_at(b: &[u8], component: ComponentType) -> u32 {

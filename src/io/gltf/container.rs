@@ -1,9 +1,6 @@
-//! From a path to the JSON text and the bytes of every buffer.
+//! From the bytes of a scene file to its parts; where buffers may be, and how they are written.
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::io::file;
-use crate::limits;
-use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
 /// "glTF", little-endian.
@@ -17,22 +14,6 @@ const TRUNCATED: &str = "the file is truncated; fetch or export it again";
 pub(super) struct Container<'a> {
     pub json: &'a [u8],
     pub bin: Option<&'a [u8]>,
-}
-
-/// Reads a whole file, refusing what is none and what is over the limit.
-pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
-    let mut file = file::open(path)?;
-    let metadata = file.metadata().map_err(|e| Error::io(path, "open it", e))?;
-    if metadata.len() > limits::MAX_FILE_BYTES {
-        return Err(Error::invalid(
-            format!("the file has {} bytes, {} are the limit", metadata.len(), limits::MAX_FILE_BYTES),
-            "split the environment into several files",
-        )
-        .in_file(path));
-    }
-    let mut bytes = Vec::with_capacity(usize::try_from(metadata.len()).unwrap_or(0));
-    file.read_to_end(&mut bytes).map_err(|e| Error::io(path, "read it", e))?;
-    Ok(bytes)
 }
 
 /// Splits a .glb into its chunks; a .gltf is its own JSON text.
@@ -87,26 +68,6 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
 }
 
-/// The bytes of a buffer that has a URI: embedded, or in a file beside the scene or below. Symbolic links may lead
-/// elsewhere, unless a folder (symbolic links resolved) is given that no file may be outside of.
-pub(super) fn buffer_bytes(uri: &str, scene: &Path, within: Option<&Path>) -> Result<Vec<u8>> {
-    if let Some(data) = uri.strip_prefix("data:") {
-        let (head, body) = data
-            .split_once(',')
-            .ok_or_else(|| Error::invalid("the data URI has no comma", "export the model again"))?;
-        if !head.ends_with(";base64") {
-            return Err(Error::new(ErrorKind::Unsupported, "the data URI is not base64", "export it as .glb"));
-        }
-        return base64(body.as_bytes());
-    }
-    let relative = local_path(uri)?;
-    let path = scene.parent().unwrap_or(Path::new("")).join(relative);
-    if let Some(within) = within {
-        check_within(&path, within)?;
-    }
-    read(&path)
-}
-
 /// That a file, if it is there, lies in a folder, however symbolic links lead.
 pub(super) fn check_within(path: &Path, folder: &Path) -> Result<()> {
     match path.canonicalize() {
@@ -118,8 +79,8 @@ pub(super) fn check_within(path: &Path, folder: &Path) -> Result<()> {
     }
 }
 
-/// The relative path a URI names, if it stays inside the scene's folder.
-fn local_path(uri: &str) -> Result<PathBuf> {
+/// The relative path a URI names, if it stays inside the scene's folder. Symbolic links may lead elsewhere.
+pub(super) fn local_path(uri: &str) -> Result<PathBuf> {
     let outside = |what: &str| {
         Error::invalid(
             format!("buffer URI {uri:?} {what}"),
@@ -161,7 +122,7 @@ fn percent_decoded(uri: &str) -> Option<String> {
 }
 
 /// RFC 4648 base64, with or without padding.
-fn base64(text: &[u8]) -> Result<Vec<u8>> {
+pub(super) fn base64(text: &[u8]) -> Result<Vec<u8>> {
     let mut out = Vec::with_capacity(text.len() / 4 * 3 + 3);
     let (mut held, mut bits) = (0u32, 0u32);
     let body = text.iter().rposition(|&b| b != b'=').map_or(&text[..0], |last| &text[..=last]);

@@ -44,12 +44,27 @@ enum Order {
     Given,
 }
 
+/// What our own writer says of a mesh.
+fn polygons_in(mesh: &json::Mesh) -> Option<Polygons> {
+    serde_json::from_str::<MeshExtras>(mesh.extras.as_ref()?.get()).ok()?.presight
+}
+
 impl Document<'_> {
+    /// Numbers that are read, and kept, to have a mesh as our own writer left it; 0 where it left nothing.
+    pub fn exact_numbers(&self, index: usize) -> u64 {
+        let mesh = &self.root.meshes[index];
+        let Some(polygons) = polygons_in(mesh) else { return 0 };
+        let positions = mesh.primitives.first().and_then(|p| p.attributes.get(&Checked::Valid(Semantic::Positions)));
+        let count = |i| self.accessor(i).map_or(0, |accessor| accessor.count.0);
+        let vertices = positions.map_or(0, |i| count(*i));
+        let lists = [polygons.rows, polygons.corners].map(|i| count(json::Index::new(i)));
+        lists.into_iter().fold(vertices.saturating_mul(3), u64::saturating_add)
+    }
+
     /// A mesh as our own writer left it.
     pub fn exact_mesh(&self, index: usize) -> Exact {
         let mesh = &self.root.meshes[index];
-        let extras = mesh.extras.as_ref().and_then(|raw| serde_json::from_str::<MeshExtras>(raw.get()).ok());
-        let Some(polygons) = extras.and_then(|e| e.presight) else { return Exact::None };
+        let Some(polygons) = polygons_in(mesh) else { return Exact::None };
         // What another program left of it may point anywhere: then its triangles count.
         self.polygons_of(mesh, &polygons).map_or(Exact::Stale, |mesh| Exact::Mesh(Arc::new(mesh)))
     }

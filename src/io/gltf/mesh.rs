@@ -1,6 +1,6 @@
 //! The triangles of a glTF mesh: all topologies, all its primitives together, equal positions welded.
 
-use super::accessor::{Document, Positions};
+use super::accessor::{Document, Positions, Proven};
 use super::quoted;
 use crate::acquire::{ProblemKind, TriangleMesh, Welder};
 use crate::error::{Error, Result};
@@ -45,7 +45,7 @@ pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
 
 impl Document<'_> {
     /// Triangles that a mesh claims to have, from the accessors' counts alone; the data is proven to be there.
-    pub fn claimed_triangles(&self, mesh: usize) -> Result<u64> {
+    pub fn claimed_triangles(&self, mesh: usize, proven: &mut Proven) -> Result<u64> {
         let place = |e: Error| e.at(mesh_words(&self.root, mesh));
         let Some(m) = self.root.meshes.get(mesh) else {
             let what = format!("mesh {mesh} does not exist, there are {}", self.root.meshes.len());
@@ -55,7 +55,9 @@ impl Document<'_> {
         for (i, primitive) in m.primitives.iter().enumerate() {
             let inner = |e: Error| place(e.at(format!("primitive {i}")));
             let Some(positions) = position_accessor(primitive) else { continue };
-            let corners = self.proven_count(primitive.indices.unwrap_or(positions)).map_err(inner)?;
+            let vertices = self.proven_count(positions, proven).map_err(inner)?;
+            let corners = primitive.indices.map(|i| self.proven_count(i, proven)).transpose().map_err(inner)?;
+            let corners = corners.unwrap_or(vertices);
             sum = sum.saturating_add(triangle_count(mode_of(primitive).map_err(inner)?, corners).unwrap_or(0));
         }
         Ok(sum)
@@ -90,6 +92,11 @@ impl Document<'_> {
         let Some(accessor) = position_accessor(primitive) else {
             return Ok(vec![(ProblemKind::IgnoredPrimitive, "no positions".into())]);
         };
+        // Before anything is read: lines of any number share the same accessors at no cost.
+        let corners = self.accessor(primitive.indices.unwrap_or(accessor))?.count.0;
+        let Some(count) = triangle_count(mode, corners) else {
+            return Ok(vec![(ProblemKind::IgnoredPrimitive, format!("{mode:?} with {corners} indices"))]);
+        };
         let positions = match shared.take().filter(|s| s.accessor == accessor.value()) {
             Some(known) => shared.insert(known),
             None => shared.insert(Shared {
@@ -100,9 +107,6 @@ impl Document<'_> {
         };
         let indices = primitive.indices.map(|i| self.indices(i)).transpose()?;
         let corners = indices.as_ref().map_or(positions.positions.count(), Vec::len);
-        let Some(count) = triangle_count(mode, corners as u64) else {
-            return Ok(vec![(ProblemKind::IgnoredPrimitive, format!("{mode:?} with {corners} indices"))]);
-        };
         if primitive.targets.as_ref().is_some_and(|t| !t.is_empty()) {
             notes.push((ProblemKind::IgnoredFeature, "morph targets: its base shape is used".into()));
         }

@@ -7,8 +7,10 @@
 //! frames the rigid part of that product.
 
 mod accessor;
+mod buffers;
 mod container;
 mod exact;
+mod memory;
 mod mesh;
 mod nodes;
 mod paths;
@@ -20,18 +22,19 @@ use crate::acquire::{self, Edges, ImportReport, Imported, ProblemBook, ProblemKi
 use crate::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
+use crate::io::file;
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
-use crate::memory;
 use crate::threads::Threads;
-use accessor::Document;
+use accessor::{Document, Proven};
+use buffers::Buffers;
 use exact::Placed;
 use glam::{DAffine3, DMat3, DVec3};
 use gltf::json;
+pub(in crate::io) use memory::Memory;
 use mesh::mesh_words;
 use nodes::{NodeText, SceneNode};
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -78,15 +81,20 @@ const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compressi
 /// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
 /// impossible options; those of [`Threads::new`].
 pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
-    import_within(path.as_ref(), None, options)
+    import_within(path.as_ref(), None, options, &mut Memory::default())
 }
 
 /// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however
-/// links lead.
+/// links lead; what it keeps is counted with what was imported before.
 ///
 /// # Errors
 /// As [`import`]; [`ErrorKind::Invalid`] if one is outside.
-pub(in crate::io) fn import_within(path: &Path, within: Option<&Path>, options: &ImportOptions) -> Result<Imported> {
+pub(in crate::io) fn import_within(
+    path: &Path,
+    within: Option<&Path>,
+    options: &ImportOptions,
+    memory: &mut Memory,
+) -> Result<Imported> {
     if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
         return Err(Error::usage(
             format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
@@ -96,9 +104,12 @@ pub(in crate::io) fn import_within(path: &Path, within: Option<&Path>, options: 
     if let Some(within) = within {
         container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
     }
-    let bytes = container::read(path)?;
+    let bytes = file::read(file::open(path)?, path, limits::MAX_FILE_BYTES.min(limits::MAX_IMPORT_BYTES))?;
     let sidecar = Sidecar::beside(path)?;
-    import_bytes(&bytes, (path, within), &sidecar, options).map_err(|e| e.in_file(path))
+    let before = *memory;
+    let imported = import_bytes(&bytes, (path, within), &sidecar, options, memory);
+    *memory = if imported.is_ok() { memory.after_import() } else { before };
+    imported.map_err(|e| e.in_file(path))
 }
 
 fn import_bytes(
@@ -106,25 +117,29 @@ fn import_bytes(
     (path, within): (&Path, Option<&Path>),
     sidecar: &Sidecar,
     options: &ImportOptions,
+    memory: &mut Memory,
 ) -> Result<Imported> {
+    memory.take(bytes.len() as u64, "the file itself")?;
     let container = container::open(bytes)?;
+    memory.take_json(container.json)?;
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
-    let buffers = load_buffers(&root, container.bin, (path, within))?;
+    let buffers = Buffers::load(&root, container.bin, (path, within), memory)?;
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
 
-    let nodes = nodes.scene_nodes()?;
-    let used = used_meshes(&document, &nodes)?;
+    let nodes = nodes.scene_nodes(memory)?;
+    let claims = claims_of(&document, &nodes)?;
+    memory.take_meshes(&document, &claims)?;
     let mut environment = Environment::new();
     let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
-    let build = |&mesh| build_mesh(&document, mesh, default_material, options);
-    let built: Vec<Result<Built>> = options.threads.run(|| used.par_iter().map(build).collect())?;
+    let build = |&claim| build_mesh(&document, claim, default_material, options);
+    let built: Vec<Result<Built>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
     let mut report = ImportReport::default();
-    let mut by_mesh = HashMap::with_capacity(used.len());
-    for (&mesh, built) in used.iter().zip(built) {
+    let mut by_mesh = HashMap::with_capacity(claims.len());
+    for (&(mesh, _), built) in claims.iter().zip(built) {
         let built = built?;
         report.triangles_stored += u64::from(built.source_count);
         report.merges += built.merges;
@@ -193,49 +208,20 @@ fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
     }
 }
 
-fn load_buffers<'a>(
-    root: &json::Root,
-    bin: Option<&'a [u8]>,
-    (path, within): (&Path, Option<&Path>),
-) -> Result<Vec<Cow<'a, [u8]>>> {
-    let one = |(index, buffer): (usize, &json::Buffer)| -> Result<Cow<'a, [u8]>> {
-        let whole: Cow<'a, [u8]> = match (&buffer.uri, bin) {
-            (Some(uri), _) => container::buffer_bytes(uri, path, within)?.into(),
-            (None, Some(bin)) if index == 0 => bin.into(),
-            (None, _) => {
-                return Err(Error::invalid("it has no data", "the file is truncated or broken; export it again"));
-            }
-        };
-        let length = buffer.byte_length.0;
-        if length > whole.len() as u64 {
-            return Err(Error::invalid(
-                format!("{length} bytes are claimed, {} are there", whole.len()),
-                "the buffer is truncated; fetch or export it again",
-            ));
-        }
-        Ok(match whole {
-            Cow::Borrowed(b) => b[..length as usize].into(),
-            Cow::Owned(mut b) => {
-                b.truncate(length as usize);
-                b.into()
-            }
-        })
-    };
-    root.buffers.iter().enumerate().map(|b| one(b).map_err(|e| e.at(format!("buffer {}", b.0)))).collect()
-}
-
-/// The meshes of the scene, each once, in the order of their first use; their claims are checked against the limits.
-fn used_meshes(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<usize>> {
+/// The meshes of the scene, each once, in the order of their first use, with the triangles that each claims, which are
+/// checked against the limits.
+fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(usize, u64)>> {
     let mut claimed: HashMap<usize, u64> = HashMap::new();
-    let mut used = Vec::new();
+    let mut proven = Proven::default();
+    let mut claims = Vec::new();
     let (mut stored, mut in_scene) = (0u64, 0u64);
     for (node, mesh) in nodes.iter().filter_map(|node| Some((node, node.mesh?))) {
         let count = match claimed.get(&mesh) {
             Some(&count) => count,
             None => {
-                let count = document.claimed_triangles(mesh).map_err(|e| e.at(place_of(node)))?;
+                let count = document.claimed_triangles(mesh, &mut proven).map_err(|e| e.at(place_of(node)))?;
                 claimed.insert(mesh, count);
-                used.push(mesh);
+                claims.push((mesh, count));
                 stored = stored.saturating_add(count);
                 count
             }
@@ -252,8 +238,8 @@ fn used_meshes(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<usize
             "split the environment into several files",
         ));
     }
-    memory::require(memory::of_meshes(claimed.values().copied()))?;
-    Ok(used)
+    crate::memory::require(crate::memory::of_meshes(claims.iter().map(|(_, triangles)| *triangles)))?;
+    Ok(claims)
 }
 
 /// Adds all materials of the file, then one for primitives without; the answer is the index of that one.
@@ -318,10 +304,15 @@ impl Built {
     }
 }
 
-fn build_mesh(document: &Document<'_>, index: usize, default_material: u16, options: &ImportOptions) -> Result<Built> {
+fn build_mesh(
+    document: &Document<'_>,
+    (index, claimed): (usize, u64),
+    default_material: u16,
+    options: &ImportOptions,
+) -> Result<Built> {
     let exact = if options.merge { document.exact_mesh(index) } else { exact::Exact::None };
     let stale = match exact {
-        exact::Exact::Mesh(mesh) => return Ok(Built::exact(mesh, document.claimed_triangles(index)?)),
+        exact::Exact::Mesh(mesh) => return Ok(Built::exact(mesh, claimed)),
         exact::Exact::Stale => true,
         exact::Exact::None => false,
     };

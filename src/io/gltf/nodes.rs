@@ -1,6 +1,7 @@
 //! The node hierarchy, read and composed in f64: an f32 matrix would lose a site in UTM metres.
 
 use super::exact::Placed;
+use super::memory::Memory;
 use super::quoted;
 use crate::error::{Error, Result};
 use crate::limits;
@@ -61,7 +62,7 @@ pub(super) struct SceneNode {
 
 impl NodeText {
     /// Those nodes of the default scene, depth-first, children in order.
-    pub fn scene_nodes(&self) -> Result<Vec<SceneNode>> {
+    pub fn scene_nodes(&self, memory: &mut Memory) -> Result<Vec<SceneNode>> {
         let parents = self.parents()?;
         let carries = self.carriers(&parents);
         let mut found: Vec<SceneNode> = Vec::new();
@@ -99,6 +100,7 @@ impl NodeText {
             let placed = node.extras.as_ref().filter(|_| depth == 0).and_then(Placed::of);
             let mut own = None;
             if carries[index] || matches!(placed, Some(Placed::Group(_))) {
+                memory.take_node(path.len())?;
                 own = Some(found.len());
                 found.push(SceneNode {
                     node: index,

@@ -4,7 +4,7 @@ use super::FORMAT;
 use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Surface, Whole};
 use crate::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use crate::error::{Error, ErrorKind, Result, short};
-use crate::io::text::read_text;
+use crate::io::text::{check_json_memory, read_text};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -39,6 +39,7 @@ pub fn read(path: &Path) -> Result<LayerFile> {
 /// # Errors
 /// As [`read`], without the file.
 pub fn parse(text: &str) -> Result<LayerFile> {
+    check_json_memory(text)?;
     check_format(text)?;
     let Keyed(fields) = from_json::<Keyed<LayerFields>>(text)?;
     let mut layer = FeatureLayer {

@@ -1,6 +1,6 @@
 //! Assemblies: named parts with poses, themselves parts of larger ones; placed, each becomes objects under one path.
 
-use super::budget::{Budget, Held};
+use super::budget::{Budget, Held, corners_worth};
 use super::call::Spot;
 use super::lost::{Added, Lost};
 use super::shape::Shape;
@@ -57,8 +57,17 @@ pub(super) struct Part {
     pub thing: Thing,
 }
 
-/// What a part is worth in corners of polygons.
-const PART: u64 = 16;
+impl Part {
+    /// What it is worth in corners of polygons.
+    fn corners(&self) -> u64 {
+        worth(&self.name)
+    }
+}
+
+/// What a part or group of a name is worth in corners of polygons.
+fn worth(name: &str) -> u64 {
+    16 + corners_worth(name.len())
+}
 
 impl Thing {
     /// Objects it becomes.
@@ -148,10 +157,11 @@ impl Assembly {
             let what = format!("assemblies nest over {} levels", limits::MAX_SCRIPT_ASSEMBLIES);
             return Err(Error::invalid(what, "nest fewer"));
         }
-        let held = budget.take(PART)?;
+        let held = budget.take(part.corners())?;
         if Rc::get_mut(&mut self.0).is_none() {
             let Data { parts, groups, objects, polygons, depth, .. } = &*self.0;
-            let held = vec![budget.take(PART * (parts.len() + groups.len()) as u64)?];
+            let of_groups: u64 = groups.iter().map(|(path, _)| worth(path)).sum();
+            let held = vec![budget.take(of_groups + parts.iter().map(Part::corners).sum::<u64>())?];
             let copy = Data::of(parts.clone(), groups.clone());
             let copy = Data { objects: *objects, polygons: *polygons, depth: *depth, held, ..copy };
             self.0.mark_used();

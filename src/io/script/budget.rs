@@ -13,7 +13,12 @@ pub(super) struct Budget {
 }
 
 /// So many bytes are worth a corner.
-pub(super) const BYTES_OF_CORNER: usize = 32;
+const BYTES_OF_CORNER: usize = 32;
+
+/// The corners that so many bytes are worth.
+pub(super) fn corners_worth(bytes: usize) -> u64 {
+    (bytes / BYTES_OF_CORNER) as u64
+}
 
 /// A part of the budget, given back on drop.
 #[derive(Debug)]

@@ -3,6 +3,7 @@
 use super::call::Function;
 use super::functions::signatures;
 use super::meter::Ended;
+use super::tokens::Excess;
 use crate::error::{Error, ErrorKind};
 use crate::limits;
 use rhai::{Dynamic, EvalAltResult, ParseError, ParseErrorType, Position};
@@ -144,7 +145,7 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
         other => {
             let text = other.to_string();
             let what = text.split(" (line ").next().unwrap_or(&text).to_owned();
-            invalid(what, "correct the script")
+            invalid(shortened(&what), "correct the script")
         }
     }
 }
@@ -160,7 +161,7 @@ fn ended(why: Ended) -> (ErrorKind, String, String, Option<&'static str>) {
 }
 
 /// A text for a message, cut where it would not fit a line.
-fn shortened(text: &str) -> String {
+pub(super) fn shortened(text: &str) -> String {
     const LONGEST: usize = 200;
     match text.char_indices().nth(LONGEST) {
         None => text.to_owned(),
@@ -184,8 +185,10 @@ fn unknown_function(signature: &str) -> (ErrorKind, String, String, Option<&'sta
 /// Our error of a script that is no script.
 pub(super) fn syntax(e: &ParseError, file: &Path) -> Error {
     let what = match e.err_type() {
-        ParseErrorType::ExprTooDeep => format!("expressions nest over {} levels", limits::MAX_SCRIPT_NESTING),
-        other => format!("syntax error: {other}"),
+        ParseErrorType::ExprTooDeep => Excess::Nesting.in_words().0,
+        // Those without a name, too.
+        ParseErrorType::TooManyFunctions => Excess::Functions.in_words().0,
+        other => format!("syntax error: {}", shortened(&other.to_string())),
     };
     let at = e.position();
     let place = match (at.line(), at.position()) {

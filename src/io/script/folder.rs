@@ -3,7 +3,6 @@
 use crate::error::{Error, Result};
 use crate::io::file;
 use crate::limits;
-use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
 /// A folder with symbolic links resolved.
@@ -50,16 +49,7 @@ impl Folder {
 
 /// The text of a script.
 pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
-    let mut file = file::open_as(real, shown)?;
-    let mut bytes = Vec::new();
-    file.by_ref()
-        .take(limits::MAX_SCRIPT_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|e| Error::io(shown, "read it", e))?;
-    if bytes.len() as u64 > limits::MAX_SCRIPT_BYTES {
-        let what = "the script is too large";
-        return Err(Error::invalid(what, format!("give at most {} bytes", limits::MAX_SCRIPT_BYTES)).in_file(shown));
-    }
+    let bytes = file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?;
     String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         let good = e.utf8_error().valid_up_to();
         let before = &e.as_bytes()[..good];

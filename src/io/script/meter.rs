@@ -35,6 +35,7 @@ pub(super) fn limit(engine: &mut Engine) {
         .set_max_call_levels(limits::MAX_SCRIPT_CALLS)
         .set_max_expr_depths(limits::MAX_SCRIPT_NESTING, limits::MAX_SCRIPT_NESTING)
         .set_max_variables(limits::MAX_SCRIPT_VARIABLES)
+        .set_max_functions(limits::MAX_SCRIPT_FUNCTIONS)
         .set_max_modules(limits::MAX_SCRIPT_MODULES)
         .set_max_string_size(limits::MAX_SCRIPT_STRING)
         .set_max_array_size(limits::MAX_SCRIPT_ARRAY)

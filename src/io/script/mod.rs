@@ -50,6 +50,7 @@ mod modules;
 mod random;
 mod shape;
 mod studio;
+mod tokens;
 
 pub use functions::reference;
 
@@ -58,7 +59,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::io::gltf::ImportOptions;
 use crate::io::materials::sidecar_path;
 use crate::limits;
-use fault::{Fault, Sources, explain, syntax};
+use fault::{Fault, Sources, explain};
 use folder::{Folder, read_script};
 use modules::Modules;
 use rhai::packages::{
@@ -72,6 +73,7 @@ use std::rc::Rc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 use studio::Studio;
+use tokens::Tokens;
 
 /// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
 const STACK: usize = 256 << 20;
@@ -119,8 +121,10 @@ fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Impo
     let sources = Rc::new(RefCell::new(Sources::from([(name.clone(), text.clone())])));
     let studio = Rc::new(Studio::new(folder, options));
     let mut engine = engine(&studio, say);
-    engine.set_module_resolver(Modules::new(modules_folder, real, sources.clone()));
-    let mut ast = engine.compile(&text).map_err(|e| syntax(&e, path))?;
+    let tokens = Tokens::default();
+    tokens.watch(&mut engine);
+    engine.set_module_resolver(Modules::new(modules_folder, real, sources.clone(), tokens.clone()));
+    let mut ast = tokens.parse(&engine, &text, path)?;
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;

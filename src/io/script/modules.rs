@@ -1,7 +1,8 @@
 //! Modules of a script: files in the scene's folder, read once, that do not import themselves.
 
-use super::fault::{Fault, Sources, syntax};
+use super::fault::{Fault, Sources};
 use super::folder::{Folder, read_script};
+use super::tokens::Tokens;
 use crate::error::Error;
 use rhai::{Engine, EvalAltResult, Module, ModuleResolver, Position, Scope, Shared};
 use std::cell::RefCell;
@@ -14,12 +15,13 @@ pub(super) struct Modules {
     folder: Folder,
     sources: Rc<RefCell<Sources>>,
     known: RefCell<HashMap<PathBuf, Option<Shared<Module>>>>,
+    tokens: Tokens,
 }
 
 impl Modules {
-    pub fn new(folder: Folder, main: PathBuf, sources: Rc<RefCell<Sources>>) -> Self {
+    pub fn new(folder: Folder, main: PathBuf, sources: Rc<RefCell<Sources>>, tokens: Tokens) -> Self {
         // The main script is being read: a module must not import it.
-        Self { folder, sources, known: RefCell::new(HashMap::from([(main, None)])) }
+        Self { folder, sources, known: RefCell::new(HashMap::from([(main, None)])), tokens }
     }
 
     fn load(&self, engine: &Engine, path: &str, at: Position) -> Result<Shared<Module>, Box<EvalAltResult>> {
@@ -37,7 +39,7 @@ impl Modules {
         let text = read_script(&shown, &real).map_err(fault)?;
         self.known.borrow_mut().insert(real.clone(), None);
         let name = shown.display().to_string();
-        let mut ast = engine.compile(&text).map_err(|e| fault(syntax(&e, &shown)))?;
+        let mut ast = self.tokens.parse(engine, &text, &shown).map_err(fault)?;
         ast.set_source(&name);
         self.sources.borrow_mut().insert(name.clone(), text);
         let module = Module::eval_ast_as_new(Scope::new(), &ast, engine)

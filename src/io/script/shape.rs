@@ -1,6 +1,6 @@
 //! Shapes: polygons with materials and landmarks, in a frame of their own; what scripts make, turn, join and place.
 
-use super::budget::{Budget, Held};
+use super::budget::{Budget, Held, corners_worth};
 use crate::acquire::Welder;
 use crate::acquire::primitives::Solid;
 use crate::environment::{Existence, FeatureShape, Mesh, Polygon, PolygonOrder, Properties};
@@ -46,8 +46,7 @@ impl Shape {
     }
 
     fn of(solid: Solid, materials: Vec<Option<u16>>, marks: Vec<Mark>, budget: &Rc<Budget>) -> Result<Self> {
-        // A landmark is worth some dozen corners.
-        let held = budget.take(solid.corner_count() as u64 + 16 * marks.len() as u64)?;
+        let held = budget.take(solid.corner_count() as u64 + marks.iter().map(Mark::corners).sum::<u64>())?;
         Ok(Self(Rc::new(Data { solid, materials, marks, mesh: OnceCell::new(), _held: held })))
     }
 
@@ -158,6 +157,13 @@ impl Shape {
 }
 
 impl Mark {
+    /// What it is worth in corners of polygons.
+    fn corners(&self) -> u64 {
+        let texts = self.classes.iter().map(|class| size_of::<String>() + class.len()).sum::<usize>();
+        let name = self.name.as_ref().map_or(0, String::len);
+        corners_worth(size_of::<Self>() + texts + name + size_of_val(self.shape.points()))
+    }
+
     fn moved(&self, rotation: DMat3, translation: DVec3) -> Self {
         let mut moved = self.clone();
         let turned = |c: DMat3| {

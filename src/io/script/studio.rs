@@ -1,8 +1,9 @@
 //! What a running script builds: the environment, its features, and the account of it.
 
 use super::assembly::{Assembly, Imported, Part, Thing, check_counts, check_not_empty};
-use super::budget::{BYTES_OF_CORNER, Budget};
+use super::budget::{Budget, corners_worth};
 use super::call::Spot;
+use super::fault::shortened;
 use super::folder::Folder;
 use super::lost::Lost;
 use super::shape::{Mark, Shape};
@@ -20,12 +21,19 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 
+/// Known names listed in an error.
+const LISTED: usize = 20;
+/// Bytes of an entry of a map besides its text.
+const ENTRY: usize = 48;
+
 /// Where a script builds.
 pub(super) struct Studio {
     pub folder: Folder,
     pub budget: Rc<Budget>,
     pub lost: Rc<Lost>,
     options: ImportOptions,
+    /// What all imports take of memory.
+    imported: RefCell<gltf::Memory>,
     built: RefCell<Built>,
 }
 
@@ -57,7 +65,8 @@ struct Marked {
 
 impl Studio {
     pub fn new(folder: Folder, options: &ImportOptions) -> Self {
-        Self { folder, budget: Rc::default(), lost: Rc::default(), options: options.clone(), built: RefCell::default() }
+        let (imported, built) = Default::default();
+        Self { folder, budget: Rc::default(), lost: Rc::default(), options: options.clone(), imported, built }
     }
 
     /// Defines a material; the same again is no error, another of that name is.
@@ -71,6 +80,8 @@ impl Studio {
             return Err(Error::invalid(what, "give it another name"));
         }
         let name = material.name.clone();
+        let classes: usize = material.appearance.keys().map(|class| class.len() + ENTRY).sum();
+        self.budget.keep(corners_worth(size_of::<Material>() + ENTRY + 2 * name.len() + classes))?;
         let index = built.environment.add_material(material)?;
         built.materials.insert(name, index);
         Ok(())
@@ -80,10 +91,12 @@ impl Studio {
     pub fn material(&self, name: &str) -> Result<u16> {
         let built = self.built.borrow();
         built.materials.get(name).copied().ok_or_else(|| {
-            let known: Vec<&str> = built.materials.keys().map(String::as_str).collect();
+            let known: Vec<String> = built.materials.keys().take(LISTED).map(|known| shortened(known)).collect();
+            let more = if built.materials.len() > LISTED { ", .." } else { "" };
+            let name = shortened(name);
             let remedy = match known.is_empty() {
                 true => format!("define it first: material({name:?}, #{{reflection: 0.5}})"),
-                false => format!("define it first, or take one of {}", known.join(", ")),
+                false => format!("define it first, or take one of {}{more}", known.join(", ")),
             };
             Error::invalid(format!("there is no material {name:?}"), remedy)
         })
@@ -118,7 +131,8 @@ impl Studio {
             return Ok(known.clone());
         }
         // By the name the script gives: messages and the sidecar belong to it.
-        let outcome = gltf::import_within(&shown, Some(self.folder.real()), &self.options)?;
+        let outcome =
+            gltf::import_within(&shown, Some(self.folder.real()), &self.options, &mut self.imported.borrow_mut())?;
         let assembly = self.built.borrow_mut().take_over(outcome, relative, &self.budget)?;
         self.built.borrow_mut().imports.insert(real, assembly.clone());
         Ok(assembly)
@@ -181,7 +195,7 @@ impl Placing<'_> {
             return Err(Error::invalid(what, "give shorter names"));
         }
         // Twice in the environment, twice among the paths.
-        self.budget.keep(4 + (4 * path.len() / BYTES_OF_CORNER) as u64)?;
+        self.budget.keep(4 + corners_worth(4 * path.len()))?;
         match thing {
             Thing::Shape(shape) => self.place_shape(path, shape, world_from_thing),
             Thing::Imported(imported) => {
@@ -209,7 +223,7 @@ impl Placing<'_> {
 
     /// Gives what was placed below a path a frame, unless the script placed something at the path itself.
     fn frame(&mut self, path: String, world_from_group: &Pose) -> Result<()> {
-        self.budget.keep(4 + (4 * path.len() / BYTES_OF_CORNER) as u64)?;
+        self.budget.keep(4 + corners_worth(4 * path.len()))?;
         if self.built.paths.reserve(&path) {
             self.built.environment.set_group(&path, Some(*world_from_group))?;
         }
@@ -242,7 +256,7 @@ impl Placing<'_> {
         let texts = mark.name.as_ref().map_or(0, String::len) + object.len();
         let bytes = size_of::<Marked>() + texts + size_of_val(mark.shape.points());
         for class in &mark.classes {
-            self.budget.keep((bytes / BYTES_OF_CORNER) as u64)?;
+            self.budget.keep(corners_worth(bytes + class.len()))?;
             let feature = Feature {
                 id: 0,
                 name: mark.name.clone(),

@@ -74,6 +74,10 @@ pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     if !metadata.is_file() {
         return Err(Error::invalid("this is no file", "name a .presight file").in_file(path));
     }
+    if metadata.len() == 0 {
+        // Such as those that the system makes up while they are read, and that may keep the reader waiting.
+        return Err(Error::invalid("the file is empty", "name a .presight file").in_file(path));
+    }
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let wrap = |e| refusal(path, "open the store", e);
     let connection = Connection::open_with_flags(path, flags).map_err(wrap)?;

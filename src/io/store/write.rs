@@ -15,6 +15,7 @@ use crate::change::Change;
 use crate::environment::{Environment, Mesh};
 use crate::error::{Error, Result};
 use crate::io::layer::to_fields;
+use crate::io::text::check_json_memory;
 use crate::placement;
 use crate::world::World;
 use rusqlite::{OptionalExtension, Params, ToSql, params};
@@ -164,6 +165,7 @@ impl<'a> Batch<'a> {
             let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
             Error::invalid(what, "presight env apply --help tells the changes").caused_by(e)
         };
+        check_json_memory(line)?;
         let Unique(mut value) = serde_json::from_str(line).map_err(wrong)?;
         let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
         let cause = match take("cause") {

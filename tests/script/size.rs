@@ -1,0 +1,135 @@
+//! What the text of a script may hold, and what its names may take: each limit ends a script at once, with its place.
+
+use super::load;
+use presight::ErrorKind;
+use std::fs;
+use std::time::{Duration, Instant};
+
+/// A second in fact; parsing without limits takes from a quarter of a minute to hours. Other tests run beside.
+const SOON: Duration = Duration::from_secs(12);
+/// The largest script.
+const MEGABYTE: usize = 1 << 20;
+
+fn loaded(text: &str) -> Result<usize, presight::Error> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    fs::write(&path, text).unwrap();
+    let start = Instant::now();
+    let loaded = load(&path).0.map(|scene| scene.environment.objects().len());
+    assert!(start.elapsed() < SOON, "{:?} for {:.60}", start.elapsed(), text);
+    loaded
+}
+
+#[track_caller]
+fn refused(text: &str, place: &str, parts: &[&str]) {
+    let e = loaded(text).expect_err("a script that holds too much");
+    let whole = e.to_string();
+    assert_eq!((e.kind(), e.place()), (ErrorKind::Invalid, Some(place)), "{whole}");
+    assert!(parts.iter().all(|part| whole.contains(part)) && !e.remedy().is_empty(), "{parts:?} are not in {whole}");
+    assert!(whole.len() < 500 && !whole.contains('\n'), "{whole}");
+}
+
+/// As many of these as there is room for, and what comes before and after.
+fn filled(before: &str, one: impl Fn(usize) -> String, after: &str) -> String {
+    let mut text = before.to_owned();
+    for i in 0.. {
+        let next = one(i);
+        if text.len() + next.len() + after.len() > MEGABYTE {
+            break;
+        }
+        text += &next;
+    }
+    text + after
+}
+
+#[test]
+fn a_megabyte_of_one_kind_is_refused_at_once() {
+    let same = |text: &'static str| move |_: usize| text.to_owned();
+    // Columns: of the seventeenth argument or parameter, the 257th variable or function, the 1025th entry.
+    refused(&filled("box(1", same(",1"), ");"), "line 1, column 37", &["a call has over 16 arguments"]);
+    refused(&filled("fn g(p", |i| format!(",p{i}"), ") {}"), "line 1, column 60", &["over 16 arguments"]);
+    refused(&filled("", |i| format!("let v{i} = 1;\n"), ""), "line 257, column 5", &["over 256 variables"]);
+    refused(&filled("", |i| format!("import \"m\" as v{i};\n"), ""), "line 257, column 15", &["256 variables"]);
+    refused(&filled("", |i| format!("fn f{i}() {{}}\n"), ""), "line 257, column 1", &["over 256 functions"]);
+    refused(&filled("", |i| format!("private fn f{i}() {{}}\n"), ""), "line 257, column 9", &["256 functions"]);
+    refused(&filled("", |i| format!("let f = |a| a + {i};\n"), ""), "line 257, column 9", &["256 functions"]);
+    refused(&filled("let g = |p", |i| format!(",\nq{i}"), "| 1;"), "line 1025, column 1", &["over 1024 entries"]);
+    refused(&filled("switch 1 {\n0=>0", |i| format!(",\n{i}=>2"), "}"), "line 1026, column 1", &["1024 entries"]);
+    refused(&filled("let a = #{\nb:0", |i| format!(",\na{i}:1"), "};"), "line 1026, column 1", &["1024 entries"]);
+    refused(&filled("let a = [\n1", same(",\n1"), "];"), "line 4098, column 1", &["over 4096 elements"]);
+    refused(&filled("let ", same("a"), " = 1;"), "line 1, column 5", &["a name is over 256 bytes"]);
+    refused(&filled("let a = 1", same("a"), ";"), "line 1, column 9", &["syntax error"]);
+}
+
+#[test]
+fn names_are_looked_for_among_few() {
+    let known: String = (0..256).map(|i| format!("fn f{i}() {{}} let v{i} = 1;\n")).collect();
+    refused(&filled(&known, |_| "a;".to_owned(), ""), "line 257, column 1", &["no variable \"a\""]);
+    let maps = |i: usize| format!("#{{{}}};", (0..1000).map(|j| format!("k{i}{j}:1,")).collect::<String>());
+    refused(&filled("", maps, ""), "at its end", &["places no polygons"]);
+}
+
+#[test]
+fn large_scripts_of_ordinary_calls_are_read() {
+    let places: String = (0..12_000).map(|i| format!("place(\"wall{i}\", b, pose({i}, 0, 0));\n")).collect();
+    assert_eq!(loaded(&format!("let b = box(1, 1, 1);\n{places}")).unwrap(), 12_000);
+    // The same variable, again and again; those of blocks; those of functions beside those of the script.
+    let again: String = (0..5000).map(|i| format!("let p = pose({i}, 0, 0); place(\"w\", b, p);\n")).collect();
+    let block = |i: usize| (0..50).map(|j| format!("let v{i}_{j} = 1;")).collect::<String>();
+    let blocks: String = (0..20).map(|i| format!("{{{}}}\n", block(i))).collect();
+    let own: String = (0..200).map(|i| format!("let w{i} = 1;")).collect();
+    let text = format!("let b = box(1, 1, 1);\n{again}{blocks}fn f(x, y) {{ {own} }}\n{own} f(1, 2,);");
+    assert_eq!(loaded(&text).unwrap(), 5000);
+    // As many as there may be, and a comma behind the last.
+    let sixteen = "fn f(a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p) { p }\n";
+    let call = "place(\"b\", box(f(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16,), 1, 1));";
+    assert_eq!(loaded(&format!("{sixteen}{call}")).unwrap(), 1);
+}
+
+/// What a module holds counts by itself.
+#[test]
+fn modules_have_limits_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    let many: String = (0..200).map(|i| format!("fn f{i}() {{ rectangle(1, 1) }} let v{i} = 1;\n")).collect();
+    fs::write(&path, format!("import \"m\" as m;\n{many}place(\"a\", m::f0());")).unwrap();
+    fs::write(folder.path().join("m.rhai"), &many).unwrap();
+    load(&path).0.unwrap();
+    fs::write(folder.path().join("m.rhai"), format!("{many}box(1{});", ",1".repeat(50_000))).unwrap();
+    let e = load(&path).0.unwrap_err().to_string();
+    assert!(e.contains("m.rhai: line 201, column 37: a call has over 16 arguments"), "{e}");
+    // The place is forgotten with the error.
+    let caught = format!("try {{ import \"m\" as m; }} catch {{}}\n{many}place(\"a\", f0());");
+    fs::write(&path, caught).unwrap();
+    load(&path).0.unwrap();
+}
+
+/// Texts of names are memory too.
+#[test]
+fn names_count_as_memory() {
+    let long =
+        |bytes: u32| format!("let n = \"x\"; n.pad({bytes}, \"y\"); let b = box(1, 1, 1); let a = assembly();\n");
+    let hold = ["hold", "is the limit"];
+    refused(
+        &(long(16_000) + "for i in 0..65000 { material(n + i); }"),
+        "line 2, column 21, in the call of material",
+        &hold,
+    );
+    refused(
+        &(long(4000) + "for i in 0..65000 { material(`m${i}`, #{ transparent: [n + 1, n + 2, n + 3] }); }"),
+        "line 2, column 21, in the call of material",
+        &hold,
+    );
+    refused(&(long(4000) + "for i in 0..250000 { a.add(n, b); }"), "line 2, column 24, in the call of add", &hold);
+    refused(
+        &(long(16_000) + "for i in 0..250000 { a.add(\"b\", b.point(\"video\", [0, 0, 1], #{ name: n })); }"),
+        "line 2, column 35, in the call of point",
+        &hold,
+    );
+    // An error does not list them all.
+    refused(
+        &(long(16_000) + "for i in 0..5000 { material(n + i); }\nb.made_of(\"wood\");"),
+        "line 3, column 3, in the call of made_of",
+        &["there is no material \"wood\""],
+    );
+}
