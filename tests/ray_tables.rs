@@ -196,10 +196,14 @@ fn hash(images: &Images) -> String {
     for image in [&images.range, &images.depth_z, &images.cos_incidence, &images.echo] {
         // All that is no number is one and the same.
         let bits = |x: &f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
-        image.iter().for_each(|x| drop(hasher.update(&bits(x).to_le_bytes())));
+        for x in image {
+            hasher.update(&bits(x).to_le_bytes());
+        }
     }
     for image in [&images.polygon_id, &images.object_id] {
-        image.iter().for_each(|x| drop(hasher.update(&x.to_le_bytes())));
+        for x in image {
+            hasher.update(&x.to_le_bytes());
+        }
     }
     hasher.finalize().to_hex()[..16].to_owned()
 }

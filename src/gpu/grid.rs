@@ -124,7 +124,7 @@ fn rays(grid: &RayGrid) -> Tables {
     grid.tiles().iter().for_each(|t| push_cone(t, &mut words));
     params.rays_at = words.len() as u32;
     for ray in grid.directions() {
-        let ray = if ray.is_nan() { DVec3::ZERO } else { *ray };
+        let ray = if ray.is_nan() { DVec3::ZERO } else { ray };
         words.extend(ray.as_vec3().to_array().map(f32::to_bits));
     }
     Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY }
@@ -134,7 +134,7 @@ fn rays(grid: &RayGrid) -> Tables {
 fn supertiles(grid: &RayGrid) -> Vec<Tile> {
     let side = TILES_PER_SUPERTILE * crate::sensor::TILE_SIDE;
     let ray = |c: u32, r: u32| {
-        let d = grid.directions()[(r * grid.width() + c) as usize];
+        let d = grid.direction(c, r);
         (!d.is_nan()).then_some(d)
     };
     let mut all = Vec::new();

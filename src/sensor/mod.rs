@@ -1,22 +1,25 @@
 //! Sensors: image geometry, range limits, class and mount.
 
 mod camera;
+mod cone_tree;
 mod distortion;
 mod grid;
 mod polynomial;
 mod presets;
 mod project;
+mod ray_grid;
 mod rays;
 mod scanner;
 mod undistort;
 
 pub use camera::Camera;
+pub(crate) use cone_tree::ConeTree;
 pub use distortion::Distortion;
 pub(crate) use grid::Octet;
-#[cfg(feature = "gpu")]
-pub(crate) use grid::TILE_SIDE;
-pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
+pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use presets::{PRESETS, Preset};
+pub(crate) use ray_grid::{Ahead, Cones, Sides, TILE_SIDE, TileRays, View};
+pub use ray_grid::{RayGrid, Tile};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
 pub use undistort::Lens;
@@ -118,7 +121,7 @@ impl Sensor {
             Ok(match &spec.geometry {
                 Geometry::Camera(c) => c.grid()?,
                 Geometry::Scanner(s) => s.grid()?,
-                Geometry::Rays(r) => PixelGrid::Rays(RayGrid::new(r.width(), r.height(), r.directions().to_vec())),
+                Geometry::Rays(r) => PixelGrid::Rays(RayGrid::new(r.width(), r.height(), r.directions())),
             })
         });
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
