@@ -237,3 +237,82 @@ fn images_of_ray_tables_have_the_bits_that_they_always_had() {
     let other: Vec<_> = stored.iter().zip(&cases).filter(differ).collect();
     assert!(other.is_empty(), "{} of {CASES} images differ, first {:?}", other.len(), other[0]);
 }
+
+/// The sensor at rest in a room of 9,000 small triangles.
+fn in_a_full_room(geometry: Geometry) -> Images {
+    let mut random = Random(7);
+    let mut environment = scenes::room(7, 20);
+    environment.add_material(Material::named("red")).expect("a sound material");
+    environment.add_material(Material::named("green")).expect("a sound material");
+    let mesh = Arc::new(soup(&mut random, 9000, 0.2));
+    environment.insert(NewObject::new("loose", Pose::IDENTITY, mesh)).expect("a sound object");
+    let sensor = Sensor::new(SensorSpec::new("odd", "laser", geometry)).expect("a sound sensor");
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.4), 0.0, 0.0, 0.3);
+    engines::cpu(0)(&plan(&World::new(environment), &sensor, &pose))
+}
+
+fn table(width: u32, height: u32, rays: Vec<DVec3>) -> Geometry {
+    Geometry::Rays(RayTable::new(width, height, rays).expect("sound rays"))
+}
+
+/// Then every pixel shows what a single ray shows; a million of them end in time, for what is behind is left out.
+#[test]
+fn a_million_equal_rays_show_what_one_shows() {
+    let ray = DVec3::new(0.7, 0.6, 0.05);
+    let one = in_a_full_room(table(1, 1, vec![ray]));
+    assert!(one.polygon_id[0] > 0);
+    let many = in_a_full_room(table(1024, 1024, vec![ray; 1 << 20]));
+    assert!(many.polygon_id.iter().all(|id| *id == one.polygon_id[0]));
+    assert!(many.range.iter().all(|range| range.to_bits() == one.range[0].to_bits()));
+    // So near each other that no cone tells them apart.
+    let near = |i: u32| ray + DVec3::new(0.0, f64::from(i % 1024), f64::from(i / 1024)) * 1e-14;
+    let many = in_a_full_room(table(1024, 1024, (0..1 << 20).map(near).collect()));
+    assert!(many.polygon_id.iter().all(|id| *id == one.polygon_id[0]));
+}
+
+/// A table of which only one ray is left, and one of which none is.
+#[test]
+fn tables_may_be_all_holes() {
+    let ray = DVec3::new(0.7, 0.6, 0.05);
+    let one = in_a_full_room(table(1, 1, vec![ray]));
+    let mut rays = vec![DVec3::NAN; 300 * 90];
+    rays[17 * 300 + 211] = ray;
+    let images = in_a_full_room(table(300, 90, rays));
+    assert_eq!((images.polygon_id[17 * 300 + 211], images.range[17 * 300 + 211]), (one.polygon_id[0], one.range[0]));
+    assert_eq!(images.range.iter().filter(|range| range.is_nan()).count(), 300 * 90 - 1);
+    let nothing = in_a_full_room(table(300, 90, vec![DVec3::NAN; 300 * 90]));
+    assert!(nothing.range.iter().all(|range| range.is_nan()) && nothing.polygon_id.iter().all(|id| *id == 0));
+}
+
+/// r (1 - 0.3 r^2) turns back at r = 1 / sqrt(0.9), which is imaged at 0.7027: no pixel beyond has a ray, and all others see the
+/// room around them.
+#[test]
+fn a_lens_that_folds_inside_the_image_has_no_ray_beyond() {
+    let distortion = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
+    let images =
+        in_a_full_room(Geometry::Camera(Camera { distortion, ..Camera::pinhole(203, 151, 60.0, 60.0, 101.0, 75.0) }));
+    for (i, range) in images.range.iter().enumerate() {
+        let (x, y) = ((i % 203) as f64 - 101.0, (i / 203) as f64 - 75.0);
+        let radius = (x * x + y * y).sqrt() / 60.0;
+        if (radius - 0.7027).abs() > 1e-3 {
+            assert_eq!(range.is_nan(), radius > 0.7027, "{x}, {y}");
+            assert_eq!(images.polygon_id[i] > 0, radius < 0.7027, "{x}, {y}");
+        }
+    }
+}
+
+/// Equidistant with f = 50 / pi: the model ends 180 degrees from the axis, 50 pixels from the middle, and what is straight behind is
+/// seen there all round.
+#[test]
+fn a_fisheye_past_180_degrees_sees_behind_itself() {
+    let f = 50.0 / std::f64::consts::PI;
+    let distortion = Distortion::Equidistant([0.0; 4]);
+    let images = in_a_full_room(Geometry::Camera(Camera { distortion, ..Camera::pinhole(131, 117, f, f, 65.0, 58.0) }));
+    for (i, range) in images.range.iter().enumerate() {
+        let (x, y) = ((i % 131) as f64 - 65.0, (i / 131) as f64 - 58.0);
+        let radius = x.hypot(y);
+        if (radius - 50.0).abs() > 1e-6 {
+            assert_eq!(range.is_finite(), radius < 50.0, "{x}, {y}: {range}");
+        }
+    }
+}

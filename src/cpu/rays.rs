@@ -20,7 +20,11 @@ pub(super) fn clear(buffer: &mut Buffer, grid: &RayGrid, bands: &Bands, band: us
     buffer.clear_farthest(lines.len(), bands.samples, 0.0);
     for row in lines.clone().step_by(TILE) {
         for column in 0..grid.tiles_across() {
-            let rays = grid.rays_of(row / TILE * grid.tiles_across() + column);
+            let tile = row / TILE * grid.tiles_across() + column;
+            if !grid.has_gaps(tile) {
+                continue;
+            }
+            let rays = grid.rays_of(tile);
             let mut some = false;
             for line in row..lines.end.min(row + TILE) {
                 let at = buffer.at(line - lines.start, column);

@@ -147,11 +147,15 @@ fn supertiles(grid: &RayGrid) -> Vec<Tile> {
     all
 }
 
-/// Axis and cosine of the half angle; a cosine of 2 holds no ray.
+/// Axis and chord of the half angle, a little wide; 4 where that bounds nothing, negative without a ray.
 fn push_cone(tile: &Tile, words: &mut Vec<u32>) {
-    let cosine = if tile.half_angle < 0.0 { 2.0 } else { (tile.half_angle + 1e-6).min(std::f64::consts::PI).cos() };
+    let chord = match tile.half_angle {
+        a if a < 0.0 => -1.0,
+        a if a < 1.5 => 2.0 * (0.5 * (a + 2e-6)).sin(),
+        _ => 4.0,
+    };
     words.extend(tile.axis.as_vec3().to_array().map(f32::to_bits));
-    words.push((cosine as f32).to_bits());
+    words.push((chord as f32).to_bits());
 }
 
 #[cfg(test)]

@@ -210,7 +210,7 @@ mod tests {
         let table = RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.1, 0.0)]).unwrap();
         let rays = Sensor::new(SensorSpec::new("r", "laser", Geometry::Rays(table))).unwrap();
         assert!(keeps(&rays, DVec3::X * 9.0) && !keeps(&rays, DVec3::Y * 9.0) && !keeps(&rays, DVec3::NEG_X * 9.0));
-        // 100 degrees from the axis, and 44 from side to side and 30 from top to bottom.
+        // A fisheye that sees 100 degrees from its axis to either side, and a lens whose image has three rows.
         let camera = |f: f64, distortion| {
             let camera = Camera { distortion, ..Camera::pinhole(81, 3, f, f, 40.0, 1.0) };
             Sensor::new(SensorSpec::new("c", "video", Geometry::Camera(camera))).unwrap()
@@ -221,6 +221,6 @@ mod tests {
         let barrel = camera(100.0, Distortion::PlumbBob([-0.1, 0.0, 0.0, 0.0, 0.0]));
         let right = barrel.ray(80, 1).unwrap();
         assert!(keeps(&barrel, right * 9.0) && !keeps(&barrel, (right + DVec3::X * 0.02) * 9.0));
-        assert!(!keeps(&barrel, (DVec3::Z + DVec3::Y * 0.03) * 9.0), "as flat as its rows are few");
+        assert!(!keeps(&barrel, (DVec3::Z + DVec3::Y * 0.03) * 9.0), "above its three rows");
     }
 }

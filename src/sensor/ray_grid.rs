@@ -248,6 +248,8 @@ pub struct RayGrid {
     tiles: Vec<Tile>,
     /// By tile.
     rays: Vec<TileRays>,
+    /// By tile: it lacks a ray.
+    gaps: Vec<bool>,
     /// By row of tiles, then by eight tiles.
     cones: Vec<Cones>,
     view: View,
@@ -261,17 +263,19 @@ impl RayGrid {
             let d = directions[(r * width + c) as usize];
             (!d.is_nan()).then_some(d)
         };
-        let (mut tiles, mut rays) = (Vec::new(), Vec::new());
+        let (mut tiles, mut rays, mut gaps) = (Vec::new(), Vec::new(), Vec::new());
         for row in (0..height).step_by(SIDE) {
             for column in (0..width).step_by(SIDE) {
                 let (w, h) = (TILE_SIDE.min(width - column), TILE_SIDE.min(height - row));
                 tiles.push(Tile::around(column, row, w, h, ray));
-                let mut own = TileRays::NONE;
+                let (mut own, mut gap) = (TileRays::NONE, false);
                 for (r, c) in (0..h).flat_map(|r| (0..w).map(move |c| (r as usize, c as usize))) {
                     let d = directions[(row as usize + r) * width as usize + column as usize + c];
                     (own.x[r][c], own.y[r][c], own.z[r][c]) = d.into();
+                    gap |= d.is_nan();
                 }
                 rays.push(own);
+                gaps.push(gap);
             }
         }
         let across = width.div_ceil(TILE_SIDE) as usize;
@@ -284,7 +288,7 @@ impl RayGrid {
             }
             _ => (View::Around(ConeTree::new(&tiles, across)), Sides::of(&whole)),
         };
-        Self { width, height, tiles, rays, cones, view, sides }
+        Self { width, height, tiles, rays, gaps, cones, view, sides }
     }
 
     /// Columns.
@@ -323,6 +327,11 @@ impl RayGrid {
     #[inline(always)]
     pub(crate) fn rays_of(&self, tile: usize) -> &TileRays {
         &self.rays[tile]
+    }
+
+    /// True if a tile lacks a ray.
+    pub(crate) fn has_gaps(&self, tile: usize) -> bool {
+        self.gaps[tile]
     }
 
     /// The cones of a row of tiles, in eights.
