@@ -1,15 +1,34 @@
-// Cones around rays and polygons.
+// Cones around the rays of tiles and supertiles: 4 words in `grid`, the axis and the chord, which is how far a ray of length one may
+// be from it; 4 where that bounds nothing, negative where there is no ray. Chords keep the digits of narrow cones, which cosines lose.
 
-// Cosine of the half angle of the cone that a cap's squared chord spans, a little wide; -1, all directions, for a
-// negative one. The chord keeps the digits of small caps, which the cosine loses below a milliradian.
-fn cosine_of(chord: f32) -> f32 {
-    return select(-1.0, 1.0 - 0.5 * chord - 1.0e-6, chord >= 0.0);
+struct Cone {
+    axis: vec3f,
+    chord: f32,
+    // Squared sine of the half angle; more than 1 where the chord bounds nothing.
+    sine2: f32,
 }
 
-fn cones_meet(axis_a: vec3f, cos_a: f32, axis_b: vec3f, cos_b: f32) -> bool {
-    let sin_a = sqrt(max(0.0, 1.0 - cos_a * cos_a));
-    let sin_b = sqrt(max(0.0, 1.0 - cos_b * cos_b));
-    // Half angles that sum to more than half a turn always meet: then the sine of the sum is negative.
-    let wide = sin_a * cos_b + cos_a * sin_b <= 1.0e-3 && cos_a + cos_b < 0.5;
-    return wide || dot(axis_a, axis_b) >= cos_a * cos_b - sin_a * sin_b - 1.0e-5;
+fn cone_at(at: u32) -> Cone {
+    let axis = vec3f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u]), bitcast<f32>(grid[at + 2u]));
+    let chord = bitcast<f32>(grid[at + 3u]);
+    let chord2 = chord * chord;
+    return Cone(axis, chord, select(chord2 * (1.0 - 0.25 * chord2), 2.0, chord > 1.9));
+}
+
+// The chord of a polygon's cap, of which a record has the square; a negative one is no cap.
+fn cap_chord(squared: f32) -> f32 {
+    return select(4.0, sqrt(squared), squared >= 0.0);
+}
+
+// False only if no ray of the cone is in the cap: chords are no shorter than that of the angle between the axes, together.
+fn cap_meets(axis: vec3f, chord: f32, cone: Cone) -> bool {
+    let apart = axis - cone.axis;
+    let reach = chord + cone.chord;
+    return cone.chord >= 0.0 && dot(apart, apart) <= reach * reach;
+}
+
+// True if all rays of the cone are outside an edge plane. Its normal may have any length; zero limits nothing.
+fn is_beside(e: vec3f, cone: Cone) -> bool {
+    let d = dot(e, cone.axis);
+    return d < 0.0 && d * d > cone.sine2 * dot(e, e);
 }

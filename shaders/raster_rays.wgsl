@@ -13,7 +13,7 @@ const TILES_PER_SUPERTILE: u32 = 8u;
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = min(counted[2], params.item_room);
     for (var i = id.x; i < count; i += groups.x * GROUP) {
-        supertile(items[i * ITEM_WORDS], items[i * ITEM_WORDS + 1u]);
+        supertile(polygon_at(items[i * ITEM_WORDS]), items[i * ITEM_WORDS + 1u]);
     }
 }
 
@@ -21,50 +21,89 @@ fn float_of(at: u32) -> f32 {
     return bitcast<f32>(records[at]);
 }
 
-fn words_of_grid(at: u32) -> vec3f {
-    return vec3f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u]), bitcast<f32>(grid[at + 2u]));
+// A record in registers, but for edges from the fifth on: most polygons have no more than four.
+struct Polygon {
+    m: vec3f,
+    slot: u32,
+    axis: vec3f,
+    // Squared chord of the cap around it; negative is none.
+    chord: f32,
+    e0: vec3f,
+    e1: vec3f,
+    e2: vec3f,
+    e3: vec3f,
+    edge_count: u32,
+    edges_at: u32,
 }
 
-fn supertile(record: u32, index: u32) {
+fn polygon_at(record: u32) -> Polygon {
+    let edge_count = records[record + 4u];
+    return Polygon(
+        vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u)),
+        records[record + 3u],
+        vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u)),
+        float_of(record + 8u),
+        edge_at(record, edge_count, 0u),
+        edge_at(record, edge_count, 1u),
+        edge_at(record, edge_count, 2u),
+        edge_at(record, edge_count, 3u),
+        edge_count,
+        record + RECORD_WORDS,
+    );
+}
+
+fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
+    // What is not there limits nothing.
+    if k >= edge_count {
+        return vec3f();
+    }
+    let at = record + RECORD_WORDS + k * EDGE_WORDS;
+    return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
+}
+
+fn supertile(p: Polygon, index: u32) {
     let across = (params.tile_columns + TILES_PER_SUPERTILE - 1u) / TILES_PER_SUPERTILE;
-    let first_column = (index % across) * TILES_PER_SUPERTILE;
-    let first_row = (index / across) * TILES_PER_SUPERTILE;
-    let tile_rows = params.tile_count / params.tile_columns;
-    let axis = vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u));
-    let chord = float_of(record + 8u);
-    let cosine = cosine_of(chord);
-    for (var row = first_row; row < min(first_row + TILES_PER_SUPERTILE, tile_rows); row++) {
-        for (var column = first_column; column < min(first_column + TILES_PER_SUPERTILE, params.tile_columns); column++) {
-            let at = params.tiles_at + (row * params.tile_columns + column) * 4u;
-            let tile_cosine = bitcast<f32>(grid[at + 3u]);
-            if tile_cosine <= 1.0 && cones_meet(axis, cosine, words_of_grid(at), tile_cosine) {
-                tile(record, axis, chord, column * TILE, row * TILE);
+    let first = vec2u(index % across, index / across) * TILES_PER_SUPERTILE;
+    let end = min(first + TILES_PER_SUPERTILE, vec2u(params.tile_columns, params.tile_count / params.tile_columns));
+    let chord = cap_chord(p.chord);
+    // Half a supertile at once: which tiles first, then these one after another, so that neighbouring invocations draw together.
+    for (var half = first.y; half < end.y; half += 4u) {
+        var met = 0u;
+        for (var row = half; row < min(half + 4u, end.y); row++) {
+            for (var column = first.x; column < end.x; column++) {
+                let cone = cone_at(params.tiles_at + (row * params.tile_columns + column) * 4u);
+                let beside = is_beside(p.e0, cone) || is_beside(p.e1, cone) || is_beside(p.e2, cone) || is_beside(p.e3, cone);
+                let meets = cap_meets(p.axis, chord, cone) && !beside;
+                met |= select(0u, 1u, meets) << ((row - half) * TILES_PER_SUPERTILE + column - first.x);
             }
+        }
+        while met != 0u {
+            let bit = firstTrailingBit(met);
+            tile(p, (first.x + bit % TILES_PER_SUPERTILE) * TILE, (half + bit / TILES_PER_SUPERTILE) * TILE);
+            met &= met - 1u;
         }
     }
 }
 
 // Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
 // planes meet, and rounded to f32 may hold rays there, far from the polygon.
-fn tile(record: u32, axis: vec3f, chord: f32, first_column: u32, first_row: u32) {
-    let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
-    let slot = records[record + 3u];
-    let edge_count = records[record + 4u];
-    let edges = record + RECORD_WORDS;
+fn tile(p: Polygon, first_column: u32, first_row: u32) {
     for (var row = first_row; row < min(first_row + TILE, params.height); row++) {
         for (var column = first_column; column < min(first_column + TILE, params.width); column++) {
             let pixel = row * params.width + column;
+            let at = params.rays_at + pixel * 3u;
             // No ray is stored as zero: its inverse range is not above zero.
-            let ray = words_of_grid(params.rays_at + pixel * 3u);
-            let k = dot(m, ray);
-            let apart = ray - axis;
-            var inside = k > 0.0 && (chord < 0.0 || dot(apart, apart) <= chord);
-            for (var e = 0u; inside && e < edge_count; e++) {
-                let at = edges + e * EDGE_WORDS;
+            let ray = vec3f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u]), bitcast<f32>(grid[at + 2u]));
+            let k = dot(p.m, ray);
+            let apart = ray - p.axis;
+            var inside = k > 0.0 && (p.chord < 0.0 || dot(apart, apart) <= p.chord)
+                && dot(p.e0, ray) >= 0.0 && dot(p.e1, ray) >= 0.0 && dot(p.e2, ray) >= 0.0 && dot(p.e3, ray) >= 0.0;
+            for (var e = 4u; inside && e < p.edge_count; e++) {
+                let at = p.edges_at + e * EDGE_WORDS;
                 inside = dot(vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u)), ray) >= 0.0;
             }
             if inside {
-                offer(pixel, k, slot);
+                offer(pixel, k, p.slot);
             }
         }
     }

@@ -13,6 +13,9 @@ pub(super) struct SetUp {
     /// Lines it may cover.
     pub first_line: u32,
     pub end_line: u32,
+    /// Samples that it may cover on them.
+    pub first_sample: u32,
+    pub end_sample: u32,
     /// Its bounds `t >= p c0 + q c1`, then `t <= p c0 + q c1`, then sign tests, in [`Batch::bounds`].
     pub first_edge: u32,
     pub lower: u8,

@@ -23,7 +23,7 @@ pub(super) struct Footprint {
     pub samples: Range<u32>,
 }
 
-const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0 };
+pub(super) const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0 };
 
 /// Bounds for one sensor.
 pub(super) struct Bounds<'a> {
@@ -44,15 +44,15 @@ struct ScannerBounds<'a> {
 }
 
 /// Relative widening of every bound: far above f64 rounding, far below a pixel.
-const SLACK: f64 = 1e-9;
+pub(super) const SLACK: f64 = 1e-9;
 
 /// What is known of the corners seen so far, by lane.
-struct Extent {
-    least: [Lanes; 3],
+pub(super) struct Extent {
+    pub least: [Lanes; 3],
     greatest: [Lanes; 3],
     /// Camera: lines and samples. Scanner: azimuth in `low[0]`, and the greatest squared distance from the axis.
-    low: [Lanes; 2],
-    high: [Lanes; 2],
+    pub low: [Lanes; 2],
+    pub high: [Lanes; 2],
     outside: [Lanes; 5],
     axis_distance_squared: Lanes,
     first: Lanes,
@@ -63,7 +63,7 @@ struct Extent {
 
 impl Extent {
     #[inline(always)]
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self {
             least: [[f64::INFINITY; LANES]; 3],
             greatest: [[f64::NEG_INFINITY; LANES]; 3],
@@ -79,7 +79,7 @@ impl Extent {
     }
 
     #[inline(always)]
-    fn hold(&mut self, corner: &[Lanes; 3]) {
+    pub fn hold(&mut self, corner: &[Lanes; 3]) {
         for axis in 0..3 {
             for l in 0..LANES {
                 self.least[axis][l] = self.least[axis][l].min(corner[axis][l]);
@@ -88,9 +88,36 @@ impl Extent {
         }
     }
 
+    /// A corner of an image plane at z = 1, whose sides are at the top, the bottom, to the left and to the right.
+    #[inline(always)]
+    pub fn hold_ahead(&mut self, [y, z, x]: [&Lanes; 3], [top, bottom, left, right]: [f64; 4]) {
+        for l in 0..LANES {
+            // Greatest signed distance inside each side so far: negative means all corners are outside it.
+            self.outside[0][l] = self.outside[0][l].max(y[l] - top * z[l]);
+            self.outside[1][l] = self.outside[1][l].max(bottom * z[l] - y[l]);
+            self.outside[2][l] = self.outside[2][l].max(x[l] - left * z[l]);
+            self.outside[3][l] = self.outside[3][l].max(right * z[l] - x[l]);
+            self.outside[4][l] = self.outside[4][l].max(z[l]);
+            self.least[1][l] = self.least[1][l].min(z[l]);
+            let per_z = 1.0 / z[l];
+            self.low[0][l] = self.low[0][l].min(y[l] * per_z);
+            self.high[0][l] = self.high[0][l].max(y[l] * per_z);
+            self.low[1][l] = self.low[1][l].min(x[l] * per_z);
+            self.high[1][l] = self.high[1][l].max(x[l] * per_z);
+        }
+    }
+
+    /// True if all corners that [`Extent::hold_ahead`] took are outside one side, behind, or too far.
+    #[inline(always)]
+    pub fn is_beside(&self, l: usize, range_max_squared: f64) -> bool {
+        let outside = self.outside.iter().any(|side| side[l] < 0.0);
+        // Depth is at most range: a polygon wholly deeper than range_max is beyond it.
+        outside || (self.least[1][l] > 0.0 && self.least[1][l] * self.least[1][l] > range_max_squared)
+    }
+
     /// Squared distance of the box around the corners from the sensor, and from its axis.
     #[inline(always)]
-    fn box_distances_squared(&self) -> (Lanes, Lanes) {
+    pub fn box_distances_squared(&self) -> (Lanes, Lanes) {
         let (mut all, mut axis) = ([0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
             let gap = |a: usize| self.least[a][l].max(-self.greatest[a][l]).max(0.0);
@@ -130,15 +157,7 @@ impl<'a> Bounds<'a> {
         match &self.kind {
             Kind::Camera(grid) => camera(grid, self.range_max_squared, corners),
             Kind::Scanner(bounds) => bounds.cover(simd, self.range_max_squared, corners),
-            Kind::Rays(grid) => {
-                let mut extent = Extent::new();
-                for corner in corners {
-                    extent.hold(corner);
-                }
-                let (distance_squared, _) = extent.box_distances_squared();
-                let all = Footprint { lines: [0..grid.height(), 0..0], samples: 0..grid.width() };
-                distance_squared.map(|d| if d > self.range_max_squared { NOTHING } else { all.clone() })
-            }
+            Kind::Rays(grid) => super::ray_bounds::cover(simd, grid, self.range_max_squared, corners),
         }
     }
 }
@@ -151,27 +170,11 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [F
     let (left, right) = (samples[0] - SLACK, samples[samples.len() - 1] + SLACK);
     let mut e = Extent::new();
     for [y, z, x] in corners {
-        for l in 0..LANES {
-            // Greatest signed distance inside each side so far: negative means all corners are outside it.
-            e.outside[0][l] = e.outside[0][l].max(y[l] - top * z[l]);
-            e.outside[1][l] = e.outside[1][l].max(bottom * z[l] - y[l]);
-            e.outside[2][l] = e.outside[2][l].max(x[l] - left * z[l]);
-            e.outside[3][l] = e.outside[3][l].max(right * z[l] - x[l]);
-            e.outside[4][l] = e.outside[4][l].max(z[l]);
-            e.least[1][l] = e.least[1][l].min(z[l]);
-            let per_z = 1.0 / z[l];
-            e.low[0][l] = e.low[0][l].min(y[l] * per_z);
-            e.high[0][l] = e.high[0][l].max(y[l] * per_z);
-            e.low[1][l] = e.low[1][l].min(x[l] * per_z);
-            e.high[1][l] = e.high[1][l].max(x[l] * per_z);
-        }
+        e.hold_ahead([y, z, x], [top, bottom, left, right]);
     }
     let mut footprints = [const { NOTHING }; LANES];
     for l in 0..LANES {
-        let outside = e.outside.iter().any(|side| side[l] < 0.0);
-        // Depth is at most range: a polygon wholly deeper than range_max is beyond it.
-        let beyond = e.least[1][l] > 0.0 && e.least[1][l] * e.least[1][l] > range_max_squared;
-        if outside || beyond {
+        if e.is_beside(l, range_max_squared) {
             continue;
         }
         if e.least[1][l] <= 0.0 {

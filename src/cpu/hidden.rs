@@ -8,7 +8,7 @@ use super::spans::{Buffer, EIGHT};
 use crate::environment::{Cluster, Mesh};
 use crate::geometry::Aabb;
 use crate::plan::{FramePlan, Run};
-use crate::sensor::LineAxis;
+use crate::sensor::{LineAxis, PixelGrid};
 use glam::DVec3;
 use pulp::Simd;
 
@@ -38,7 +38,8 @@ pub(super) fn visible<S: Simd>(
             let (_, at) = placed.insert(
                 known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))),
             );
-            nearest[l] = place_box(at, run, l, &mut corners, bands.axis);
+            let around = place_box(at, run, l, &mut corners);
+            nearest[l] = nearest_depth(&around, plan.sensor.grid());
         }
         for (l, footprint) in bounds.cover(simd, &corners).iter().enumerate().take(eight.len()) {
             // In front of the sensor and clear of its axis, else the box has no footprint to speak of.
@@ -51,9 +52,9 @@ pub(super) fn visible<S: Simd>(
     kept
 }
 
-/// Puts a run's box into a lane; the answer is its least depth in the frame of the rays, 0 if it cannot be bounded.
+/// Puts a run's box into a lane; the answer is the box around it in the frame of the rays.
 #[inline(always)]
-fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8], axis: LineAxis) -> f64 {
+fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8]) -> Aabb {
     let Aabb { min, max } = cluster_of(at.mesh, run.first).bounds;
     let mut around = Aabb::EMPTY;
     for (i, corner) in corners.iter_mut().enumerate() {
@@ -63,13 +64,21 @@ fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3];
         around = around.with(w);
         (corner[0][lane], corner[1][lane], corner[2][lane]) = (w.x, w.y, w.z);
     }
-    match axis {
+    around
+}
+
+/// The least depth of a box in the frame of the rays, 0 if it cannot be bounded.
+#[inline(always)]
+fn nearest_depth(around: &Aabb, grid: &PixelGrid) -> f64 {
+    let distance = || around.distance_squared(DVec3::ZERO).sqrt() * (1.0 - SLACK);
+    match grid {
+        PixelGrid::Rays(_) => distance(),
         // Pinhole depth is the middle coordinate of the line frame.
-        LineAxis::Rows => around.min.y * (1.0 - SLACK),
+        PixelGrid::Lines(lines) if lines.axis() == LineAxis::Rows => around.min.y * (1.0 - SLACK),
         // A box round the scanner's axis has no azimuth interval.
-        LineAxis::Columns => {
+        PixelGrid::Lines(_) => {
             let beside = around.min.max(-around.max).truncate().max_element() > 0.0;
-            if beside { around.distance_squared(DVec3::ZERO).sqrt() * (1.0 - SLACK) } else { 0.0 }
+            if beside { distance() } else { 0.0 }
         }
     }
 }
@@ -92,13 +101,11 @@ fn cluster_of(mesh: &Mesh, polygon: u32) -> &Cluster {
 #[inline(always)]
 fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Bands) -> bool {
     let columns = footprint.samples.start as usize / TILE..(footprint.samples.end as usize).div_ceil(TILE);
-    let across = bands.samples.div_ceil(TILE);
     footprint.lines.iter().filter(|lines| !lines.is_empty()).all(|lines| {
         let rows = lines.start as usize / TILE..(lines.end as usize).div_ceil(TILE);
         rows.into_iter().all(|row| {
             let (band, first) = (row * TILE / bands.per_band, row * TILE % bands.per_band / TILE);
-            let farthest = &canvas[band].farthest[first * across..(first + 1) * across];
-            farthest[columns.clone()].iter().all(|&k| k > inverse)
+            canvas[band].farthest_of_row(first)[columns.clone()].iter().all(|&k| k > inverse)
         })
     })
 }
@@ -106,11 +113,9 @@ fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Ban
 /// The least inverse depth of every tile of a band; 0 where a ray has met nothing yet.
 #[inline(always)]
 pub(super) fn measure(buffer: &mut Buffer, lines: usize, samples: usize) {
-    let across = samples.div_ceil(TILE);
-    let mut farthest = std::mem::take(&mut buffer.farthest);
-    farthest.clear();
+    buffer.clear_farthest(lines, samples, f64::INFINITY);
     for first in (0..lines).step_by(TILE) {
-        for column in 0..across {
+        for column in 0..samples.div_ceil(TILE) {
             let mut least = [f64::INFINITY; EIGHT];
             for line in first..lines.min(first + TILE) {
                 let inverse = &buffer.inverse[buffer.at(line, column)].0;
@@ -122,8 +127,7 @@ pub(super) fn measure(buffer: &mut Buffer, lines: usize, samples: usize) {
             for k in least {
                 all = if k < all { k } else { all };
             }
-            farthest.push(all);
+            *buffer.farthest_of(first / TILE, column) = all;
         }
     }
-    buffer.farthest = farthest;
 }

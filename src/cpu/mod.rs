@@ -12,6 +12,7 @@
 mod batch;
 mod bounds;
 mod hidden;
+mod ray_bounds;
 mod rays;
 mod resolve;
 mod setup;
@@ -142,7 +143,7 @@ fn draw_waves(
     while clear || done < plan.runs.len() {
         let start = Instant::now();
         let wave = next_wave(&plan.runs, done);
-        let runs = if used == 0 || matches!(plan.sensor.grid(), PixelGrid::Rays(_)) {
+        let runs = if used == 0 {
             plan.runs[wave.clone()].to_vec()
         } else {
             sifted = true;
@@ -180,9 +181,7 @@ fn draw_waves(
     if sifted {
         stats.stages_ms.push(("hidden".to_owned(), hiding));
     } else {
-        let rays = matches!(plan.sensor.grid(), PixelGrid::Rays(_));
-        let few = "the polygons are drawn in one wave";
-        stats.leave_out("hidden", if rays { "ray tables keep no coarse depth" } else { few });
+        stats.leave_out("hidden", "the polygons are drawn in one wave");
     }
     stats.stages_ms.push(("setup".to_owned(), if sifted { setting_up } else { hiding + setting_up }));
     stats.stages_ms.push(("rasterization".to_owned(), drawing));
@@ -260,12 +259,19 @@ impl pulp::WithSimd for Draw<'_, '_> {
     fn with_simd<S: pulp::Simd>(self, simd: S) {
         let Self { buffer, target, plan, batches, winners, bands, band, clear } = self;
         let slots = &winners.slots;
-        if clear {
-            buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
-        }
         match plan.sensor.grid() {
-            PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, batches, slots, bands, band),
-            PixelGrid::Rays(grid) => rays::rasterize(buffer, grid, batches, slots, bands, band),
+            PixelGrid::Lines(grid) => {
+                if clear {
+                    buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
+                }
+                spans::rasterize(simd, buffer, grid, batches, slots, bands, band);
+            }
+            PixelGrid::Rays(grid) => {
+                if clear {
+                    rays::clear(buffer, grid, bands, band);
+                }
+                rays::rasterize(simd, buffer, grid, batches, slots, bands, band);
+            }
         }
         if let Some(target) = target {
             resolve::resolve(target, buffer, plan, &winners.shades, bands, band);

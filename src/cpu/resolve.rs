@@ -4,7 +4,7 @@ use super::Bands;
 use super::batch::Shade;
 use super::spans::{Buffer, EIGHT};
 use crate::plan::{FramePlan, Images};
-use crate::sensor::{LineAxis, LineGrid, PixelGrid};
+use crate::sensor::{LineAxis, LineGrid, PixelGrid, RayGrid};
 use std::ops::Range;
 
 /// The parts of the images that one band fills: for every image row it touches, its pixels. Images that were not asked
@@ -73,14 +73,7 @@ pub(super) fn resolve(
             rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| pixels.pinhole(grid, line, part));
         }
         (LineAxis::Rows, PixelGrid::Rays(grid)) => {
-            let directions = grid.directions();
-            rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| {
-                let rays = &directions[line * bands.samples + part.start..][..part.len()];
-                for (j, ray) in rays.iter().enumerate() {
-                    pixels.per_length[j] = if ray.x.is_nan() { f64::NAN } else { 1.0 };
-                    pixels.z[j] = ray.z;
-                }
-            });
+            rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| pixels.of_tiles(grid, line, part));
         }
     }
 }
@@ -163,6 +156,19 @@ impl Pixels {
         for (per_length, t) in self.per_length.iter_mut().zip(&grid.positions()[samples]) {
             let x = t * x_per_t;
             *per_length = 1.0 / (x * x + y_squared + 1.0).sqrt();
+        }
+    }
+
+    /// The rays of a table, from the beginning of a tile on.
+    #[inline(always)]
+    fn of_tiles(&mut self, grid: &RayGrid, row: usize, samples: Range<usize>) {
+        let first = row / EIGHT * grid.tiles_across();
+        for (i, column) in samples.step_by(EIGHT).enumerate() {
+            let z = &grid.rays_of(first + column / EIGHT).z[row % EIGHT];
+            for (j, z) in z.iter().enumerate() {
+                self.per_length[i * EIGHT + j] = if z.is_nan() { f64::NAN } else { 1.0 };
+                self.z[i * EIGHT + j] = *z;
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Bands;
 use super::batch::{Batch, SetUp, Shade};
-use super::bounds::{Bounds, Cover, Footprint, LANES, Lanes};
+use super::bounds::{Bounds, Footprint, LANES, Lanes};
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
@@ -89,7 +89,7 @@ pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: 
             for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
                 if !footprint.lines[0].is_empty() {
                     let corners = |k: usize| DVec3::from(corners[k].map(|lanes| lanes[i]));
-                    set_up(batch, plan, at, first + i as u32, footprint.lines, corners, &mut outline);
+                    set_up(batch, plan, at, first + i as u32, footprint, corners, &mut outline);
                 }
             }
         }
@@ -153,7 +153,7 @@ fn set_up(
     plan: &FramePlan,
     at: &Placed<'_>,
     polygon: u32,
-    cover: Cover,
+    footprint: Footprint,
     corner_in_ray_frame: impl Fn(usize) -> DVec3,
     outline: &mut Outline,
 ) {
@@ -200,9 +200,20 @@ fn set_up(
     };
     let m = at.m_from_normal * plane.normal / d;
     let slot = at.first_slot + polygon;
-    for lines in cover.into_iter().filter(|lines| !lines.is_empty()) {
+    let Range { start: first_sample, end: end_sample } = footprint.samples;
+    for lines in footprint.lines.into_iter().filter(|lines| !lines.is_empty()) {
         let Range { start: first_line, end: end_line } = lines;
-        batch.polygons.push(SetUp { m, first_line, end_line, first_edge, lower, upper, steep });
+        batch.polygons.push(SetUp {
+            m,
+            first_line,
+            end_line,
+            first_sample,
+            end_sample,
+            first_edge,
+            lower,
+            upper,
+            steep,
+        });
         batch.shades.push(shade);
         batch.slots.push(slot);
     }

@@ -2,6 +2,7 @@
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, SetUp};
+use super::hidden::TILE;
 use crate::error::Result;
 use crate::memory;
 use crate::sensor::{LineAxis, LineGrid, Octet};
@@ -31,8 +32,11 @@ pub(super) struct Buffer {
     /// From a line to the next one, and from an octet to the next one on its line.
     pub per_line: usize,
     pub per_octet: usize,
-    /// Least inverse depth of every tile, see [`super::hidden`].
-    pub farthest: Vec<f64>,
+    /// Least inverse depth of every tile, see [`super::hidden`]; rows of them in whole eights, past the end of which nothing is
+    /// hidden behind less than everything.
+    farthest: Vec<[f64; EIGHT]>,
+    /// Eights of tiles in a row of them.
+    eights: usize,
 }
 
 impl Buffer {
@@ -76,6 +80,37 @@ impl Buffer {
                 self.inverse[last].0[samples % EIGHT..].fill(f64::INFINITY);
             }
         }
+    }
+
+    /// Least inverse depths for all tiles.
+    pub fn clear_farthest(&mut self, lines: usize, samples: usize, inverse: f64) {
+        let across = samples.div_ceil(TILE);
+        self.eights = across.div_ceil(EIGHT);
+        self.farthest.clear();
+        self.farthest.resize(self.eights * lines.div_ceil(TILE), [inverse; EIGHT]);
+        if !across.is_multiple_of(EIGHT) {
+            for row in self.farthest.chunks_mut(self.eights) {
+                row[across / EIGHT][across % EIGHT..].fill(f64::INFINITY);
+            }
+        }
+    }
+
+    /// Least inverse depth of a tile.
+    #[inline(always)]
+    pub fn farthest_of(&mut self, row: usize, column: usize) -> &mut f64 {
+        &mut self.farthest[row * self.eights + column / EIGHT][column % EIGHT]
+    }
+
+    /// Least inverse depths of eight tiles side by side.
+    #[inline(always)]
+    pub fn farthest_of_eight(&self, row: usize, eight: usize) -> &[f64; EIGHT] {
+        &self.farthest[row * self.eights + eight]
+    }
+
+    /// Least inverse depths of a row of tiles.
+    #[inline(always)]
+    pub fn farthest_of_row(&self, row: usize) -> &[f64] {
+        self.farthest[row * self.eights..(row + 1) * self.eights].as_flattened()
     }
 
     /// Where an octet of a line is.

@@ -124,7 +124,7 @@ fn rays(grid: &RayGrid) -> Tables {
     grid.tiles().iter().for_each(|t| push_cone(t, &mut words));
     params.rays_at = words.len() as u32;
     for ray in grid.directions() {
-        let ray = if ray.is_nan() { DVec3::ZERO } else { *ray };
+        let ray = if ray.is_nan() { DVec3::ZERO } else { ray };
         words.extend(ray.as_vec3().to_array().map(f32::to_bits));
     }
     Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY }
@@ -134,7 +134,7 @@ fn rays(grid: &RayGrid) -> Tables {
 fn supertiles(grid: &RayGrid) -> Vec<Tile> {
     let side = TILES_PER_SUPERTILE * crate::sensor::TILE_SIDE;
     let ray = |c: u32, r: u32| {
-        let d = grid.directions()[(r * grid.width() + c) as usize];
+        let d = grid.direction(c, r);
         (!d.is_nan()).then_some(d)
     };
     let mut all = Vec::new();
@@ -147,11 +147,15 @@ fn supertiles(grid: &RayGrid) -> Vec<Tile> {
     all
 }
 
-/// Axis and cosine of the half angle; a cosine of 2 holds no ray.
+/// Axis and chord of the half angle, a little wide; 4 where that bounds nothing, negative without a ray.
 fn push_cone(tile: &Tile, words: &mut Vec<u32>) {
-    let cosine = if tile.half_angle < 0.0 { 2.0 } else { (tile.half_angle + 1e-6).min(std::f64::consts::PI).cos() };
+    let chord = match tile.half_angle {
+        a if a < 0.0 => -1.0,
+        a if a < 1.5 => 2.0 * (0.5 * (a + 2e-6)).sin(),
+        _ => 4.0,
+    };
     words.extend(tile.axis.as_vec3().to_array().map(f32::to_bits));
-    words.push((cosine as f32).to_bits());
+    words.push((chord as f32).to_bits());
 }
 
 #[cfg(test)]

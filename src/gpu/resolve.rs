@@ -33,7 +33,7 @@ impl Keys<'_> {
             }
             PixelGrid::Lines(_) => Some((1.0, 0.0, (column * p.height + row) as usize)),
             PixelGrid::Rays(grid) => {
-                let z = grid.directions()[index].z;
+                let z = grid.direction(column, row).z;
                 (!z.is_nan()).then_some((1.0, z as f32, index))
             }
         }

@@ -1,7 +1,7 @@
 //! Query regions: plain geometry in the world, made from a sensor and its pose (paper section 2.2).
 
 use super::sector::Sector;
-use super::shapes::{self, Axes, Cuboid, Frustum, Lying, Ray, SLACK, Segment, Shape, Turned, Upright};
+use super::shapes::{self, Axes, Cuboid, Frustum, Lying, Outside, Ray, SLACK, Segment, Shape, Turned, Upright};
 use crate::geometry::{Aabb, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::FRAC_PI_2;
@@ -32,6 +32,7 @@ pub(super) enum Form {
     Sector(Upright),
     Segment(Segment),
     Frustum(Frustum),
+    Outside(Outside),
     Cuboid(Cuboid),
     Ray(Ray),
 }
@@ -79,10 +80,26 @@ impl Region {
     /// [`Region::MAX_PLANES`] (more are left out, which keeps too much), and a radius in metres. Without planes it is
     /// a ball.
     pub fn frustum(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
-        let count = normals.len().min(Self::MAX_PLANES);
-        let mut planes = [DVec3::ZERO; Self::MAX_PLANES];
-        planes[..count].copy_from_slice(&normals[..count]);
-        let form = Form::Frustum(Frustum { planes, count, radius });
+        let form = Form::Frustum(pyramid(normals, radius));
+        Self { origin: apex, region_from_world: DMat3::IDENTITY, form }
+    }
+
+    /// A ball but for a pyramid: what is seen by rays that look every way but one. Apex, inward unit normals of the pyramid's planes
+    /// (world axes, 1 to [`Region::MAX_PLANES`]; for any other number it is the whole ball) and the ball's radius in metres.
+    ///
+    /// ```
+    /// use presight::{Aabb, index::Region};
+    /// use glam::DVec3;
+    /// let all_but_behind = Region::outside(DVec3::ZERO, &[DVec3::NEG_X], 10.0);
+    /// let at = |p: DVec3| Aabb::of([p - 0.1, p + 0.1]);
+    /// assert!(all_but_behind.meets(&at(DVec3::X)) && all_but_behind.meets(&at(DVec3::Y)));
+    /// assert!(!all_but_behind.meets(&at(DVec3::NEG_X)) && !all_but_behind.meets(&at(DVec3::X * 11.0)));
+    /// ```
+    pub fn outside(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
+        if normals.is_empty() || normals.len() > Self::MAX_PLANES {
+            return Self::frustum(apex, &[], radius);
+        }
+        let form = Form::Outside(Outside { hole: pyramid(normals, f64::INFINITY), radius });
         Self { origin: apex, region_from_world: DMat3::IDENTITY, form }
     }
 
@@ -139,6 +156,7 @@ impl Region {
             Form::Segment(shape) if shape_from_box == DMat3::IDENTITY => visitor.visit(&shape),
             Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box }),
             Form::Frustum(shape) => visitor.visit(&shape),
+            Form::Outside(shape) => visitor.visit(&shape),
             Form::Cuboid(shape) => visitor.visit(&shape),
             Form::Ray(shape) => visitor.visit(&shape),
         }
@@ -156,6 +174,14 @@ impl Region {
     }
 }
 
+/// Of at most so many planes; more are left out.
+fn pyramid(normals: &[DVec3], radius: f64) -> Frustum {
+    let count = normals.len().min(Region::MAX_PLANES);
+    let mut planes = [DVec3::ZERO; Region::MAX_PLANES];
+    planes[..count].copy_from_slice(&normals[..count]);
+    Frustum { planes, count, radius }
+}
+
 #[inline(always)]
 fn visit_lying<S: Shape, V: Visit>(shape: S, axes: Axes, visitor: V) -> V::Out {
     match axes.up {
@@ -170,6 +196,7 @@ fn visit_turned<V: Visit>(form: Form, region_from_box: DMat3, visitor: V) -> V::
         Form::Sector(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
         Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
         Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
+        Form::Outside(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
         Form::Cuboid(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
         Form::Ray(shape) => visitor.visit(&shape.turned(region_from_box)),
     }
@@ -183,6 +210,7 @@ impl Region {
             Form::Sector(Upright(s)) => around(DVec3::new(s.radius(), s.radius(), f64::INFINITY)),
             Form::Segment(s) => around(DVec3::splat(s.azimuth.radius())),
             Form::Frustum(f) => around(DVec3::splat(f.radius)),
+            Form::Outside(o) => around(DVec3::splat(o.radius)),
             Form::Cuboid(c) => around(c.0),
             Form::Ray(r) => Aabb::of([self.origin, self.origin + r.length * r.direction]),
         }

@@ -45,6 +45,14 @@ pub(super) struct Frustum {
     pub radius: f64,
 }
 
+/// A ball but for a pyramid of directions.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outside {
+    /// Of any radius.
+    pub hole: Frustum,
+    pub radius: f64,
+}
+
 /// A box around the origin.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cuboid(pub DVec3);
@@ -294,6 +302,22 @@ impl Shape for TurnedFrustum {
     #[inline(always)]
     fn distance(&self, b: &Aabb) -> f64 {
         self.ball.distance(b)
+    }
+}
+
+impl Shape for Outside {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        nearest_squared(b) <= self.radius * self.radius * (1.0 + 8.0 * f64::EPSILON) && !self.hole.covers(b)
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        farthest_squared(b) <= self.radius * self.radius && !self.hole.meets(b)
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        p.length_squared() <= self.radius * self.radius && !self.hole.contains(p)
     }
 }
 

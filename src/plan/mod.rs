@@ -271,7 +271,7 @@ impl FramePlan {
                 by_rays,
                 [
                     "no lens distortion and no listed rays: spans are in closed form",
-                    "the rays lie on no lines: polygons are tested ray by ray",
+                    "the rays lie on no lines: polygons are tested on tiles of rays",
                 ],
             ),
             choose(

@@ -2,14 +2,11 @@
 
 use crate::geometry::Pose;
 use crate::index::Region;
-use crate::sensor::{Geometry, LineAxis, PixelGrid, Sensor, Tile};
+use crate::sensor::{Geometry, LineAxis, PixelGrid, Sensor, Sides};
 use glam::DVec3;
 
-/// Angles of ray tables are widened by this much, radians: selection may keep too much, never too little.
-const SLACK: f64 = 1e-9;
-
 /// A conservative region around all rays of a sensor, up to its greatest range: the frustum of a pinhole camera, the
-/// spherical segment of a scanner, a frustum around the cone of a ray table.
+/// spherical segment of a scanner, a pyramid around the rays of a table, or all but one.
 pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Region {
     let (apex, radius) = (world_from_sensor.translation, sensor.spec().range_max);
     let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
@@ -30,9 +27,13 @@ pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Region {
         }
         (PixelGrid::Lines(grid), _) if grid.axis() == LineAxis::Rows => frustum(sides(sensor)),
         (PixelGrid::Lines(_), _) => frustum(Vec::new()),
-        (PixelGrid::Rays(rays), _) => {
-            frustum(cone(&Tile::around(0, 0, rays.width(), rays.height(), |c, r| sensor.ray(c, r))))
-        }
+        (PixelGrid::Rays(rays), _) => match rays.sides() {
+            Sides::Within(normals) => frustum(normals.clone()),
+            Sides::Outside(normals) => {
+                let normals: Vec<DVec3> = normals.iter().map(|n| world_from_image * *n).collect();
+                Region::outside(apex, &normals, radius)
+            }
+        },
     }
 }
 
@@ -50,16 +51,6 @@ fn sides(sensor: &Sensor) -> Vec<DVec3> {
         DVec3::new(0.0, 1.0, -top).normalize(),
         DVec3::new(0.0, -1.0, bottom).normalize(),
     ]
-}
-
-/// Four planes around a cone of less than a right angle.
-fn cone(tile: &Tile) -> Vec<DVec3> {
-    if !(0.0..1.5).contains(&tile.half_angle) {
-        return Vec::new();
-    }
-    let (side, up) = tile.axis.any_orthonormal_pair();
-    let (sin, cos) = (tile.half_angle + SLACK).sin_cos();
-    [side, -side, up, -up].map(|d| tile.axis * sin + d * cos).to_vec()
 }
 
 #[cfg(test)]
@@ -108,7 +99,22 @@ mod tests {
                 made(Geometry::Rays(RayTable::new(2, 3, d).unwrap()))
             },
         );
-        prop_oneof![preset, scanner, camera, rays]
+        // Fisheyes past 90 degrees from the axis, and rays all round.
+        let wide = (1.0..170.0f64, direction(), direction()).prop_map(move |(half_deg, a, b)| {
+            let aside = (b - a * a.dot(b)).try_normalize().unwrap_or_else(|| a.any_orthonormal_vector());
+            let ray = |k: u32| {
+                let around = aside * f64::from(k).cos() + a.cross(aside) * f64::from(k).sin();
+                let (sin, cos) = (half_deg.to_radians() * f64::from(k % 9) / 8.0).sin_cos();
+                a * cos + around * sin
+            };
+            made(Geometry::Rays(RayTable::new(6, 9, (0..54).map(ray).collect()).unwrap()))
+        });
+        prop_oneof![preset, scanner, camera, rays, wide]
+    }
+
+    fn direction() -> impl Strategy<Value = DVec3> {
+        let some = [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(DVec3::from);
+        some.prop_filter("no direction", |v| v.length() > 0.1).prop_map(DVec3::normalize)
     }
 
     /// An object at any turn and scale, mirrored or not, near the sensor or not so near.
@@ -204,5 +210,17 @@ mod tests {
         let table = RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.1, 0.0)]).unwrap();
         let rays = Sensor::new(SensorSpec::new("r", "laser", Geometry::Rays(table))).unwrap();
         assert!(keeps(&rays, DVec3::X * 9.0) && !keeps(&rays, DVec3::Y * 9.0) && !keeps(&rays, DVec3::NEG_X * 9.0));
+        // A fisheye that sees 100 degrees from its axis to either side, and a lens whose image has three rows.
+        let camera = |f: f64, distortion| {
+            let camera = Camera { distortion, ..Camera::pinhole(81, 3, f, f, 40.0, 1.0) };
+            Sensor::new(SensorSpec::new("c", "video", Geometry::Camera(camera))).unwrap()
+        };
+        let wide = camera(40.0 / 100f64.to_radians(), Distortion::Equidistant([0.0; 4]));
+        assert!(keeps(&wide, DVec3::Z * 9.0) && keeps(&wide, DVec3::new(9.0, 0.0, -1.0)));
+        assert!(!keeps(&wide, DVec3::NEG_Z * 9.0) && !keeps(&wide, DVec3::new(3.0, 0.0, -9.0)));
+        let barrel = camera(100.0, Distortion::PlumbBob([-0.1, 0.0, 0.0, 0.0, 0.0]));
+        let right = barrel.ray(80, 1).unwrap();
+        assert!(keeps(&barrel, right * 9.0) && !keeps(&barrel, (right + DVec3::X * 0.02) * 9.0));
+        assert!(!keeps(&barrel, (DVec3::Z + DVec3::Y * 0.03) * 9.0), "above its three rows");
     }
 }

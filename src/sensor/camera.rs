@@ -1,7 +1,8 @@
 //! Cameras: pinhole intrinsics and lens distortion, in OpenCV's conventions.
 
 use super::distortion::Distortion;
-use super::grid::{LineAxis, LineGrid, PixelGrid, RayGrid};
+use super::grid::{LineAxis, LineGrid, PixelGrid};
+use super::ray_grid::RayGrid;
 use crate::error::{Error, Result};
 use crate::memory;
 use glam::{DMat3, DVec3};
@@ -65,7 +66,7 @@ impl Camera {
                 directions.push(ray.unwrap_or(DVec3::NAN));
             }
         }
-        Ok(PixelGrid::Rays(RayGrid::new(self.width, self.height, directions)?))
+        Ok(PixelGrid::Rays(RayGrid::new(self.width, self.height, &directions)?))
     }
 
     /// Lines are image rows; the line frame is (fy y, z, fx x) of the optical frame, so that t = u - cx.

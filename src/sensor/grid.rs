@@ -1,7 +1,6 @@
 //! The rays of a sensor as engines use them: straight lines of samples where the geometry allows, a table with tiles otherwise.
 
-use crate::error::Result;
-use crate::memory;
+use super::ray_grid::RayGrid;
 use glam::{DMat3, DVec3};
 use pulp::Simd;
 
@@ -21,7 +20,7 @@ impl PixelGrid {
         match self {
             Self::Lines(grid) => Some(grid.ray(column, row)),
             Self::Rays(grid) => {
-                let ray = grid.directions[(row * grid.width + column) as usize];
+                let ray = grid.direction(column, row);
                 (!ray.is_nan()).then_some(ray)
             }
         }
@@ -148,15 +147,7 @@ impl LineGrid {
         least: &[f64; Octet::LEN],
         greatest: &[f64; Octet::LEN],
     ) -> [[u32; Octet::LEN]; 2] {
-        let (from, to) = (self.finder.entries(simd, least), self.finder.entries(simd, greatest));
-        let end = self.finder.surely_below.len();
-        let (below, up_to) = (&self.finder.surely_below[..end], &self.finder.up_to[..end]);
-        let mut samples = [[0; Octet::LEN]; 2];
-        for l in 0..Octet::LEN {
-            samples[0][l] = below[from[l] as u32 as usize];
-            samples[1][l] = up_to[to[l] as u32 as usize];
-        }
-        samples
+        [self.finder.surely_below(simd, least), self.finder.perhaps_up_to(simd, greatest)]
     }
 
     /// t = w1 / w0 of every sample, rising; infinite at a pole.
@@ -188,7 +179,7 @@ impl LineGrid {
 /// Finds a position among the rising positions of a line in constant time: a table over equal cells, then a step or
 /// two. Exact whatever the table says, for it only has to start low enough.
 #[derive(Clone, Debug)]
-struct Finder {
+pub(super) struct Finder {
     start: f64,
     cells_per_unit: f64,
     /// By cell: number of positions below its lower end.
@@ -200,7 +191,7 @@ struct Finder {
 }
 
 impl Finder {
-    fn new(positions: &[f64]) -> Self {
+    pub fn new(positions: &[f64]) -> Self {
         let mut finite = positions.iter().copied().filter(|t| t.is_finite());
         let start = finite.next().unwrap_or(0.0);
         let end = finite.next_back().unwrap_or(start);
@@ -229,6 +220,18 @@ impl Finder {
         Self { start, cells_per_unit, below, surely_below, up_to }
     }
 
+    /// For each of some t, no more than the number of positions below it.
+    #[inline(always)]
+    pub fn surely_below<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u32; Octet::LEN] {
+        self.entries(simd, t).map(|entry| self.surely_below[entry as u32 as usize])
+    }
+
+    /// For each of some t, no fewer than the number of positions up to and including it.
+    #[inline(always)]
+    pub fn perhaps_up_to<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u32; Octet::LEN] {
+        self.entries(simd, t).map(|entry| self.up_to[entry as u32 as usize])
+    }
+
     /// Indices into `surely_below` and `up_to` for some t, in the low 32 bits: adding 2^52 leaves no bits for a fraction.
     #[inline(always)]
     fn entries<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u64; Octet::LEN] {
@@ -254,88 +257,6 @@ impl Finder {
             i += 1;
         }
         i
-    }
-}
-
-/// A square of pixels with the cone that holds its rays.
-#[derive(Clone, Copy, Debug)]
-pub struct Tile {
-    /// First column.
-    pub column: u32,
-    /// First row.
-    pub row: u32,
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Unit axis of the cone.
-    pub axis: DVec3,
-    /// Half angle of the cone, radians, rounded up; negative if the tile has no ray.
-    pub half_angle: f64,
-}
-
-impl Tile {
-    /// The cone around the rays of a tile of pixels.
-    pub fn around(column: u32, row: u32, width: u32, height: u32, ray: impl Fn(u32, u32) -> Option<DVec3>) -> Self {
-        let pixels = || (row..row + height).flat_map(|r| (column..column + width).map(move |c| (c, r)));
-        let sum: DVec3 = pixels().filter_map(|(c, r)| ray(c, r)).sum();
-        let axis = if sum.length() > 1e-6 { sum.normalize() } else { DVec3::X };
-        let half_angle = pixels().filter_map(|(c, r)| ray(c, r)).map(|u| axis.angle_between(u)).fold(-1.0, f64::max);
-        Self { column, row, width, height, axis, half_angle: if half_angle < 0.0 { -1.0 } else { half_angle + 1e-7 } }
-    }
-}
-
-/// Side of the tiles of a [`RayGrid`], pixels.
-pub(crate) const TILE_SIDE: u32 = 8;
-
-/// A table of rays with the cones of its 8 x 8 tiles.
-#[derive(Clone, Debug)]
-pub struct RayGrid {
-    width: u32,
-    height: u32,
-    directions: Vec<DVec3>,
-    tiles: Vec<Tile>,
-}
-
-impl RayGrid {
-    /// `directions` are unit, row-major, in the image frame; NaN is no ray.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses the memory.
-    pub(super) fn new(width: u32, height: u32, directions: Vec<DVec3>) -> Result<Self> {
-        let ray = |c: u32, r: u32| {
-            let d = directions[(r * width + c) as usize];
-            (!d.is_nan()).then_some(d)
-        };
-        let tiles_in = |side: u32| side.div_ceil(TILE_SIDE) as usize;
-        let mut tiles = memory::reserved(tiles_in(width) * tiles_in(height))?;
-        for row in (0..height).step_by(TILE_SIDE as usize) {
-            for column in (0..width).step_by(TILE_SIDE as usize) {
-                let (w, h) = (TILE_SIDE.min(width - column), TILE_SIDE.min(height - row));
-                tiles.push(Tile::around(column, row, w, h, ray));
-            }
-        }
-        Ok(Self { width, height, directions, tiles })
-    }
-
-    /// Columns.
-    pub fn width(&self) -> u32 {
-        self.width
-    }
-
-    /// Rows.
-    pub fn height(&self) -> u32 {
-        self.height
-    }
-
-    /// Unit directions, row-major, image frame; NaN is no ray.
-    pub fn directions(&self) -> &[DVec3] {
-        &self.directions
-    }
-
-    /// Tiles, row-major.
-    pub fn tiles(&self) -> &[Tile] {
-        &self.tiles
     }
 }
 

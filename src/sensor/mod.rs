@@ -1,22 +1,25 @@
 //! Sensors: image geometry, range limits, class and mount.
 
 mod camera;
+mod cone_tree;
 mod distortion;
 mod grid;
 mod polynomial;
 mod presets;
 mod project;
+mod ray_grid;
 mod rays;
 mod scanner;
 mod undistort;
 
 pub use camera::Camera;
+pub(crate) use cone_tree::ConeTree;
 pub use distortion::Distortion;
 pub(crate) use grid::Octet;
-#[cfg(feature = "gpu")]
-pub(crate) use grid::TILE_SIDE;
-pub use grid::{LineAxis, LineGrid, PixelGrid, RayGrid, Tile};
+pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use presets::{PRESETS, Preset};
+pub(crate) use ray_grid::{Ahead, Cones, Sides, TILE_SIDE, TileRays, View};
+pub use ray_grid::{RayGrid, Tile};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
 pub use undistort::Lens;
@@ -121,11 +124,7 @@ impl Sensor {
             Ok(match &spec.geometry {
                 Geometry::Camera(c) => c.grid()?,
                 Geometry::Scanner(s) => s.grid()?,
-                Geometry::Rays(r) => {
-                    let mut directions = memory::reserved(r.directions().len())?;
-                    directions.extend_from_slice(r.directions());
-                    PixelGrid::Rays(RayGrid::new(r.width(), r.height(), directions)?)
-                }
+                Geometry::Rays(r) => PixelGrid::Rays(RayGrid::new(r.width(), r.height(), r.directions())?),
             })
         });
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
@@ -197,17 +196,16 @@ impl Geometry {
     }
 }
 
-/// Bytes of the rays and tiles of a sensor that needs a table of them.
+/// Bytes that a sensor takes which needs a table of rays.
 fn ray_table_bytes(spec: &SensorSpec) -> u64 {
     let (width, height) = spec.geometry.size();
-    let by_rays = match &spec.geometry {
-        Geometry::Camera(c) => !c.distortion.is_none(),
-        Geometry::Scanner(_) => false,
-        Geometry::Rays(_) => true,
-    };
-    let tile = (size_of::<Tile>() as u64).div_ceil(u64::from(TILE_SIDE * TILE_SIDE));
-    let pixels = if by_rays { u64::from(width) * u64::from(height) } else { 0 };
-    pixels * (size_of::<DVec3>() as u64 + tile)
+    // A lens's directions are listed first.
+    let listed = u64::from(width) * u64::from(height) * size_of::<DVec3>() as u64;
+    match &spec.geometry {
+        Geometry::Camera(c) if !c.distortion.is_none() => listed + RayGrid::bytes_for(width, height),
+        Geometry::Rays(_) => RayGrid::bytes_for(width, height),
+        Geometry::Camera(_) | Geometry::Scanner(_) => 0,
+    }
 }
 
 fn check(spec: &SensorSpec) -> Result<()> {

@@ -3,7 +3,8 @@
 //! The centre of the top-left pixel is (0, 0), and pixel i spans i - 0.5 .. i + 0.5. The ray of a pixel projects to that pixel's
 //! own numbers. Between the beams of a scanner coordinates are linear in the angles.
 
-use super::grid::{PixelGrid, RayGrid};
+use super::grid::PixelGrid;
+use super::ray_grid::RayGrid;
 use super::scanner::{Angles, Scanner};
 use super::{Geometry, Lens, Sensor, SensorSpec};
 use crate::error::{Error, Result};
@@ -234,7 +235,7 @@ impl Sensor {
         if matches!(self.spec().geometry, Geometry::Camera(_)) {
             return Ok(());
         }
-        let rays = table.directions().iter().filter(|d| !d.is_nan()).take(2).count();
+        let rays = table.directions().filter(|d| !d.is_nan()).take(2).count();
         if rays < 2 {
             let what = "features on a ray-table sensor without a nearest ray";
             return Err(Error::invalid(what, "list at least two rays, or predict without features")
@@ -250,7 +251,7 @@ fn in_table(table: &RayGrid, ray: DVec3) -> Option<DVec2> {
     let at = |dc: i64, dr: i64| {
         let (c, r) = (i64::from(column) + dc, i64::from(row) + dr);
         let inside = (0..i64::from(table.width())).contains(&c) && (0..i64::from(table.height())).contains(&r);
-        let d = inside.then(|| table.directions()[(r * i64::from(table.width()) + c) as usize])?;
+        let d = inside.then(|| table.direction(c as u32, r as u32))?;
         (!d.is_nan()).then_some(d)
     };
     // Where the ray meets the plane that touches the sphere at its neighbour, seen from there.
@@ -298,7 +299,7 @@ fn nearest_ray(table: &RayGrid, ray: DVec3) -> Option<(u32, u32, DVec3)> {
         }
         for row in tile.row..tile.row + tile.height {
             for column in tile.column..tile.column + tile.width {
-                let d = table.directions()[(row * table.width() + column) as usize];
+                let d = table.direction(column, row);
                 // NaN is never nearer.
                 let apart = d.distance_squared(ray);
                 if best.is_none_or(|b| apart < b.0) && !d.is_nan() {

@@ -107,6 +107,8 @@ impl Case {
             scenes::scanner(180, 1),
             scenes::all_round(24, 13),
             scenes::fan(),
+            scenes::lens(29, 19),
+            scenes::fisheye(25, 18),
         ]
         .into_iter()
         .map(|sensor| match self.limits {

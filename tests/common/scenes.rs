@@ -3,8 +3,8 @@
 use super::Random;
 use glam::{DVec3, Vec3};
 use presight::{
-    Angles, Camera, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, RayTable, Scanner,
-    Sensor, SensorSpec, World,
+    Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
+    RayTable, Scanner, Sensor, SensorSpec, World,
 };
 use std::sync::Arc;
 
@@ -100,6 +100,24 @@ pub fn all_round(columns: u32, rows: u32) -> Sensor {
     let rays = (0..rows).flat_map(|r| (0..columns).map(move |c| ray(c, r))).collect();
     let table = RayTable::new(columns, rows, rays).expect("sound rays");
     Sensor::new(SensorSpec::new("all round", "laser", Geometry::Rays(table))).expect("a sound sensor")
+}
+
+/// A camera whose lens bends straight lines, with no ray in its corners, where the model folds over.
+pub fn lens(width: u32, height: u32) -> Sensor {
+    let f = 0.55 * f64::from(width);
+    let (cx, cy) = (f64::from(width) / 2.1, f64::from(height) / 1.9);
+    let distortion = Distortion::PlumbBob([-0.28, 0.02, 2e-3, -1e-3, 0.0]);
+    let camera = Camera { distortion, ..Camera::pinhole(width, height, f, 1.1 * f, cx, cy) };
+    Sensor::new(SensorSpec::new("lens", "video", Geometry::Camera(camera))).expect("a sound camera")
+}
+
+/// An equidistant fisheye that sees 110 degrees from its axis, and farther in its corners.
+pub fn fisheye(width: u32, height: u32) -> Sensor {
+    let f = 0.5 * f64::from(width) / 110f64.to_radians();
+    let (cx, cy) = (f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
+    let distortion = Distortion::Equidistant([-0.01, 1e-3, 0.0, 0.0]);
+    let camera = Camera { distortion, ..Camera::pinhole(width, height, f, f, cx, cy) };
+    Sensor::new(SensorSpec::new("fisheye", "video", Geometry::Camera(camera))).expect("a sound camera")
 }
 
 /// A scanner with listed elevations from pole to pole, turning clockwise.
