@@ -5,7 +5,7 @@ use crate::io::atomic::{is_given, target_of};
 use crate::io::inputs;
 use same_file::Handle;
 use std::fs;
-use std::io::ErrorKind as Io;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Files to be written.
@@ -119,7 +119,7 @@ pub fn check_no_dash(path: &Path) -> Result<()> {
 #[derive(Debug)]
 struct Identity {
     /// If it is there and may be read.
-    file: Option<Handle>,
+    file: Option<FileId>,
     /// Folder and name without links.
     place: Option<PathBuf>,
 }
@@ -128,9 +128,9 @@ impl Identity {
     fn of(path: &Path) -> Result<Self> {
         match fs::metadata(path) {
             // Two that are there at different places may be one; one that cannot be read was not read.
-            Ok(metadata) if metadata.is_file() => match Handle::from_path(path) {
+            Ok(metadata) if metadata.is_file() => match id_of(path) {
                 Ok(file) => Ok(Self { file: Some(file), place: None }),
-                Err(e) if e.kind() == Io::PermissionDenied => {
+                Err(e) if e.kind() == io::ErrorKind::PermissionDenied => {
                     Ok(Self { file: None, place: fs::canonicalize(path).ok() })
                 }
                 Err(e) => Err(Error::io(path, "open it", e)),
@@ -146,6 +146,23 @@ impl Identity {
         }
         equal(&self.file, &other.file) || equal(&self.place, &other.place)
     }
+}
+
+/// Device and inode: without open files, of which there may be few.
+#[cfg(unix)]
+type FileId = (u64, u64);
+
+#[cfg(unix)]
+fn id_of(path: &Path) -> io::Result<FileId> {
+    Handle::from_path(path).map(|file| (file.dev(), file.ino()))
+}
+
+#[cfg(not(unix))]
+type FileId = Handle;
+
+#[cfg(not(unix))]
+fn id_of(path: &Path) -> io::Result<FileId> {
+    Handle::from_path(path)
 }
 
 /// Where a file would come to be.
