@@ -131,7 +131,7 @@ impl Engine {
         self.gpu.check()?;
         self.drawn = false;
         if plan.polygon_count == 0 {
-            images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());
+            images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats);
             stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
@@ -264,7 +264,7 @@ impl Engine {
         self.gpu.done.bytes_read.add_many(at.bytes);
         self.stage_times(&view[at.times as usize..], stats);
         let params = &self.frame.params;
-        images.prepare(params.width, params.height, self.frame.outputs);
+        images.try_prepare(params.width, params.height, self.frame.outputs)?;
         if self.frame.on_host {
             let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
             let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));
