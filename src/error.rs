@@ -22,7 +22,7 @@ pub enum ErrorKind {
     DeviceLost,
     /// The device has too little memory. Exit status 3.
     DeviceMemory,
-    /// The operating system refused: disk full, locked, permission. Exit status 4.
+    /// The operating system refused: disk full, memory, locked, permission. Exit status 4.
     System,
 }
 

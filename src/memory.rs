@@ -46,7 +46,7 @@ pub fn room() -> Option<Room> {
 /// # Errors
 /// [`ErrorKind::System`] with what is needed and what is left.
 pub fn require(bytes: u64) -> Result<()> {
-    match room() {
+    match (bytes > 0).then(room).flatten() {
         Some(room) if bytes > room.bytes => {
             let what =
                 format!("it takes about {} of memory, and {} leaves {}", sized(bytes), room.by, sized(room.bytes));

@@ -49,7 +49,7 @@ const EXAMPLES: &str = "Examples:
   presight env create hall.presight hall.glb    keep a model, and every change to it
 
 Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
-3 no device for the asked backend, 4 the system refused (disk full, locked, permission).";
+3 no device for the asked backend, 4 the system refused (disk full, memory, locked, permission).";
 
 #[derive(Debug, Subcommand)]
 enum Command {

@@ -8,6 +8,7 @@ use crate::index::Scheme;
 use crate::io::atomic::write_atomically;
 use crate::io::gltf::ImportOptions;
 use crate::io::{load_sensor, preset};
+use crate::printable::printable;
 use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
 use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
@@ -86,7 +87,7 @@ fn stability(args: &Args) -> Result<Verdict> {
     notes.iter().for_each(|note| print::message(note));
     let progress = bar(study.steps() as u64);
     let rows = study.run(&mut engines, |what| {
-        progress.set_message(what.to_owned());
+        progress.set_message(printable(what).into_owned());
         progress.inc(1);
     });
     progress.finish_and_clear();
@@ -115,7 +116,7 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
     folder::ready(&args.out)?;
     let progress = bar(study.steps() as u64);
     let findings = study.run(|what| {
-        progress.set_message(what.to_owned());
+        progress.set_message(printable(what).into_owned());
         progress.inc(1);
     });
     progress.finish_and_clear();

@@ -150,7 +150,7 @@ impl Engine {
         self.gpu.check()?;
         self.drawn = false;
         if plan.polygon_count == 0 {
-            images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());
+            images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats);
             stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
@@ -272,6 +272,9 @@ impl Engine {
 
     fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
         let at = Readback::of(&self.frame);
+        let params = &self.frame.params;
+        // Before the answer is mapped, which an error would leave so.
+        images.try_prepare(params.width, params.height, self.frame.outputs)?;
         let buffer = self.store.readback.buffer();
         let mapping = &self.store.readback_mapping;
         mapping.ask(buffer, wgpu::MapMode::Read, at.bytes);
@@ -285,8 +288,6 @@ impl Engine {
             bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()]);
         self.gpu.done.bytes_read.add_many(at.bytes);
         self.stage_times(&view[at.times as usize..], stats);
-        let params = &self.frame.params;
-        images.prepare(params.width, params.height, self.frame.outputs);
         if self.frame.on_host {
             let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
             let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));

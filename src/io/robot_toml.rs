@@ -49,7 +49,7 @@ struct Entry {
 /// Reads a robot file with all its sensors. Also returns notices on parts of the sensors' files that are not used.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with file and place: of this file, or of the sensor file at fault.
+/// [`crate::ErrorKind::Invalid`] with file and place, and those of the sensor file at fault.
 pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
     let text = read_settings(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
@@ -63,7 +63,7 @@ pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
         }
         let mut sensors: Vec<Sensor> = Vec::new();
         for (i, entry) in file.sensors.into_iter().enumerate() {
-            let sensor = entry.load(folder, notices).map_err(|e| e.at(format!("sensor {i}")))?;
+            let sensor = entry.load(folder, notices).map_err(|e| e.named_in(path, format!("sensor {i}")))?;
             let name = &sensor.spec().name;
             if sensors.iter().any(|other| other.spec().name == *name) {
                 return Err(Error::invalid(format!("two sensors are named {name:?}"), "give each a name of its own")
@@ -130,7 +130,8 @@ mod tests {
         for (bad, says) in [
             (text.replace("format = 1", "format = 2"), "newer"),
             (text.replace("name =", "nome ="), "line 4"),
-            (text.replace("eye.toml", "ear.toml"), "ear.toml"),
+            (text.replace("eye.toml", "ear.toml"), "kurt.toml: sensor 1: "),
+            (text.replace("eye.toml", "ear.toml"), "ear.toml: cannot open it"),
             (text.replace("laser-scanner", "laser-scaner"), "choose one of"),
             (text.replace("\"front\"", "\"video-camera\""), "two sensors"),
             ("format = 1".to_owned(), "no sensors"),

@@ -98,7 +98,7 @@ enum Command {
         store: PathBuf,
         /// The number of the change, as the log has it
         change: u64,
-        /// Undo later changes of the same objects and features, too, newest first
+        /// Undo later changes of the same objects and features, too, newest first; it says which before
         #[arg(long)]
         cascade: bool,
         #[command(flatten)]
