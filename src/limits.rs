@@ -41,6 +41,8 @@ pub const MAX_FACETS: u32 = 1024;
 pub const MAX_OUTLINE: usize = 512;
 /// Largest scene script or module of one, in bytes.
 pub const MAX_SCRIPT_BYTES: u64 = 1 << 20;
+/// Most bytes of a script and all its modules together.
+pub const MAX_SCRIPT_TEXT: usize = 4 << 20;
 /// Most operations of a script, its modules included: some seconds. Reading a large value counts by its size. They also bound
 /// what maps can grow to by index.
 pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
@@ -53,7 +55,7 @@ pub const MAX_SCRIPT_NESTING: usize = 128;
 /// Most variables of one call in a script.
 pub const MAX_SCRIPT_VARIABLES: usize = 256;
 /// Most arguments of a call in a script, and parameters of a function.
-pub const MAX_SCRIPT_ARGUMENTS: usize = 16;
+pub const MAX_SCRIPT_ARGUMENTS: usize = 12;
 /// Most functions of a script or module of one.
 pub const MAX_SCRIPT_FUNCTIONS: usize = 256;
 /// Longest name of a variable or function in a script, in bytes.

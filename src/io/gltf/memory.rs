@@ -47,8 +47,15 @@ impl Memory {
     }
 
     /// Without what only reading took.
-    pub(super) fn after_import(self) -> Self {
+    #[cfg(feature = "script")]
+    pub fn after_import(self) -> Self {
         Self { bytes: self.kept, ..self }
+    }
+
+    /// The bytes counted so far.
+    #[cfg(feature = "script")]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Counts JSON text as what it becomes.

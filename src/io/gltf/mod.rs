@@ -85,7 +85,7 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 }
 
 /// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however
-/// links lead; what it keeps is counted with what was imported before.
+/// links lead; what it takes is counted besides what was imported before.
 ///
 /// # Errors
 /// As [`import`]; [`ErrorKind::Invalid`] if one is outside.
@@ -104,12 +104,11 @@ pub(in crate::io) fn import_within(
     if let Some(within) = within {
         container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
     }
-    let bytes = file::read(file::open(path)?, path, limits::MAX_FILE_BYTES.min(limits::MAX_IMPORT_BYTES))?;
+    let file = file::open(path)?;
+    memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
+    let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
     let sidecar = Sidecar::beside(path)?;
-    let before = *memory;
-    let imported = import_bytes(&bytes, (path, within), &sidecar, options, memory);
-    *memory = if imported.is_ok() { memory.after_import() } else { before };
-    imported.map_err(|e| e.in_file(path))
+    import_bytes(&bytes, (path, within), &sidecar, options, memory).map_err(|e| e.in_file(path))
 }
 
 fn import_bytes(
@@ -119,7 +118,6 @@ fn import_bytes(
     options: &ImportOptions,
     memory: &mut Memory,
 ) -> Result<Imported> {
-    memory.take(bytes.len() as u64, "the file itself")?;
     let container = container::open(bytes)?;
     memory.take_json(container.json)?;
     let root: json::Root = parse(container.json)?;

@@ -1,7 +1,7 @@
 //! What a script may take: the language's own limits, and operations counted by what they cost.
 
 use crate::limits;
-use rhai::{Dynamic, Engine, EvalAltResult, Position};
+use rhai::{Dynamic, Engine, EvalAltResult, FnPtr, Position};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -82,7 +82,14 @@ fn too_large(value: &Dynamic) -> Option<&'static str> {
     if let Ok(map) = value.as_map_ref() {
         return (map.len() > limits::MAX_SCRIPT_MAP).then_some("Size of object map");
     }
-    None
+    // Nothing else holds what `curry` gives to a function.
+    let curried = value.read_lock::<FnPtr>().is_some_and(|f| curried(&f) > limits::MAX_SCRIPT_ARRAY);
+    curried.then_some("Size of the array of curried values")
+}
+
+/// What reading the values costs that `curry` gave to a function.
+fn curried(function: &FnPtr) -> usize {
+    function.iter_curry().map(|value| 1 + size(value)).sum()
 }
 
 /// What reading a value costs, about.
@@ -95,7 +102,10 @@ fn size(value: &Dynamic) -> usize {
     }
     if let Ok(map) = value.as_map_ref() {
         // Its keys are looked for, or copied.
-        return 2 * map.len() + map.values().map(size).sum::<usize>();
+        return map.iter().map(|(key, value)| 2 + key.len() / 16 + size(value)).sum();
+    }
+    if let Some(function) = value.read_lock::<FnPtr>() {
+        return curried(&function);
     }
     value.as_immutable_string_ref().map_or(0, |text| text.len() / 16)
 }

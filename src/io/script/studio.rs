@@ -131,8 +131,17 @@ impl Studio {
             return Ok(known.clone());
         }
         // By the name the script gives: messages and the sidecar belong to it.
-        let outcome =
-            gltf::import_within(&shown, Some(self.folder.real()), &self.options, &mut self.imported.borrow_mut())?;
+        // Nothing is read once too much was.
+        self.budget.work(0)?;
+        let mut memory = *self.imported.borrow();
+        let outcome = gltf::import_within(&shown, Some(self.folder.real()), &self.options, &mut memory);
+        if outcome.is_err() {
+            // It is read again the next time.
+            let taken = memory.bytes() - self.imported.borrow().bytes();
+            self.budget.work(corners_worth(usize::try_from(taken).unwrap_or(usize::MAX)))?;
+        }
+        let outcome = outcome?;
+        *self.imported.borrow_mut() = memory.after_import();
         let assembly = self.built.borrow_mut().take_over(outcome, relative, &self.budget)?;
         self.built.borrow_mut().imports.insert(real, assembly.clone());
         Ok(assembly)

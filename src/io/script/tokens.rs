@@ -8,7 +8,7 @@ use super::fault::syntax;
 use crate::error::{Error, Result};
 use crate::limits;
 use rhai::{AST, Engine, LexError, Position, Token};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -96,20 +96,29 @@ impl Default for Parsed {
 
 /// Counts what parsers read.
 #[derive(Clone, Default)]
-pub(super) struct Tokens(Rc<RefCell<Parsed>>);
+pub(super) struct Tokens {
+    parsed: Rc<RefCell<Parsed>>,
+    /// Bytes of all texts so far.
+    bytes: Rc<Cell<usize>>,
+}
 
 impl Tokens {
     /// Watches all that an engine parses.
     pub fn watch(&self, engine: &mut Engine) {
-        let parsed = self.0.clone();
+        let parsed = self.parsed.clone();
         #[expect(deprecated, reason = "it is not, the library says: it may change")]
         engine.on_parse_token(move |token, at, _| parsed.borrow_mut().next(token, at));
     }
 
     /// Parses a text; errors name the file.
     pub fn parse(&self, engine: &Engine, text: &str, file: &Path) -> Result<AST> {
-        *self.0.borrow_mut() = Parsed::default();
-        engine.compile(text).map_err(|e| match self.0.take().excess {
+        self.bytes.set(self.bytes.get().saturating_add(text.len()));
+        if self.bytes.get() > limits::MAX_SCRIPT_TEXT {
+            let what = format!("the script and its modules have over {} bytes", limits::MAX_SCRIPT_TEXT);
+            return Err(Error::invalid(what, "leave out what is not needed").in_file(file));
+        }
+        *self.parsed.borrow_mut() = Parsed::default();
+        engine.compile(text).map_err(|e| match self.parsed.take().excess {
             None => syntax(&e, file),
             Some((excess, at)) => {
                 let (what, remedy) = excess.in_words();
