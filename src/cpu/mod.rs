@@ -62,8 +62,10 @@ impl Engine {
     /// Fills the asked images.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if the plan holds more polygons than the engine can number.
+    /// [`ErrorKind::Invalid`] if the plan holds more polygons than the engine can number; those of [`crate::Pose::check`], if the
+    /// plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        plan.world_from_sensor.check()?;
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
         images.prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn());

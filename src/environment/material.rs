@@ -24,7 +24,7 @@ pub struct Material {
     pub name: String,
     /// Reflection factor, 0..=1.
     pub reflection: f64,
-    /// Seen from the side of its normal only. Off for everything unless the material says otherwise.
+    /// Seen from the side of its normal only; a mirrored object keeps its fronts. Off for everything unless the material says otherwise.
     pub one_sided: bool,
     /// Linear RGB for pictures.
     pub color: [f32; 3],
