@@ -10,6 +10,9 @@ mod objects;
 #[cfg(test)]
 mod tests;
 
+/// Features that a change touches one by one in the lists of their layers; for more these are opened first.
+const FEW_FEATURES: usize = 32;
+
 /// One version of the environment and its spatial index, cheap to clone; predictions in flight keep the version they
 /// began with.
 ///
@@ -101,12 +104,48 @@ impl World {
         let inverse = match change {
             Change::Group(_) => {
                 let before = self.clone();
-                self.step(change).inspect_err(|_| *self = before)?
+                self.step_all(change).inspect_err(|_| *self = before)?
             }
-            single => self.step(single)?,
+            single => self.step_all(single)?,
         };
         self.version += 1;
         Ok(inverse)
+    }
+
+    /// A change; one that touches many features has them open meanwhile.
+    fn step_all(&mut self, change: Change) -> Result<Change> {
+        let mut few = FEW_FEATURES;
+        if self.touches_few(&change, &mut few) {
+            return self.step(change);
+        }
+        Arc::make_mut(&mut self.environment).open_layers();
+        let done = self.step(change);
+        Arc::make_mut(&mut self.environment).close_layers();
+        done
+    }
+
+    /// False once a change puts in, alters or takes out more features, one by one, than are `left`.
+    fn touches_few(&self, change: &Change, left: &mut usize) -> bool {
+        let count = match change {
+            Change::Group(changes) => return changes.iter().all(|change| self.touches_few(change, left)),
+            Change::InsertFeature { .. }
+            | Change::RestoreFeature { .. }
+            | Change::SetFeature { .. }
+            | Change::DeleteFeature { .. }
+            | Change::SetPoseCovariance { .. } => 1,
+            // Each object that is deleted asks for its features, even if it has none.
+            Change::DeleteObject { name } => {
+                let is_object = self.environment.object(name).is_some();
+                let objects = if is_object { 1 } else { self.environment.below(name).take(*left + 1).count() };
+                objects + self.environment.attached_to_path(name, !is_object, *left + 1)
+            }
+            _ => 0,
+        };
+        match left.checked_sub(count) {
+            Some(rest) => *left = rest,
+            None => return false,
+        }
+        true
     }
 
     /// A change; only a group can fail halfway.

@@ -1,5 +1,6 @@
 //! `presight report`: studies as pages.
 
+use super::bar::bar;
 use super::{Verdict, folder, load, print};
 use crate::error::{Error, Result};
 use crate::free_poses::free_poses;
@@ -10,8 +11,7 @@ use crate::io::{load_sensor, preset};
 use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
 use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
-use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
@@ -124,15 +124,6 @@ fn write(folder: &Path, files: [(&str, String); 3]) -> Result<()> {
         write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
     }
     Ok(())
-}
-
-/// On stderr, and only if that is a terminal.
-fn bar(steps: u64) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{bar:24} {pos}/{len} {elapsed} {wide_msg}");
-    ProgressBar::new(steps).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 fn summary(folder: &Path, findings: &Findings) -> String {

@@ -1,5 +1,6 @@
 //! The feature layers of an environment, at most one for each sensor class.
 
+use super::open::OpenLayer;
 use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
 
@@ -74,6 +75,9 @@ impl Environment {
 
     /// The feature of that class and id.
     pub fn feature(&self, class: &str, id: u32) -> Option<&Feature> {
+        if let Some(open) = &self.open {
+            return open.get(class)?.feature(id);
+        }
         let layer = self.layer(class)?;
         layer.features.binary_search_by_key(&id, |f| f.id).ok().map(|i| &layer.features[i])
     }
@@ -83,13 +87,18 @@ impl Environment {
         self.retired.get(class).into_iter().flatten().copied()
     }
 
+    /// True if an id was that of a deleted feature of a class.
+    pub(crate) fn is_retired(&self, class: &str, id: u32) -> bool {
+        self.retired.get(class).is_some_and(|ids| ids.contains(&id))
+    }
+
     /// Marks an id as that of a deleted feature.
     pub(crate) fn retire(&mut self, class: &str, id: u32) {
         self.retired.entry(class.to_owned()).or_default().insert(id);
     }
 
     fn check_unused(&self, class: &str, id: u32) -> Result<()> {
-        if self.retired.get(class).is_none_or(|ids| !ids.contains(&id)) {
+        if !self.is_retired(class, id) {
             return Ok(());
         }
         let what = format!("id {id} was that of a deleted feature");
@@ -113,9 +122,16 @@ impl Environment {
         if let Some(ids) = self.retired.get_mut(class) {
             ids.remove(&feature.id);
         }
-        let layer = self.layer_or_new(class)?;
-        let at = layer.features.partition_point(|f| f.id < feature.id);
-        layer.features.insert(at, feature);
+        self.layer_or_new(class)?;
+        match &mut self.open {
+            Some(open) => {
+                open.entry(class.to_owned()).or_default().insert(feature);
+            }
+            None => {
+                let features = &mut self.layer_or_new(class)?.features;
+                features.insert(features.partition_point(|f| f.id < feature.id), feature);
+            }
+        }
         Ok(())
     }
 
@@ -124,19 +140,36 @@ impl Environment {
         let place = || format!("feature {} for class {class:?}", feature.id);
         let check = || feature.check_dictionary().and_then(|()| self.check_feature(class, &feature));
         check().map_err(|e| e.at(place()))?;
+        if let Some(open) = &mut self.open {
+            let layer = open.get_mut(class).filter(|layer| layer.feature(feature.id).is_some());
+            let id = feature.id;
+            return layer.and_then(|layer| layer.insert(feature)).ok_or_else(|| no_feature(class, id));
+        }
         let (layer, at) = self.find_feature(class, feature.id)?;
         Ok(std::mem::replace(&mut self.layers[layer].features[at], feature))
     }
 
     /// Deletes a feature, which is the answer; its id is never used again.
     pub(crate) fn delete_feature(&mut self, class: &str, id: u32) -> Result<Feature> {
-        let (layer, at) = self.find_feature(class, id)?;
+        let feature = match &mut self.open {
+            Some(open) => open.get_mut(class).and_then(|l| l.remove(id)).ok_or_else(|| no_feature(class, id))?,
+            None => {
+                let (layer, at) = self.find_feature(class, id)?;
+                self.layers[layer].features.remove(at)
+            }
+        };
         self.retire(class, id);
-        Ok(self.layers[layer].features.remove(at))
+        Ok(feature)
     }
 
     /// What goes with an object: by class, whether its pose has a covariance, and the ids of its features.
     pub(crate) fn attached_to(&self, object: &str) -> Vec<(String, bool, Vec<u32>)> {
+        if let Some(open) = &self.open {
+            let of = |(class, layer): (&String, &OpenLayer)| {
+                (class.clone(), layer.covariance(object).is_some(), layer.of_object(object))
+            };
+            return open.iter().map(of).collect();
+        }
         let of = |layer: &FeatureLayer| {
             let covariance = layer.pose_covariances.iter().any(|(path, _)| path == object);
             let own = layer.features.iter().filter(|f| f.object.as_deref() == Some(object));
@@ -145,13 +178,28 @@ impl Environment {
         self.layers.iter().map(of).collect()
     }
 
+    /// How many features hang on an object, or on all objects below a path; `most` are counted.
+    pub(crate) fn attached_to_path(&self, path: &str, below: bool, most: usize) -> usize {
+        let is_on = |object: &str| match object.strip_prefix(path) {
+            Some(rest) if below => rest.starts_with('/'),
+            Some(rest) => rest.is_empty(),
+            None => false,
+        };
+        let objects = self.layers.iter().flat_map(|layer| &layer.features).filter_map(|f| f.object.as_deref());
+        objects.filter(|object| is_on(object)).take(most).count()
+    }
+
+    /// The features for a class, open or not, rising ids.
+    fn features_of(&self, class: &str) -> impl Iterator<Item = &Feature> {
+        let listed = self.layer(class).into_iter().flat_map(|layer| &layer.features);
+        let open = self.open.as_ref().and_then(|open| open.get(class));
+        listed.chain(open.into_iter().flat_map(OpenLayer::features))
+    }
+
     fn find_feature(&self, class: &str, id: u32) -> Result<(usize, usize)> {
         let layer = self.layers.binary_search_by(|l| l.class.as_str().cmp(class)).ok();
         let found = layer.and_then(|l| Some((l, self.layers[l].features.binary_search_by_key(&id, |f| f.id).ok()?)));
-        found.ok_or_else(|| {
-            let what = format!("there is no feature {id} for class {class:?}");
-            Error::invalid(what, "presight env export writes all features")
-        })
+        found.ok_or_else(|| no_feature(class, id))
     }
 
     fn check_feature(&self, class: &str, feature: &Feature) -> Result<()> {
@@ -178,9 +226,7 @@ impl Environment {
         let before = self.layer(class).map(|l| l.tolerance);
         let header = FeatureLayer { class: class.to_owned(), tolerance, ..FeatureLayer::default() };
         header.check_header()?;
-        let features = self.layer(class).map_or(&[][..], |l| &l.features);
-        features
-            .iter()
+        self.features_of(class)
             .try_for_each(|f| f.check(tolerance).map_err(|e| e.at(format!("feature {} for class {class:?}", f.id))))?;
         self.layer_or_new(class)?.tolerance = tolerance;
         Ok(before)
@@ -198,6 +244,10 @@ impl Environment {
             self.index_of(object).map_err(|e| e.at(place()))?;
             super::check_covariance(covariance).map_err(|e| e.at(place()))?;
         }
+        self.layer_or_new(class)?;
+        if let Some(open) = &mut self.open {
+            return Ok(open.entry(class.to_owned()).or_default().set_covariance(object, covariance));
+        }
         let all = &mut self.layer_or_new(class)?.pose_covariances;
         let at = all.iter().position(|(path, _)| path == object);
         Ok(match (at, covariance) {
@@ -210,4 +260,9 @@ impl Environment {
             (None, None) => None,
         })
     }
+}
+
+fn no_feature(class: &str, id: u32) -> Error {
+    let what = format!("there is no feature {id} for class {class:?}");
+    Error::invalid(what, "presight env export writes all features")
 }

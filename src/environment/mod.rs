@@ -7,6 +7,7 @@ mod groups;
 mod layers;
 mod material;
 mod mesh;
+mod open;
 mod paths;
 
 pub use content_hash::ContentHash;
@@ -148,6 +149,8 @@ pub struct Environment {
     objects: Vec<Object>,
     materials: Vec<Material>,
     layers: Vec<FeatureLayer>,
+    /// What they hold while many changes are made at once, by class ([`Environment::open_layers`]).
+    open: Option<BTreeMap<String, open::OpenLayer>>,
     /// In order: what is below a path follows it.
     names: BTreeMap<String, u32>,
     /// Frames that groups were given; none of these paths is an object.
