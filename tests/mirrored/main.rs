@@ -5,7 +5,7 @@
 //! origin that looks along +x sees its near wall at 2 m if the fronts are outside, and its far wall at 3 m if they are
 //! inside. From its middle the wall ahead is 0.5 m off, if its front is inside.
 
-#![expect(clippy::print_stderr, reason = "a skipped engine says so")]
+#![cfg_attr(feature = "gpu", expect(clippy::print_stderr, reason = "a skipped engine says so"))]
 
 #[path = "../import/build.rs"]
 #[allow(dead_code, reason = "made for more than this")]
@@ -105,11 +105,19 @@ type Engine = Box<dyn FnMut(&FramePlan) -> Images>;
 
 /// Every engine; the GPU's with either kind of atomics, and with its stages on the device.
 fn engines() -> Vec<(&'static str, Engine)> {
-    let mut all: Vec<(&str, Engine)> = vec![
-        ("reference", Box::new(|plan: &FramePlan| common::reference(plan))),
-        ("cpu", Box::new(common::engines::cpu(2))),
-    ];
-    #[cfg(feature = "gpu")]
+    let reference: Engine = Box::new(|plan: &FramePlan| common::reference(plan));
+    let on_cpu: Vec<(&str, Engine)> = vec![("reference", reference), ("cpu", Box::new(common::engines::cpu(2)))];
+    on_cpu.into_iter().chain(gpu_engines()).collect()
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpu_engines() -> Vec<(&'static str, Engine)> {
+    Vec::new()
+}
+
+#[cfg(feature = "gpu")]
+fn gpu_engines() -> Vec<(&'static str, Engine)> {
+    let mut all: Vec<(&str, Engine)> = Vec::new();
     for (name, without_int64, all_on_device) in
         [("gpu", false, false), ("gpu, 64-bit", false, true), ("gpu, 32-bit", true, true)]
     {
