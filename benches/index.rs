@@ -253,7 +253,8 @@ fn segments<'a>(
             let pose = Pose { translation: q.apex.extend(1.0), ..Pose::IDENTITY };
             // The same headings come again from the same seed.
             let (_, _, heading) = (random.unit(), random.unit(), TAU * random.unit());
-            let region = Region::segment(&pose, heading, 60f64.to_radians(), (-0.1745, 0.1745), 10.0);
+            let region =
+                Region::segment(&pose, heading, 60f64.to_radians(), (-0.1745, 0.1745), 10.0).expect("a sound pose");
             Query { region, ..*q }
         })
         .collect();

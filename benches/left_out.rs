@@ -215,7 +215,7 @@ fn device(scene: &Scene) {
     use presight::FramePlan;
     use presight::gpu::{DeviceOptions, Engine};
     let sensor = preset("video-camera").expect("a preset");
-    let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default());
+    let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default()).expect("a sound pose");
     let engine = |options| Engine::new(options).unwrap_or_else(|e| panic!("{e}"));
     let all = DeviceOptions { all_on_device: true, ..DeviceOptions::default() };
     let pairs = [

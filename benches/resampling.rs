@@ -125,7 +125,7 @@ fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
     let sensor = segment()?;
     let request = Request::default();
     let mut truth = Images::default();
-    reference::render(&FramePlan::new(world, &sensor, pose, &request), &mut truth)?;
+    reference::render(&FramePlan::new(world, &sensor, pose, &request)?, &mut truth)?;
     let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 0.into() })?;
     let mut images = Images::default();
     let print = |way: &str, ms: f64, images: &Images| {

@@ -80,7 +80,7 @@ fn selection(c: &mut Criterion) {
         for name in PRESETS {
             let sensor = preset(name).expect("a preset");
             let request = Request::default();
-            let mut plan = FramePlan::new(&world, &sensor, &scene.world_from_sensor, &request);
+            let mut plan = FramePlan::new(&world, &sensor, &scene.world_from_sensor, &request).expect("a sound pose");
             group.bench_function(BenchmarkId::new(scene.name, name), |b| {
                 b.iter(|| plan.renew(&world, &sensor, black_box(&scene.world_from_sensor), &request));
             });

@@ -50,7 +50,7 @@ fn uncertain(shape: &FeatureShape) -> Uncertain {
     for (i, sigma) in [(0, SIGMAS[0]), (1, SIGMAS[0]), (5, SIGMAS[1])] {
         robot[i][i] = sigma * sigma;
     }
-    Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, shape)
+    Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, shape).expect("sound poses")
 }
 
 fn region(distance: f64, confidence: f64) -> Option<Roi> {

@@ -43,10 +43,9 @@ fn set_up(survivor: Survivor) {
         }
     }
     let image_normal = normal_to_image(instance, normal);
-    // Nothing of it is nearer than its plane; one-sided, it is seen from the side of its winding's normal only.
-    let behind = instance.handedness * distance > 0.0;
+    // Nothing of it is nearer than its plane; one-sided, it is seen from the side of its mesh's normal only, mirrored or not.
     let too_far = abs(distance) > params.range_max * length(image_normal) * 1.00001;
-    if too_far || (survivor.flags & ONE_SIDED) != 0u && behind {
+    if too_far || (survivor.flags & ONE_SIDED) != 0u && distance > 0.0 {
         return;
     }
     let near = (survivor.flags & NEAR) != 0u;
@@ -74,7 +73,8 @@ fn set_up(survivor: Survivor) {
     }
     write_head(at, instance, survivor.polygon, corner_count, image_normal, distance);
     // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
-    write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, select(-1.0, 1.0, behind));
+    let sign = select(-1.0, 1.0, instance.handedness * distance > 0.0);
+    write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, sign);
     add_items(at, instance, survivor, first_corner, corner_count);
 }
 

@@ -95,10 +95,11 @@ fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut Found) 
     hit >= wanted
 }
 
-/// Corners of a polygon relative to a point, world axes.
+/// Corners of a polygon relative to a point, world axes, counter-clockwise as seen from its front.
 fn corners_from(object: &Object, polygon: u32, at: DVec3) -> Vec<DVec3> {
-    let world_from_mesh = object.world_from_mesh();
-    object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p) - at).collect()
+    let mut corners = object.polygon_in_world(polygon);
+    corners.iter_mut().for_each(|p| *p -= at);
+    corners
 }
 
 /// Not of unit length.
@@ -202,6 +203,26 @@ mod tests {
         assert!(!floor(down, true, 1.0) && floor(DVec3::Z, true, -1.0));
     }
 
+    /// A mirror moves the front of a face with the face.
+    #[test]
+    fn the_front_of_a_mirrored_polygon_is_its_front() {
+        // The floor's front is below; mirrored in z it is a ceiling below the origin, with its front above.
+        for (scale, height, direction) in [
+            (DVec3::new(-1.0, 1.0, 1.0), -1.0, DVec3::Z),
+            (DVec3::new(1.0, -1.0, 1.0), -1.0, DVec3::Z),
+            (DVec3::new(1.0, 1.0, -1.0), 1.0, -DVec3::Z),
+            (DVec3::new(-1.0, -1.0, 1.0), -1.0, DVec3::Z),
+        ] {
+            let mut object = hall().environment().objects()[0].clone();
+            object.object_from_mesh = glam::DAffine3::from_scale(scale);
+            let at = DVec3::new(scale.x, scale.y, height);
+            let behind = DVec3::new(scale.x, scale.y, -height);
+            assert!(is_hit(&object, 0, at, direction, true), "{scale}");
+            assert!(!is_hit(&object, 0, behind, -direction, true), "{scale}");
+            assert!(is_hit(&object, 0, behind, -direction, false), "{scale}");
+        }
+    }
+
     /// Rays find what an image of them shows.
     #[test]
     fn as_many_rays_hit_as_an_image_of_them_shows() {
@@ -214,7 +235,8 @@ mod tests {
             let at = DVec3::new(2.0 + 0.08 * f64::from(k), 1.5, 1.2);
             let pose = Pose::from_xyz_rpy(at, 0.1, 0.2, 0.3 * f64::from(k));
             let mut images = Images::default();
-            reference::render(&FramePlan::new(&world, &sensor, &pose, &Request::default()), &mut images).unwrap();
+            let plan = FramePlan::new(&world, &sensor, &pose, &Request::default()).unwrap();
+            reference::render(&plan, &mut images).unwrap();
             let share = images.range.iter().filter(|r| r.is_finite()).count() as f64 / f64::from(RAYS);
             let surrounded = is_surrounded(&world, &rays, &pose, &mut found);
             assert_eq!(surrounded, share >= FREE_HITS, "{share} at {at}");

@@ -176,8 +176,8 @@ impl Predictor {
     /// that fails, or if the device has too little memory. [`Stats::notices`] says so from then on.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera; [`ErrorKind::DeviceLost`] and
-    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`].
+    /// [`ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera, and those of [`Pose::check`];
+    /// [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`].
     pub fn predict_into(
         &mut self,
         world: &World,
@@ -192,13 +192,14 @@ impl Predictor {
                 "ask for range",
             ));
         }
+        world_from_sensor.check()?;
         let start = Instant::now();
         let plan = match self.plan.take() {
             Some(mut plan) => {
-                plan.renew(world, sensor, world_from_sensor, request);
+                plan.renew(world, sensor, world_from_sensor, request)?;
                 plan
             }
-            None => FramePlan::new(world, sensor, world_from_sensor, request),
+            None => FramePlan::new(world, sensor, world_from_sensor, request)?,
         };
         let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         stats.stage("selection", start);
@@ -279,6 +280,7 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<()> {
         if prediction.features.is_empty() {
+            world_from_sensor.check()?;
             stats.leave_out("regions of interest", "there is no feature");
             return options.check();
         }

@@ -10,6 +10,9 @@ mod objects;
 #[cfg(test)]
 mod tests;
 
+/// Features that a change touches one by one in the lists of their layers; for more these are opened first.
+const FEW_FEATURES: usize = 32;
+
 /// One version of the environment with its spatial index. It is cheap to clone, and a running prediction keeps the version with
 /// which it started.
 ///
@@ -103,7 +106,7 @@ impl World {
         match change {
             Change::Group(_) => self.apply_if(change, |_| Ok(())),
             single => {
-                let inverse = self.step(single)?;
+                let inverse = self.with_open_layers(single, Self::step)?;
                 self.version += 1;
                 Ok(inverse)
             }
@@ -113,14 +116,16 @@ impl World {
     /// Makes the next version if `check` then finds it sound; else content, numbers and version stay as they are. Nothing
     /// is copied for that: what was done is taken back step by step.
     pub(crate) fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
-        self.journal = Some(Vec::new());
-        let done = self.step(change).and_then(|inverse| check(self).map(|()| inverse));
-        let journal = self.journal.take().unwrap_or_default();
-        match &done {
-            Ok(_) => self.version += 1,
-            Err(_) => journal.into_iter().rev().for_each(|step| self.revert(step)),
-        }
-        done
+        self.with_open_layers(change, |world, change| {
+            world.journal = Some(Vec::new());
+            let done = world.step(change).and_then(|inverse| check(world).map(|()| inverse));
+            let journal = world.journal.take().unwrap_or_default();
+            match &done {
+                Ok(_) => world.version += 1,
+                Err(_) => journal.into_iter().rev().for_each(|step| world.revert(step)),
+            }
+            done
+        })
     }
 
     /// Notes how the step to come is taken back, where it may have to be.
@@ -144,6 +149,46 @@ impl World {
         if let Some(object) = moved {
             Arc::make_mut(&mut self.index).insert_object(&self.environment, object);
         }
+    }
+
+    /// Does `work` with a change; one that touches many features finds the layers open.
+    fn with_open_layers(
+        &mut self,
+        change: Change,
+        work: impl FnOnce(&mut Self, Change) -> Result<Change>,
+    ) -> Result<Change> {
+        let mut few = FEW_FEATURES;
+        if self.touches_few(&change, &mut few) {
+            return work(self, change);
+        }
+        Arc::make_mut(&mut self.environment).open_layers();
+        let done = work(self, change);
+        Arc::make_mut(&mut self.environment).close_layers();
+        done
+    }
+
+    /// False once a change puts in, alters or takes out more features, one by one, than are `left`.
+    fn touches_few(&self, change: &Change, left: &mut usize) -> bool {
+        let count = match change {
+            Change::Group(changes) => return changes.iter().all(|change| self.touches_few(change, left)),
+            Change::InsertFeature { .. }
+            | Change::RestoreFeature { .. }
+            | Change::SetFeature { .. }
+            | Change::DeleteFeature { .. }
+            | Change::SetPoseCovariance { .. } => 1,
+            // Each object that is deleted asks for its features, even if it has none.
+            Change::DeleteObject { name } => {
+                let is_object = self.environment.object(name).is_some();
+                let objects = if is_object { 1 } else { self.environment.below(name).take(*left + 1).count() };
+                objects + self.environment.attached_to_path(name, !is_object, *left + 1)
+            }
+            _ => 0,
+        };
+        match left.checked_sub(count) {
+            Some(rest) => *left = rest,
+            None => return false,
+        }
+        true
     }
 
     /// A change; only a group can fail halfway.
@@ -231,12 +276,10 @@ impl World {
             | Change::SetPoseCovariance { class, .. } => class,
             _ => return,
         };
-        let layer = self.environment.layer(class);
-        let revert = match (layer, change) {
+        let revert = match (self.environment.layer(class), change) {
             (None, _) => Revert::NewLayer { class: class.clone() },
-            (Some(layer), Change::SetPoseCovariance { object, .. }) => {
-                let place = layer.pose_covariances.iter().position(|(path, _)| path == object);
-                let before = place.map(|place| (place, layer.pose_covariances[place].1));
+            (Some(_), Change::SetPoseCovariance { object, .. }) => {
+                let before = self.environment.covariance_and_place(class, object);
                 Revert::PoseCovariance { class: class.clone(), object: object.clone(), before }
             }
             _ => return,

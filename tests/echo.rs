@@ -44,7 +44,7 @@ fn pose() -> Pose {
 }
 
 fn plan(world: &World, sensor: &Sensor, outputs: Outputs, ids: IdScheme) -> FramePlan {
-    FramePlan::new(world, sensor, &pose(), &Request { outputs, ids })
+    FramePlan::new(world, sensor, &pose(), &Request { outputs, ids }).unwrap()
 }
 
 /// What the materials say, polygon by polygon, without the step under test.
@@ -126,7 +126,8 @@ fn unasked_it_is_neither_there_nor_needs_anything() {
         &sensor,
         &Pose::IDENTITY,
         &Request { outputs: Outputs::of(&[Output::Echo]), ids: IdScheme::Model },
-    );
+    )
+    .unwrap();
     assert_eq!(asked.drawn(), Outputs::of(&[Output::CosIncidence]));
     assert_eq!(asked.request.outputs, Outputs::of(&[Output::Echo]));
 }

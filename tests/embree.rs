@@ -50,7 +50,7 @@ fn vector(v: &Value) -> DVec3 {
 
 fn images(world: &World, sensor: &Sensor, pose: &Pose) -> Images {
     let request = Request { outputs: Outputs::ALL, ids: IdScheme::Source };
-    common::reference(&FramePlan::new(world, sensor, pose, &request))
+    common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a sound pose"))
 }
 
 /// Compares lengths, then depths, then ids; the number of stable pixels whose depth agrees comes back.

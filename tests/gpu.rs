@@ -185,8 +185,9 @@ fn a_site_in_utm_metres_keeps_its_millimetres() {
     }
 }
 
-/// One big polygon far from f32's reach: whether it is seen depends on the sign of a tiny distance.
-fn floor() -> World {
+/// One big polygon far from f32's reach: whether it is seen depends on the sign of a tiny distance. A mirrored one is seen
+/// from where it is seen without the mirror.
+fn floor(scale: DVec3) -> World {
     let vertices = vec![
         Vec3::new(-50.0, -50.0, 0.0),
         Vec3::new(50.0, -50.0, 0.0),
@@ -196,21 +197,27 @@ fn floor() -> World {
     let mut environment = Environment::new();
     environment.add_material(Material { one_sided: true, ..Material::named("floor") }).unwrap();
     let mesh = Mesh::new("floor", vertices, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Given).unwrap();
-    environment
-        .insert(NewObject::new("floor", Pose::from_xyz_rpy(DVec3::ZERO, 0.2, 0.1, 0.4), Arc::new(mesh)))
-        .unwrap();
+    let pose = Pose::from_xyz_rpy(DVec3::ZERO, 0.2, 0.1, 0.4);
+    let object_from_mesh = DAffine3::from_scale(scale);
+    environment.insert(NewObject { object_from_mesh, ..NewObject::new("floor", pose, Arc::new(mesh)) }).unwrap();
     World::new(environment)
 }
 
 #[test]
 fn a_sensor_just_off_a_floor_knows_its_side() {
-    let world = floor();
-    let normal = world.environment().objects()[0].world_from_object.rotation * DVec3::Z;
+    for scale in [DVec3::ONE, DVec3::new(-1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, -1.0)] {
+        a_sensor_just_off_it_knows_its_side(&floor(scale), scale.z);
+    }
+}
+
+/// `up` is 1 or -1: where the floor's front is in its frame.
+fn a_sensor_just_off_it_knows_its_side(world: &World, up: f64) {
+    let normal = world.environment().objects()[0].world_from_object.rotation * (up * DVec3::Z);
     for (name, mut engine) in engines() {
         for sensor in sensors() {
             for height in [1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 0.0, -1e-6] {
                 let pose = Pose::from_xyz_rpy(height * normal, 0.1, 0.8, 0.3);
-                let (images, stats) = check(name, &mut engine, &world, &sensor, &pose);
+                let (images, stats) = check(name, &mut engine, world, &sensor, &pose);
                 let hits = images.polygon_id.iter().filter(|id| **id > 0).count();
                 if height >= 1e-9 {
                     assert!(hits > 0, "{} at {height} m sees the floor", sensor.spec().name);
@@ -254,7 +261,7 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
                 continue;
             }
             let request = Request { outputs: Outputs::of(&[output]), ids: IdScheme::Model };
-            let plan = presight::FramePlan::new(&world, sensor, &pose, &request);
+            let plan = presight::FramePlan::new(&world, sensor, &pose, &request).unwrap();
             let mut images = poisoned(sensor);
             engine.render(&plan, &mut images, &mut Stats::default()).unwrap();
             assert_eq!(images.outputs(), request.outputs);

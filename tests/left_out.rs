@@ -449,7 +449,7 @@ mod device {
     fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, Engine)> {
         let mut engine = there(Engine::new(DeviceOptions { all_on_device, ..Default::default() }))?;
         let (before, sensor) = (engine.made().bytes, scenes::camera(256, 128));
-        let plan = FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model });
+        let plan = FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model }).unwrap();
         let mut stats = Stats::default();
         engine.render(&plan, &mut Images::default(), &mut stats).unwrap();
         assert_eq!(stats.work.gpu_bytes_made, engine.made().bytes - before);

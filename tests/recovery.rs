@@ -43,7 +43,7 @@ impl Task {
 
     /// Holds images to the reference.
     fn check(&self, prediction: &Prediction) {
-        let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request);
+        let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request).unwrap();
         let report = compare(&common::reference(&plan), &prediction.images, &plan, Precision::F32).unwrap();
         assert_eq!(report.fault, 0, "{:?}", report.faults.first());
     }

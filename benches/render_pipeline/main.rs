@@ -49,7 +49,7 @@ struct Rival<'a> {
 fn measure(scene: &str, world: &World) {
     let sensor = preset("video-camera").expect("a preset");
     let poses = free_poses(world, number("PRESIGHT_POSES", 10), 1).expect("free poses");
-    let plan = FramePlan::new(world, &sensor, &poses[0], &Request::default());
+    let plan = FramePlan::new(world, &sensor, &poses[0], &Request::default()).expect("a sound pose");
     let mut engine = Engine::new(DeviceOptions::default()).expect("an adapter");
     let pipeline = std::cell::RefCell::new(Pipeline::new(&plan));
     println!("{scene}: engine on {}; pipeline on {}", engine.adapter(), pipeline.borrow().adapter);
@@ -97,7 +97,7 @@ fn rival<'a>(name: &'static str, render: Render<'a>, precision: Precision) -> Ri
 
 fn at_pose(world: &World, sensor: &Sensor, pose: &Pose, rivals: &mut [Rival<'_>]) {
     let request = Request::default();
-    let mut plan = FramePlan::new(world, sensor, pose, &request);
+    let mut plan = FramePlan::new(world, sensor, pose, &request).expect("a sound pose");
     let mut right = Images::default();
     reference::render(&plan, &mut right).expect("the reference renders");
     let mut images = Images::default();
@@ -105,7 +105,7 @@ fn at_pose(world: &World, sensor: &Sensor, pose: &Pose, rivals: &mut [Rival<'_>]
     for repeat in 0..number("PRESIGHT_REPEATS", 15) + 2 {
         for (rival, times) in rivals.iter_mut().zip(&mut times) {
             let start = Instant::now();
-            plan.renew(world, sensor, pose, &request);
+            plan.renew(world, sensor, pose, &request).expect("a sound pose");
             (rival.render)(&plan, &mut images);
             // The first two make buffers and pipelines.
             if repeat >= 2 {

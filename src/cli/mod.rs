@@ -1,5 +1,7 @@
 //! The command: parse first, then touch the world. The only place that prints.
 
+#[cfg(feature = "report")]
+mod bar;
 mod compare;
 mod doctor;
 #[cfg(feature = "store")]

@@ -1,5 +1,6 @@
 //! `presight report`: studies as pages.
 
+use super::bar::bar;
 use super::outputs::OutputFiles;
 use super::{Verdict, folder, load, print};
 use crate::error::{Error, Result};
@@ -13,8 +14,7 @@ use crate::report::work_precision::{self, Effort, Findings, Scene, Study};
 use crate::report::{Machine, stability};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
-use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
@@ -145,15 +145,6 @@ fn write(folder: &Path, names: [&str; 3], texts: [String; 3]) -> Result<()> {
         write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
     }
     Ok(())
-}
-
-/// On stderr, and only if that is a terminal.
-fn bar(steps: u64) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{bar:24} {pos}/{len} {elapsed} {wide_msg}");
-    ProgressBar::new(steps).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 fn summary(folder: &Path, findings: &Findings) -> impl Iterator<Item = String> {

@@ -67,8 +67,10 @@ impl Engine {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
-    /// [`crate::ErrorKind::System`] if there is no memory for the images.
+    /// [`crate::ErrorKind::System`] if there is no memory for the images; those of
+    /// [`crate::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        plan.world_from_sensor.check()?;
         stats.engine = "cpu".into();
         stats.threads = self.pool.current_num_threads();
         let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());

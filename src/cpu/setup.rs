@@ -22,7 +22,6 @@ pub(super) struct Placed<'a> {
     uniform: Option<f64>,
     pub center: DVec3,
     mirrored: bool,
-    mesh_mirrored: bool,
     plain: bool,
     object: u32,
     first_slot: u32,
@@ -44,7 +43,6 @@ impl<'a> Placed<'a> {
             uniform: uniform_scale(&instance.normal_from_mesh).map(f64::recip),
             center: instance.center_in_mesh,
             mirrored: ray_from_mesh.determinant() < 0.0,
-            mesh_mirrored: instance.image_from_mesh.determinant() < 0.0,
             plain: instance.plain,
             object: instance.object,
             first_slot: object.first_slot,
@@ -182,7 +180,7 @@ fn set_up(
         batch.edge_on += 1;
         return;
     }
-    if facing.is_some_and(|f| f.one_sided) && (d > 0.0) != at.mesh_mirrored {
+    if facing.is_some_and(|f| f.one_sided) && d > 0.0 {
         return;
     }
     for (k, corner) in outline.corners[..indices.len()].iter_mut().enumerate() {

@@ -1,5 +1,6 @@
 //! The feature layers of an environment, at most one for each sensor class.
 
+use super::open::OpenLayer;
 use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
 use std::collections::HashSet;
@@ -76,6 +77,9 @@ impl Environment {
 
     /// The feature of this class and id.
     pub fn feature(&self, class: &str, id: u32) -> Option<&Feature> {
+        if let Some(open) = &self.open {
+            return open.get(class)?.feature(id);
+        }
         let layer = self.layer(class)?;
         layer.features.binary_search_by_key(&id, |f| f.id).ok().map(|i| &layer.features[i])
     }
@@ -120,9 +124,8 @@ impl Environment {
         if let Some(ids) = self.retired.get_mut(class) {
             ids.remove(&feature.id);
         }
-        let layer = self.layer_or_new(class)?;
-        let at = layer.features.partition_point(|f| f.id < feature.id);
-        layer.features.insert(at, feature);
+        self.layer_or_new(class)?;
+        self.put_feature(class, feature);
         Ok(())
     }
 
@@ -131,19 +134,65 @@ impl Environment {
         let place = || format!("feature {} for class {class:?}", feature.id);
         let check = || feature.check_dictionary().and_then(|()| self.check_feature(class, &feature));
         check().map_err(|e| e.at(place()))?;
-        let (layer, at) = self.find_feature(class, feature.id)?;
-        Ok(std::mem::replace(&mut self.layers[layer].features[at], feature))
+        match self.feature(class, feature.id) {
+            Some(_) => {
+                let id = feature.id;
+                self.put_feature(class, feature).ok_or_else(|| no_feature(class, id))
+            }
+            None => Err(no_feature(class, feature.id)),
+        }
     }
 
     /// Deletes a feature, which is the answer; its id is never used again.
     pub(crate) fn delete_feature(&mut self, class: &str, id: u32) -> Result<Feature> {
-        let (layer, at) = self.find_feature(class, id)?;
+        let feature = self.take_feature(class, id).ok_or_else(|| no_feature(class, id))?;
         self.retire(class, id);
-        Ok(self.layers[layer].features.remove(at))
+        Ok(feature)
+    }
+
+    /// Puts a feature into a layer that is there; returns the one that had its id.
+    pub(super) fn put_feature(&mut self, class: &str, feature: Feature) -> Option<Feature> {
+        if let Some(open) = &mut self.open {
+            return open.entry(class.to_owned()).or_default().insert(feature);
+        }
+        let layer = self.layers.iter_mut().find(|l| l.class == class)?;
+        match layer.features.binary_search_by_key(&feature.id, |f| f.id) {
+            Ok(at) => Some(std::mem::replace(&mut layer.features[at], feature)),
+            Err(at) => {
+                layer.features.insert(at, feature);
+                None
+            }
+        }
+    }
+
+    /// Takes a feature out of its layer.
+    pub(super) fn take_feature(&mut self, class: &str, id: u32) -> Option<Feature> {
+        if let Some(open) = &mut self.open {
+            return open.get_mut(class)?.remove(id);
+        }
+        let layer = self.layers.iter_mut().find(|l| l.class == class)?;
+        let at = layer.features.binary_search_by_key(&id, |f| f.id).ok()?;
+        Some(layer.features.remove(at))
+    }
+
+    /// The covariance of an object's pose, with its place among those of the layer.
+    pub(crate) fn covariance_and_place(&self, class: &str, object: &str) -> Option<(usize, [[f64; 6]; 6])> {
+        if let Some(open) = &self.open {
+            return open.get(class)?.covariance_and_place(object);
+        }
+        let all = &self.layer(class)?.pose_covariances;
+        let place = all.iter().position(|(path, _)| path == object)?;
+        Some((place, all[place].1))
     }
 
     /// What goes with an object: by class, whether its pose has a covariance, and the ids of its features.
     pub(crate) fn attached_to(&self, object: &str) -> Vec<(String, bool, Vec<u32>)> {
+        if let Some(open) = &self.open {
+            let of = |(class, layer): (&String, &OpenLayer)| {
+                (class.clone(), layer.covariance(object).is_some(), layer.of_object(object))
+            };
+            return open.iter().map(of).collect();
+        }
         let of = |layer: &FeatureLayer| {
             let covariance = layer.pose_covariances.iter().any(|(path, _)| path == object);
             let own = layer.features.iter().filter(|f| f.object.as_deref() == Some(object));
@@ -152,13 +201,22 @@ impl Environment {
         self.layers.iter().map(of).collect()
     }
 
-    fn find_feature(&self, class: &str, id: u32) -> Result<(usize, usize)> {
-        let layer = self.layers.binary_search_by(|l| l.class.as_str().cmp(class)).ok();
-        let found = layer.and_then(|l| Some((l, self.layers[l].features.binary_search_by_key(&id, |f| f.id).ok()?)));
-        found.ok_or_else(|| {
-            let what = format!("there is no feature {id} for class {class:?}");
-            Error::invalid(what, "presight env export writes all features")
-        })
+    /// How many features hang on an object, or on all objects below a path; `most` are counted.
+    pub(crate) fn attached_to_path(&self, path: &str, below: bool, most: usize) -> usize {
+        let is_on = |object: &str| match object.strip_prefix(path) {
+            Some(rest) if below => rest.starts_with('/'),
+            Some(rest) => rest.is_empty(),
+            None => false,
+        };
+        let objects = self.layers.iter().flat_map(|layer| &layer.features).filter_map(|f| f.object.as_deref());
+        objects.filter(|object| is_on(object)).take(most).count()
+    }
+
+    /// The features for a class, open or not, rising ids.
+    fn features_of(&self, class: &str) -> impl Iterator<Item = &Feature> {
+        let listed = self.layer(class).into_iter().flat_map(|layer| &layer.features);
+        let open = self.open.as_ref().and_then(|open| open.get(class));
+        listed.chain(open.into_iter().flat_map(OpenLayer::features))
     }
 
     fn check_feature(&self, class: &str, feature: &Feature) -> Result<()> {
@@ -185,9 +243,7 @@ impl Environment {
         let before = self.layer(class).map(|l| l.tolerance);
         let header = FeatureLayer { class: class.to_owned(), tolerance, ..FeatureLayer::default() };
         header.check_header()?;
-        let features = self.layer(class).map_or(&[][..], |l| &l.features);
-        features
-            .iter()
+        self.features_of(class)
             .try_for_each(|f| f.check(tolerance).map_err(|e| e.at(format!("feature {} for class {class:?}", f.id))))?;
         self.layer_or_new(class)?.tolerance = tolerance;
         Ok(before)
@@ -205,6 +261,10 @@ impl Environment {
             self.index_of(object).map_err(|e| e.at(place()))?;
             super::check_covariance(covariance).map_err(|e| e.at(place()))?;
         }
+        self.layer_or_new(class)?;
+        if let Some(open) = &mut self.open {
+            return Ok(open.entry(class.to_owned()).or_default().set_covariance(object, covariance));
+        }
         let all = &mut self.layer_or_new(class)?.pose_covariances;
         let at = all.iter().position(|(path, _)| path == object);
         Ok(match (at, covariance) {
@@ -217,4 +277,9 @@ impl Environment {
             (None, None) => None,
         })
     }
+}
+
+fn no_feature(class: &str, id: u32) -> Error {
+    let what = format!("there is no feature {id} for class {class:?}");
+    Error::invalid(what, "presight env export writes all features")
 }

@@ -24,7 +24,7 @@ pub struct Material {
     pub name: String,
     /// Reflection factor, 0..=1.
     pub reflection: f64,
-    /// Visible only from the side of its normal. Off by default.
+    /// Visible only from the side of its normal; a mirrored object keeps its fronts. Off by default.
     pub one_sided: bool,
     /// Linear RGB for pictures.
     pub color: [f32; 3],

@@ -276,16 +276,20 @@ impl Mesh {
         mesh
     }
 
-    /// The same polygons, transformed and with other materials, rounded to f32 once. Normals follow the winding after
-    /// the transform, as they do for an object's own.
+    /// The same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so that
+    /// fronts stay fronts, as they do for an object's own.
     ///
     /// # Errors
     /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
     #[cfg(feature = "store")]
     pub(crate) fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
         let vertices = self.vertices.iter().map(|v| (turn * v.as_dvec3()).as_vec3()).collect();
+        let mirrors = turn.determinant() < 0.0;
         let polygon = |p: &PolygonRecord| {
-            let corners = p.corners(&self.corners).to_vec();
+            let mut corners = p.corners(&self.corners).to_vec();
+            if mirrors {
+                corners[1..].reverse();
+            }
             Polygon { corners, material: material(p.material), source: p.source }
         };
         let polygons = self.polygons.iter().map(polygon).collect();

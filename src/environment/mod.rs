@@ -7,6 +7,7 @@ mod groups;
 mod layers;
 mod material;
 mod mesh;
+mod open;
 mod paths;
 mod revert;
 
@@ -19,7 +20,7 @@ pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};
 pub(crate) use paths::Paths;
 pub(crate) use revert::Revert;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::limits;
 use glam::{DAffine3, DMat3, DVec3};
@@ -48,6 +49,24 @@ impl Object {
     /// The whole transform of the mesh, f64.
     pub fn world_from_mesh(&self) -> DAffine3 {
         self.world_from_object.to_affine() * self.object_from_mesh
+    }
+
+    /// True if its mesh is mirrored on its way into the world: the winding turns round. Normals go through the inverse
+    /// transpose, so that the front of a polygon stays its front (glTF 2.0, section 3.7.4).
+    pub fn mirrors(&self) -> bool {
+        self.object_from_mesh.matrix3.determinant() < 0.0
+    }
+
+    /// Corners of a polygon in the world, metres, counter-clockwise as seen from its front.
+    pub fn polygon_in_world(&self, polygon: u32) -> Vec<DVec3> {
+        let world_from_mesh = self.world_from_mesh();
+        let mut corners: Vec<DVec3> =
+            self.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p)).collect();
+        if self.mirrors() {
+            // The first stays the first.
+            corners[1..].reverse();
+        }
+        corners
     }
 
     /// Bounds in the world, conservative.
@@ -132,6 +151,8 @@ pub struct Environment {
     objects: Vec<Object>,
     materials: Vec<Material>,
     layers: Vec<FeatureLayer>,
+    /// What they hold while many changes are made at once, by class ([`Environment::open_layers`]).
+    open: Option<BTreeMap<String, open::OpenLayer>>,
     /// In order: what is below a path follows it.
     names: BTreeMap<String, u32>,
     /// Frames that groups were given; none of these paths is an object.
@@ -316,12 +337,10 @@ impl Environment {
         ((polygon as usize) < self.objects[object].mesh.polygon_count()).then_some((object as u32, polygon))
     }
 
-    /// The world vertices of the polygon in a slot, in winding order.
+    /// [`Object::polygon_in_world`] of the polygon in a slot; `None` if there is none.
     pub fn polygon_in_world(&self, slot: u32) -> Option<Vec<DVec3>> {
         let (object, polygon) = self.locate(slot)?;
-        let object = &self.objects[object as usize];
-        let world_from_mesh = object.world_from_mesh();
-        Some(object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p)).collect())
+        Some(self.objects[object as usize].polygon_in_world(polygon))
     }
 
     /// Bounds of everything, in the world.
@@ -331,21 +350,7 @@ impl Environment {
 }
 
 pub(crate) fn check_pose(pose: &Pose) -> Result<()> {
-    let Pose { rotation, translation } = pose;
-    // As exact as quaternions are written, so that reading one never has to change its bits.
-    let (rule, remedy) = if !translation.is_finite() || !rotation.is_finite() {
-        ("is not finite".to_owned(), "give finite numbers")
-    } else if (rotation.length_squared() - 1.0).abs() > 1e-9 {
-        (format!("is no rotation: its quaternion has length {}, not 1", rotation.length()), "divide it by its length")
-    } else if translation.abs().max_element() > limits::MAX_COORDINATE {
-        (format!("is too far away: over {:e} m", limits::MAX_COORDINATE), "give metres; subtract a common offset")
-    } else {
-        return Ok(());
-    };
-    // Display has no exponents: 1e300 would fill the screen.
-    let numbers: Vec<String> =
-        translation.to_array().into_iter().chain(rotation.to_array()).map(|x| format!("{x:?}")).collect();
-    Err(Error::invalid(format!("the pose [{}] {rule}", numbers.join(", ")), remedy))
+    pose.check_as(ErrorKind::Invalid)
 }
 
 #[cfg(test)]

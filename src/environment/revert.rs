@@ -66,42 +66,44 @@ impl Environment {
     }
 
     fn revert_in_layer(&mut self, step: Revert) {
-        let class = match &step {
-            Revert::InsertFeature { class, .. }
-            | Revert::SetFeature { class, .. }
-            | Revert::DeleteFeature { class, .. }
-            | Revert::Tolerance { class, .. }
-            | Revert::PoseCovariance { class, .. }
-            | Revert::NewLayer { class } => class,
-            _ => return,
-        };
-        let Ok(at) = self.layers.binary_search_by(|l| l.class.as_str().cmp(class)) else { return };
-        let layer = &mut self.layers[at];
         match step {
             Revert::InsertFeature { class, id, retired } => {
-                layer.features.retain(|f| f.id != id);
+                self.take_feature(&class, id);
                 if retired {
                     self.retire(&class, id);
                 }
             }
-            Revert::SetFeature { feature, .. } => {
-                layer.features.iter_mut().filter(|f| f.id == feature.id).for_each(|f| *f = feature.clone());
-            }
+            Revert::SetFeature { class, feature } => drop(self.put_feature(&class, feature)),
             Revert::DeleteFeature { class, feature } => {
-                let place = layer.features.partition_point(|f| f.id < feature.id);
                 if let Some(ids) = self.retired.get_mut(&class) {
                     ids.remove(&feature.id);
                 }
-                self.layers[at].features.insert(place, feature);
+                self.put_feature(&class, feature);
             }
-            Revert::Tolerance { tolerance, .. } => layer.tolerance = tolerance,
-            Revert::PoseCovariance { object, before, .. } => {
-                layer.pose_covariances.retain(|(path, _)| *path != object);
-                if let Some((place, covariance)) = before {
-                    layer.pose_covariances.insert(place, (object, covariance));
+            Revert::Tolerance { class, tolerance } => {
+                self.layers.iter_mut().filter(|l| l.class == class).for_each(|l| l.tolerance = tolerance);
+            }
+            Revert::PoseCovariance { class, object, before } => self.restore_covariance(&class, object, before),
+            Revert::NewLayer { class } => {
+                self.layers.retain(|l| l.class != class);
+                if let Some(open) = &mut self.open {
+                    open.remove(&class);
                 }
             }
-            _ => drop(self.layers.remove(at)),
+            _ => {}
+        }
+    }
+
+    fn restore_covariance(&mut self, class: &str, object: String, before: Option<(usize, [[f64; 6]; 6])>) {
+        if let Some(open) = &mut self.open {
+            if let Some(layer) = open.get_mut(class) {
+                layer.restore_covariance(object, before);
+            }
+        } else if let Some(layer) = self.layers.iter_mut().find(|l| l.class == class) {
+            layer.pose_covariances.retain(|(path, _)| *path != object);
+            if let Some((place, covariance)) = before {
+                layer.pose_covariances.insert(place, (object, covariance));
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Rigid transforms in f64.
 
 use super::trig;
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::limits;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::ops::Mul;
@@ -49,6 +49,42 @@ impl Pose {
             ));
         }
         Ok(Self { rotation: rotation.normalize(), translation })
+    }
+
+    /// Checks that this is a rigid transform: finite numbers, a quaternion of length 1, no translation beyond
+    /// [`limits::MAX_COORDINATE`]. All that takes a sensor's pose does so.
+    ///
+    /// ```
+    /// use presight::{ErrorKind, Pose};
+    /// assert!(Pose::IDENTITY.check().is_ok());
+    /// let long = Pose { rotation: glam::DQuat::from_xyzw(0.0, 0.0, 0.0, 2.0), ..Pose::IDENTITY };
+    /// assert_eq!(long.check().unwrap_err().kind(), ErrorKind::Usage);
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] naming the pose and what is wrong with it.
+    pub fn check(&self) -> Result<()> {
+        self.check_as(ErrorKind::Usage)
+    }
+
+    /// [`Pose::check`] with another kind of error.
+    pub(crate) fn check_as(&self, kind: ErrorKind) -> Result<()> {
+        let Self { rotation, translation } = self;
+        // As exact as quaternions are written, so that reading one never has to change its bits.
+        let (rule, remedy) = if !translation.is_finite() || !rotation.is_finite() {
+            ("is not finite".to_owned(), "give finite numbers")
+        } else if (rotation.length_squared() - 1.0).abs() > 1e-9 {
+            let length = rotation.length();
+            (format!("is no rotation: its quaternion has length {length}, not 1"), "divide it by its length")
+        } else if translation.abs().max_element() > limits::MAX_COORDINATE {
+            (format!("is too far away: over {:e} m", limits::MAX_COORDINATE), "give metres; subtract a common offset")
+        } else {
+            return Ok(());
+        };
+        // Display has no exponents: 1e300 would fill the screen.
+        let numbers: Vec<String> =
+            translation.to_array().into_iter().chain(rotation.to_array()).map(|x| format!("{x:?}")).collect();
+        Err(Error::new(kind, format!("the pose [{}] {rule}", numbers.join(", ")), remedy))
     }
 
     /// From a translation in metres and roll, pitch, yaw in radians about fixed axes:

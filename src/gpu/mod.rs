@@ -142,8 +142,9 @@ impl Engine {
     ///
     /// # Errors
     /// [`ErrorKind::DeviceLost`], after which the engine must be built anew; [`ErrorKind::DeviceMemory`], after which
-    /// it can go on with smaller tasks; those of [`Threads::new`] if the adapter is a program, which leaves work to the CPU.
+    /// it can go on with smaller tasks; those of [`crate::Pose::check`], if the plan's pose was changed; those of [`Threads::new`] if the adapter is a program, which leaves work to the CPU.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        plan.world_from_sensor.check()?;
         stats.engine = "gpu".into();
         stats.adapter = Some(self.gpu.adapter.to_string());
         let start = Instant::now();

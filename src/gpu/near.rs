@@ -66,8 +66,7 @@ impl NearList {
                 continue;
             }
             let facing = plan.facings[usize::from(mesh.material(polygon))];
-            let behind = distance * instance.image_from_mesh.determinant() > 0.0;
-            if !facing.opaque || facing.one_sided && behind {
+            if !facing.opaque || facing.one_sided && distance > 0.0 {
                 continue;
             }
             // As the other engines have it: its side is proven, and it is farther off than its corners are.
@@ -208,7 +207,7 @@ mod tests {
             let place = object.world_from_mesh().transform_point3(above);
             let sensor = preset("microwave-radar-image").unwrap();
             let pose = Pose::from_xyz_rpy(place, 0.1, 0.2, turn);
-            let plan = FramePlan::new(&world, &sensor, &pose, &Request::default());
+            let plan = FramePlan::new(&world, &sensor, &pose, &Request::default()).unwrap();
             let (tables, mut list) = (Tables::new(&sensor), NearList::default());
             let (mut wanted, mut edge_on) = (Vec::new(), 0);
             for run in &plan.runs {

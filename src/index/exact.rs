@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_floor_below_the_beams_does_not() {
-        let region = Region::segment(&crate::Pose::IDENTITY, 0.0, 6.0, (-0.1, 0.1), 10.0);
+        let region = Region::segment(&crate::Pose::IDENTITY, 0.0, 6.0, (-0.1, 0.1), 10.0).unwrap();
         let floor = |z: f64| [[-20.0, -20.0, z], [20.0, -20.0, z], [20.0, 20.0, z], [-20.0, 20.0, z]].map(DVec3::from);
         assert!(polygon_meets(&region, &floor(-0.5)));
         assert!(!polygon_meets(&region, &floor(-1.1)));

@@ -2,6 +2,7 @@
 
 use super::sector::Sector;
 use super::shapes::{self, Axes, Cuboid, Frustum, Lying, Outside, Ray, SLACK, Segment, Shape, Turned, Upright};
+use crate::error::Result;
 use crate::geometry::{Aabb, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::FRAC_PI_2;
@@ -53,7 +54,22 @@ impl Region {
     ///
     /// A level pose is tested in the world's axes by two sector-rectangle tests in perpendicular planes, as the paper
     /// does; for one that leans boxes are turned into its frame first.
-    pub fn segment(world_from_body: &Pose, heading: f64, opening: f64, elevations: (f64, f64), radius: f64) -> Self {
+    ///
+    /// # Errors
+    /// Those of [`Pose::check`].
+    pub fn segment(
+        world_from_body: &Pose,
+        heading: f64,
+        opening: f64,
+        elevations: (f64, f64),
+        radius: f64,
+    ) -> Result<Self> {
+        world_from_body.check()?;
+        Ok(Self::around(world_from_body, heading, opening, elevations, radius))
+    }
+
+    /// [`Region::segment`] of a pose that was checked.
+    fn around(world_from_body: &Pose, heading: f64, opening: f64, elevations: (f64, f64), radius: f64) -> Self {
         let rotation = world_from_body.rotation_matrix();
         // Exactly: near the poles the least lean turns azimuths by any angle.
         let level = rotation.z_axis == DVec3::Z;
@@ -73,7 +89,7 @@ impl Region {
     /// A ball around a point: a segment of all directions.
     pub fn ball(center: DVec3, radius: f64) -> Self {
         let pose = Pose { translation: center, ..Pose::IDENTITY };
-        Self::segment(&pose, 0.0, std::f64::consts::TAU, (-FRAC_PI_2, FRAC_PI_2), radius)
+        Self::around(&pose, 0.0, std::f64::consts::TAU, (-FRAC_PI_2, FRAC_PI_2), radius)
     }
 
     /// A pyramid with its apex at `apex`: inward unit normals (world axes) of planes through the apex, at most

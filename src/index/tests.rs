@@ -42,7 +42,7 @@ fn regions() -> impl Strategy<Value = Region> {
         .prop_map(|(p, heading, opening, radius)| Region::sector(p.truncate(), heading, opening, radius));
     let segment = (pose, -4.0..4.0f64, opening(), [-1.57..1.57f64, -1.57..1.57f64], radius()).prop_map(
         |(pose, heading, opening, [a, b], radius)| {
-            Region::segment(&pose, heading, opening, (a.min(b), a.max(b)), radius)
+            Region::segment(&pose, heading, opening, (a.min(b), a.max(b)), radius).unwrap()
         },
     );
     let frustum = (point(), point(), 0.05..1.2f64, radius()).prop_map(|(apex, ahead, half, radius)| {

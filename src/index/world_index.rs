@@ -266,7 +266,10 @@ fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
 
 /// The tree of a mesh, shared with an object that has it already.
 fn tree_of(mesh: &Arc<Mesh>, environment: &Environment, trees: &[Arc<MeshTree>]) -> Arc<MeshTree> {
-    let known = environment.objects().iter().zip(trees).find(|(o, _)| Arc::ptr_eq(&o.mesh, mesh));
+    // Those that share a mesh come together as a rule: the latest first.
+    let objects = environment.objects();
+    let both = trees.len().min(objects.len());
+    let known = objects[..both].iter().zip(&trees[..both]).rev().find(|(o, _)| Arc::ptr_eq(&o.mesh, mesh));
     known.map_or_else(|| Arc::new(MeshTree::new(mesh)), |(_, tree)| tree.clone())
 }
 

@@ -11,7 +11,7 @@
 //!
 //! [material."Glass"]           # the material's name in the scene; every material of that name is meant
 //! reflection = 0.1             # reflection factor, 0 to 1, default 1
-//! one_sided = false            # true: seen from the side of its normal only; default false
+//! one_sided = false            # true: seen from its front only, mirrored or not; default false
 //!
 //! [material."Glass".classes]   # by sensor class: "opaque" (default), "transparent" or "invisible"
 //! laser = "transparent"

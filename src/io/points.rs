@@ -32,8 +32,10 @@ impl PointCloud {
     /// if there is no `polygon_id` image.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no range image, or an image is not of the sensor's size.
+    /// [`crate::ErrorKind::Invalid`] if there is no range image, or an image is not of the sensor's size;
+    /// those of [`Pose::check`].
     pub fn new(images: &Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
+        world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
         let ids_fit = images.polygon_id.is_empty() || images.polygon_id.len() == pixels;
         if images.range.len() != pixels || !ids_fit {

@@ -14,6 +14,7 @@ pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
 use crate::environment::{Appearance, Environment, Material};
+use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::{Found, ObjectRun};
 use crate::sensor::{PixelGrid, Sensor};
@@ -137,7 +138,10 @@ pub struct FramePlan {
 
 impl FramePlan {
     /// Plans a prediction: composes transforms in f64 and selects the runs that the sensor may see.
-    pub fn new(world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Self {
+    ///
+    /// # Errors
+    /// Those of [`Pose::check`].
+    pub fn new(world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Result<Self> {
         let mut plan = Self {
             world: world.clone(),
             sensor: sensor.clone(),
@@ -153,17 +157,21 @@ impl FramePlan {
             found: Found::default(),
             selected: Vec::new(),
         };
-        plan.fill();
-        plan
+        plan.fill()?;
+        Ok(plan)
     }
 
-    /// Plans another prediction and reuses the buffers.
-    pub fn renew(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) {
+    /// Plans another prediction and reuses the buffers. After an error the plan is unchanged.
+    ///
+    /// # Errors
+    /// Those of [`FramePlan::new`].
+    pub fn renew(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Result<()> {
+        world_from_sensor.check()?;
         self.world = world.clone();
         self.sensor = sensor.clone();
         self.world_from_sensor = *world_from_sensor;
         self.request = *request;
-        self.fill();
+        self.fill()
     }
 
     /// The environment that it reads.
@@ -181,7 +189,8 @@ impl FramePlan {
         self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    fn fill(&mut self) {
+    fn fill(&mut self) -> Result<()> {
+        let region = region_of(&self.sensor, &self.world_from_sensor)?;
         // Made of features afterwards.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
@@ -197,7 +206,6 @@ impl FramePlan {
         let environment = world.environment();
         let class = self.sensor.spec().class.clone();
         self.facings.extend(facings(environment, &class));
-        let region = region_of(&self.sensor, &self.world_from_sensor);
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();
         world.index().select(environment, &region, &mut self.found, &mut selected);
@@ -208,6 +216,7 @@ impl FramePlan {
         let live = environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0).count();
         self.objects_out_of_view = live - self.instances.len() - self.objects_not_opaque;
         self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
+        Ok(())
     }
 
     /// Adds the runs of one object.

@@ -1,5 +1,6 @@
 //! What a sensor can see at all: its query region.
 
+use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::Region;
 use crate::sensor::{Geometry, LineAxis, PixelGrid, Sensor, Sides};
@@ -7,14 +8,18 @@ use glam::DVec3;
 
 /// A conservative region around all rays of a sensor, up to its greatest range: the frustum of a pinhole camera, the
 /// spherical segment of a scanner, a pyramid around the rays of a table, or all but one.
-pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Region {
+///
+/// # Errors
+/// Those of [`Pose::check`].
+pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Result<Region> {
+    world_from_sensor.check()?;
     let (apex, radius) = (world_from_sensor.translation, sensor.spec().range_max);
     let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
     let frustum = |normals: Vec<DVec3>| {
         let normals: Vec<DVec3> = normals.into_iter().map(|n| world_from_image * n).collect();
         Region::frustum(apex, &normals, radius)
     };
-    match (sensor.grid(), &sensor.spec().geometry) {
+    Ok(match (sensor.grid(), &sensor.spec().geometry) {
         (PixelGrid::Lines(grid), Geometry::Scanner(scanner)) => {
             // Line-frame positions are -tan(elevation), rising.
             let t = grid.positions();
@@ -23,7 +28,7 @@ pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Region {
             let angles = || (0..n).map(|i| scanner.azimuth.degrees(i).to_radians());
             let least = angles().fold(f64::INFINITY, f64::min);
             let greatest = angles().fold(f64::NEG_INFINITY, f64::max);
-            Region::segment(world_from_sensor, 0.5 * (least + greatest), greatest - least, elevations, radius)
+            Region::segment(world_from_sensor, 0.5 * (least + greatest), greatest - least, elevations, radius)?
         }
         (PixelGrid::Lines(grid), _) if grid.axis() == LineAxis::Rows => frustum(sides(sensor)),
         (PixelGrid::Lines(_), _) => frustum(Vec::new()),
@@ -34,7 +39,7 @@ pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Region {
                 Region::outside(apex, &normals, radius)
             }
         },
-    }
+    })
 }
 
 /// The four sides of a pinhole image (as wide as its outermost rays) and the half space in front.
@@ -179,7 +184,7 @@ mod tests {
             for scheme in Scheme::ALL {
                 let index = WorldIndex::new(&environment, scheme, Params::default());
                 let (mut found, mut runs) = (Found::default(), Vec::new());
-                index.select(&environment, &region_of(&sensor, &pose), &mut found, &mut runs);
+                index.select(&environment, &region_of(&sensor, &pose).unwrap(), &mut found, &mut runs);
                 prop_assert_eq!(runs.len(), 1, "{} at {}", scheme.name(), distance);
                 let rounding = 1e-8 + distance * 1e-12;
                 prop_assert!(runs[0].nearest <= distance + rounding, "{}: {:?} at {}", scheme.name(), runs, distance);
@@ -190,7 +195,7 @@ mod tests {
     fn keeps(sensor: &Sensor, p_in_image: DVec3) -> bool {
         let at = sensor.body_from_image() * p_in_image;
         let half = DVec3::splat(0.01);
-        region_of(sensor, &Pose::IDENTITY).meets(&Aabb { min: at - half, max: at + half })
+        region_of(sensor, &Pose::IDENTITY).unwrap().meets(&Aabb { min: at - half, max: at + half })
     }
 
     /// Keeping everything would pass the test above: what is clearly out of sight must go.

@@ -45,7 +45,7 @@ impl Probe {
     pub fn proposals(&self, task: Task, engine: &mut Engine) -> Result<Told> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
-        let plan = FramePlan::new(&self.world, &sensor, &pose, &request);
+        let plan = FramePlan::new(&self.world, &sensor, &pose, &request)?;
         let mut images = Images::default();
         engine.render(&plan, &mut images, &mut Stats::default())?;
         let right = self.seen(&sensor, &pose, &placed)?;

@@ -141,7 +141,7 @@ impl Probe {
         let all = outputs.without(Output::FeatureId);
         let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
         let request = Request { outputs, ..Request::default() };
-        let plan = FramePlan::new(&self.world, &sensor, &pose(), &request);
+        let plan = FramePlan::new(&self.world, &sensor, &pose(), &request)?;
         let (mut expected, mut drawn) = (Images::default(), Images::default());
         reference::render(&plan, &mut expected)?;
         draw(&plan, &mut drawn)?;

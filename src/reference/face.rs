@@ -18,7 +18,7 @@ pub(crate) struct Face {
     pub corners: Vec<DVec3>,
     /// Planes through the centre and the edges; edge k runs from corner k to the next.
     pub edges: Vec<Edge>,
-    /// Unit normal, from the winding after the whole transform.
+    /// Unit normal: the mesh's, by the inverse transpose. A mirrored polygon keeps its front.
     pub normal: DVec3,
     /// normal . v of the nearest corner, metres; negative where the sensor is on the normal's side.
     pub distance: f64,
@@ -64,8 +64,9 @@ impl Face {
         in_mesh.extend(mesh.corners_of(polygon));
         relative.extend(in_mesh.iter().map(|p| p - instance.center_in_mesh));
         corners.extend(relative.iter().map(|p| image_from_mesh * *p));
-        // The inverse transpose keeps a mirrored normal on its side; the winding turns round.
-        let turned = instance.normal_from_mesh * mesh.plane(polygon).normal * image_from_mesh.determinant().signum();
+        let turned = instance.normal_from_mesh * mesh.plane(polygon).normal;
+        // A mirror keeps the normal on its side and turns the winding round.
+        let mirrored = image_from_mesh.determinant() < 0.0;
         self.normal = turned.normalize();
         let length = |k: usize| relative[k].length_squared();
         let nearest = (0..corners.len()).fold(0, |best, k| if length(k) < length(best) { k } else { best });
@@ -77,7 +78,7 @@ impl Face {
             let forward = in_mesh[k].to_array() <= in_mesh[next].to_array();
             let (a, b) = if forward { (k, next) } else { (next, k) };
             let plane = corners[a].cross(image_from_mesh * (in_mesh[b] - in_mesh[a]));
-            Edge { plane: if forward == (distance >= 0.0) { plane } else { -plane }, a, b }
+            Edge { plane: if forward == ((distance >= 0.0) != mirrored) { plane } else { -plane }, a, b }
         }));
         self.norm = norm(image_from_mesh);
         self.nearest = length(nearest).sqrt() * self.norm;

@@ -41,7 +41,7 @@ struct Hit {
 /// Fills the asked images.
 ///
 /// # Errors
-/// None today; an engine's signature.
+/// Those of [`crate::Pose::check`], if the plan's pose was changed.
 pub fn render(plan: &FramePlan, images: &mut Images) -> Result<Counts> {
     let (width, height) = (plan.sensor.width(), plan.sensor.height());
     render_pixels(plan, images, (0..height).flat_map(|row| (0..width).map(move |column| (column, row))))
@@ -56,6 +56,7 @@ pub fn render_pixels(
     images: &mut Images,
     pixels: impl Iterator<Item = (u32, u32)>,
 ) -> Result<Counts> {
+    plan.world_from_sensor.check()?;
     let (hits, counts) = cast(plan, pixels);
     let asked = plan.drawn();
     let outputs = if plan.sensor.is_camera() { asked } else { asked.without(Output::DepthZ) };

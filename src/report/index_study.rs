@@ -67,7 +67,7 @@ impl Study {
     /// Those of predictions.
     pub fn run(&self, world: &World, variants: &[(Scheme, Params)], progress: impl Fn(&str)) -> Result<Vec<Row>> {
         progress("counting what each query needs");
-        let queries = self.queries(world);
+        let queries = self.queries(world)?;
         let mut predictor = Predictor::new(self.options.clone())?;
         let mut rows = Vec::new();
         for &(scheme, params) in variants {
@@ -87,7 +87,7 @@ impl Study {
         Ok(rows)
     }
 
-    fn queries(&self, world: &World) -> Vec<Query<'_>> {
+    fn queries(&self, world: &World) -> Result<Vec<Query<'_>>> {
         let environment = world.environment();
         let polygons: Vec<(Aabb, Vec<DVec3>)> = (0..environment.slot_count())
             .filter_map(|slot| environment.polygon_in_world(slot))
@@ -102,11 +102,11 @@ impl Study {
             let needed = regions.iter().map(needed).collect();
             queries.push(Query { name: name.to_owned(), sensor, regions, needed });
         };
-        add("sector", None, self.poses.iter().map(paper_sector).collect());
+        add("sector", None, self.poses.iter().map(paper_sector).collect::<Result<_>>()?);
         for (name, sensor) in &self.sensors {
-            add(name, Some(sensor), self.poses.iter().map(|pose| region_of(sensor, pose)).collect());
+            add(name, Some(sensor), self.poses.iter().map(|pose| region_of(sensor, pose)).collect::<Result<_>>()?);
         }
-        queries
+        Ok(queries)
     }
 
     fn measure(&self, world: &World, query: &Query<'_>, build_ms: f64, predictor: &mut Predictor) -> Result<Row> {
@@ -150,10 +150,14 @@ impl Study {
 }
 
 /// The paper's query region at a pose: a sector of 10 m and 60 degrees along its heading.
-pub fn paper_sector(pose: &Pose) -> Region {
+///
+/// # Errors
+/// Those of [`Pose::check`].
+pub fn paper_sector(pose: &Pose) -> Result<Region> {
+    pose.check()?;
     let ahead = pose.rotation * DVec3::X;
     let (radius, opening_deg) = PAPER_SECTOR;
-    Region::sector(pose.translation.truncate(), ahead.y.atan2(ahead.x), opening_deg.to_radians(), radius)
+    Ok(Region::sector(pose.translation.truncate(), ahead.y.atan2(ahead.x), opening_deg.to_radians(), radius))
 }
 
 /// What a sweep tries of each scheme: cell sizes, and for trees where they split.

@@ -24,7 +24,7 @@ pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
 pub use undistort::Lens;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::memory;
@@ -225,9 +225,7 @@ fn check(spec: &SensorSpec) -> Result<()> {
             "give 0 <= range_min < range_max, in metres",
         ));
     }
-    if !(spec.mount.translation.is_finite() && spec.mount.rotation.is_finite()) {
-        return Err(Error::invalid("the mount is not finite", "give robot_from_sensor in finite numbers"));
-    }
+    spec.mount.check_as(ErrorKind::Invalid).map_err(|e| e.at("mount"))?;
     if let Some(angle) = spec.max_incidence
         && !(angle > 0.0 && angle <= std::f64::consts::FRAC_PI_2)
     {

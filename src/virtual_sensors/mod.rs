@@ -250,11 +250,12 @@ impl VirtualSensor {
     /// ```
     ///
     /// # Errors
-    /// Those of [`VirtualSensor::check`]; [`crate::ErrorKind::Usage`] if features are needed and none were predicted;
+    /// Those of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed and none were predicted;
     /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's.
     pub fn reduce(self, input: &Input<'_>, settings: &Settings) -> Result<VirtualReading> {
         let prediction = input.prediction;
         self.check(&prediction.sensor)?;
+        prediction.world_from_sensor.check()?;
         let features = || {
             let class = self.class();
             input.features.ok_or_else(|| {

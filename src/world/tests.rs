@@ -332,3 +332,104 @@ impl World {
         assert_eq!(format!("{:?}", other.environment()) == format!("{:?}", self.environment()), empty);
     }
 }
+
+/// The ids and objects of all features, and the objects with covariances, in order.
+fn listed(world: &World) -> Vec<(String, Vec<(u32, Option<String>)>, Vec<String>)> {
+    let of = |layer: &crate::environment::FeatureLayer| {
+        let features = layer.features.iter().map(|f| (f.id, f.object.clone())).collect();
+        (layer.class.clone(), features, layer.pose_covariances.iter().map(|(object, _)| object.clone()).collect())
+    };
+    world.environment().layers().iter().map(of).collect()
+}
+
+/// Some 120 changes of features, covariances and objects, in an order that only its seed knows; some are refused.
+fn many_changes(seed: u64) -> Vec<Change> {
+    let mut random = crate::random::SplitMix64(seed);
+    let mesh = world().environment().objects()[0].mesh.clone();
+    let mut below = |n: u32| (random.unit() * f64::from(n)) as u32;
+    let mut change = || {
+        let object = ["cart", "cart/wheel", "cartridge"][below(3) as usize].to_owned();
+        let class = ["video", "laser"][below(2) as usize].to_owned();
+        let (id, on) = (1 + below(40), [None, Some(object.as_str())][below(2) as usize]);
+        match below(9) {
+            0 => Change::DeleteObject { name: object },
+            1 => Change::InsertObject(NewObject::new(object, at(7.0, 0.3), mesh.clone())),
+            2 => Change::SetPoseCovariance { class, object, covariance: Some([[0.0; 6]; 6]) },
+            3 => Change::SetPoseCovariance { class, object, covariance: None },
+            4 => Change::DeleteFeature { class, id },
+            5 => Change::SetFeature { class, feature: point(id, on) },
+            6 => Change::RestoreFeature { class, feature: point(id, on) },
+            7 => Change::SetTolerance { class, tolerance: 1e-3 * f64::from(1 + id) },
+            _ => Change::InsertFeature { class, feature: point(id, on) },
+        }
+    };
+    (0..120).map(|_| change()).collect()
+}
+
+/// Changes of many features at once take another way than one by one, to the same environment and the same undoing.
+#[test]
+fn many_features_at_once_are_as_one_by_one() {
+    for seed in 0..40 {
+        let (mut one_by_one, mut taken, mut undo) = (world(), Vec::new(), Vec::new());
+        for change in many_changes(seed) {
+            if let Ok(inverse) = one_by_one.apply(change.clone()) {
+                taken.push(change);
+                undo.push(inverse);
+            }
+        }
+        assert!(taken.len() > FEW_FEATURES, "{seed}: {}", taken.len());
+        let mut together = world();
+        let inverse = together.apply(Change::Group(taken.clone())).unwrap();
+        assert_eq!(listed(&together), listed(&one_by_one), "{seed}");
+        assert_eq!(hash(&together), hash(&one_by_one), "{seed}");
+        undo.reverse();
+        assert_eq!(format!("{inverse:?}"), format!("{:?}", Change::Group(undo)), "{seed}");
+        together.index().assert_well_formed(together.environment());
+        together.apply(inverse).unwrap();
+        assert_eq!(hash(&together), hash(&world()), "{seed}");
+        // What is refused at the end leaves nothing behind.
+        let refused = Change::DeleteFeature { class: "video".into(), id: 41 };
+        let before = everything(&together);
+        let e = together.apply(Change::Group(taken.into_iter().chain([refused]).collect())).unwrap_err();
+        assert!(e.to_string().contains("there is no feature 41 for class \"video\""), "{e}");
+        assert_eq!(everything(&together), before, "{seed}");
+        there_and_back(&mut together, insert(90, Some("cart")));
+    }
+}
+
+/// What deletes a group costs by its features, not by their square: four times as many take about four times as long.
+#[test]
+fn a_group_with_many_features_is_deleted_and_brought_back_in_linear_time() {
+    let seconds = |objects: u32, each: u32| {
+        let mut environment = world().environment().as_ref().clone();
+        let mesh = environment.objects()[0].mesh.clone();
+        let mut features = Vec::new();
+        for o in 0..objects {
+            let name = format!("hall/{o}");
+            environment.insert(NewObject::new(name.clone(), at(0.0, 0.0), mesh.clone())).unwrap();
+            features.extend((1..=each).map(|k| point(o * each + k, Some(&name))));
+        }
+        let layer = crate::environment::FeatureLayer {
+            class: "video".into(),
+            tolerance: 1e-3,
+            features,
+            pose_covariances: (0..objects).map(|o| (format!("hall/{o}"), [[0.0; 6]; 6])).collect(),
+        };
+        environment.add_layer(layer).unwrap();
+        let mut world = World::new(environment);
+        let before = hash(&world);
+        let start = std::time::Instant::now();
+        let undo = world.apply(Change::DeleteObject { name: "hall".into() }).unwrap();
+        assert_eq!(world.environment().layer("video").unwrap().features.len(), 0);
+        world.apply(undo).unwrap();
+        let seconds = start.elapsed().as_secs_f64();
+        assert_eq!(hash(&world), before);
+        seconds
+    };
+    let fastest = |objects, each| (0..3).map(|_| seconds(objects, each)).fold(f64::INFINITY, f64::min);
+    for [few, many] in [[(1, 6_000), (1, 24_000)], [(6_000, 1), (24_000, 1)]] {
+        let ratio = fastest(many.0, many.1) / fastest(few.0, few.1);
+        // 16 were the square; lists took a hundred times as long.
+        assert!(ratio < 9.0, "{many:?} took {ratio} times as long as {few:?}");
+    }
+}

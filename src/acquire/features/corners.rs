@@ -1,15 +1,17 @@
 //! Points where edges meet that are not in one line.
 
+use super::effort::Effort;
 use super::lines::{index_of, query};
 use super::soup::grown;
 use super::wings::Line;
+use crate::error::Result;
 use crate::geometry::Aabb;
 use crate::index::Found;
 use glam::DVec3;
 
 /// Ends of lines at which another line leaves at an angle of at least `turn` (radians) from straight on or back, with
 /// the object of the first line there. Ends within `touch` of each other are one corner.
-pub(super) fn corners(lines: &[Line], touch: f64, turn: f64) -> Vec<(DVec3, u32)> {
+pub(super) fn corners(lines: &[Line], touch: f64, turn: f64, effort: &Effort<'_>) -> Result<Vec<(DVec3, u32)>> {
     let index = index_of(lines);
     let (mut found, mut corners) = (Found::default(), Vec::new());
     let straight = turn.cos();
@@ -17,7 +19,9 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64) -> Vec<(DVec3, u32)
         for (k, p) in [line.start, line.end].into_iter().enumerate() {
             let mut directions: Vec<DVec3> = Vec::new();
             let mut first = true;
-            for &j in query(&index, &grown(&Aabb::of([p]), touch), &mut found) {
+            let near = query(&index, &grown(&Aabb::of([p]), touch), &mut found);
+            effort.spend(near.len(), line.object, || p)?;
+            for &j in near {
                 let other = &lines[j as usize];
                 // The first end at this place stands for all.
                 let ends = [other.start, other.end];
@@ -27,6 +31,7 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64) -> Vec<(DVec3, u32)
                     directions.push(other.direction());
                 }
             }
+            // At the first that meets another it ends.
             let meet =
                 directions.iter().enumerate().any(|(n, a)| directions[..n].iter().any(|b| a.dot(*b).abs() < straight));
             if first && meet {
@@ -34,7 +39,7 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64) -> Vec<(DVec3, u32)
             }
         }
     }
-    corners
+    Ok(corners)
 }
 
 fn distance(line: &Line, p: DVec3) -> f64 {

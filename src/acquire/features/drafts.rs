@@ -1,11 +1,13 @@
 //! Features before they are numbered, held to what placing them asks.
 
 use super::Kind;
+use super::effort::Effort;
 use super::lines::boxes_along;
 use super::patches::{Patch, parts};
 use super::soup::{Soup, grown};
 use super::wings::Line;
 use crate::environment::DEFAULT_TOLERANCE;
+use crate::error::Result;
 use crate::features::lies_on;
 use crate::geometry::{Aabb, Pose};
 use crate::index::Found;
@@ -57,24 +59,40 @@ impl From<Patch> for Draft {
 
 /// Those that lie on the polygons; of joined patches that do not, the parts of at least `least` m^2 that do. What is lost
 /// is counted in `off`.
-pub(super) fn on_the_surface(soup: &Soup, drafts: Vec<Draft>, least: f64, off: &mut usize) -> Vec<Draft> {
+pub(super) fn on_the_surface(
+    soup: &Soup,
+    drafts: Vec<Draft>,
+    least: f64,
+    off: &mut usize,
+    effort: &Effort<'_>,
+) -> Result<Vec<Draft>> {
+    let steps = effort.stage("checking features", drafts.len());
     let kept: Vec<Vec<Draft>> = drafts
         .into_par_iter()
         .map_init(Found::default, |found, draft| {
-            if draft.lies(soup, found) {
-                return vec![draft];
+            steps.step();
+            if draft.lies(soup, found, effort)? {
+                return Ok(vec![draft]);
             }
-            let parts = if draft.normal.is_some() { parts(soup, &draft, least, found) } else { Vec::new() };
-            let parts = parts.into_iter().map(Draft::from);
-            parts.filter(|part| part.lies(soup, found)).collect()
+            let parts = match draft.normal {
+                Some(_) => parts(soup, &draft, least, found, effort)?,
+                None => Vec::new(),
+            };
+            let mut lying = Vec::new();
+            for part in parts.into_iter().map(Draft::from) {
+                if part.lies(soup, found, effort)? {
+                    lying.push(part);
+                }
+            }
+            Ok(lying)
         })
-        .collect();
+        .collect::<Result<_>>()?;
     *off = kept.iter().filter(|of_one| of_one.is_empty()).count();
-    kept.into_iter().flatten().collect()
+    Ok(kept.into_iter().flatten().collect())
 }
 
 impl Draft {
-    fn lies(&self, soup: &Soup, found: &mut Found) -> bool {
+    fn lies(&self, soup: &Soup, found: &mut Found, effort: &Effort<'_>) -> Result<bool> {
         let near = match self.points[..] {
             // Several boxes: one around a slanting line would be wide.
             [start, end] => {
@@ -83,6 +101,9 @@ impl Draft {
             }
             _ => soup.near(&grown(&Aabb::of(self.points.iter().copied()), DEFAULT_TOLERANCE), found),
         };
-        lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR)
+        // Under a patch each polygon's sides are looked for on the others.
+        let pairs = if self.points.len() > 2 { near.len() * near.len() } else { near.len() };
+        effort.spend(pairs, self.object, || self.points[0])?;
+        Ok(lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR))
     }
 }

@@ -1,7 +1,9 @@
 //! Lines that continue each other become one; what two lines have in common belongs to one of them.
 
+use super::effort::Effort;
 use super::soup::grown;
 use super::wings::Line;
+use crate::error::Result;
 use crate::geometry::Aabb;
 use crate::index::{Found, Params, Region, Skd, SpatialIndex};
 use rayon::prelude::*;
@@ -12,17 +14,18 @@ const PARALLEL: f64 = 0.999_847_695_156_391_2;
 
 /// Joins collinear lines of one object that overlap or meet within `touch`. The longest give the directions; kinds
 /// must agree if `kinds`. By object, then in the order they came.
-pub(super) fn merged(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
+pub(super) fn merged(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let mut by_object: BTreeMap<u32, Vec<Line>> = BTreeMap::new();
     for line in lines {
         by_object.entry(line.object).or_default().push(*line);
     }
     let groups: Vec<Vec<Line>> = by_object.into_values().collect();
-    let merged: Vec<Vec<Line>> = groups.par_iter().map(|group| merged_of_object(group, touch, kinds)).collect();
-    merged.into_iter().flatten().collect()
+    let merge = |group: &Vec<Line>| merged_of_object(group, touch, kinds, effort);
+    let merged: Vec<Vec<Line>> = groups.par_iter().map(merge).collect::<Result<_>>()?;
+    Ok(merged.into_iter().flatten().collect())
 }
 
-fn merged_of_object(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
+fn merged_of_object(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let index = index_of(lines);
     let mut order: Vec<u32> = (0..lines.len() as u32).collect();
     order.sort_by(|a, b| lines[*b as usize].length().total_cmp(&lines[*a as usize].length()).then(a.cmp(b)));
@@ -39,6 +42,7 @@ fn merged_of_object(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
         near.clear();
         while let Some((a, b)) = parts.pop() {
             let (ids, before) = (query_along(&index, &line.part(a, b), 2.0 * touch, &mut found), (from, to));
+            effort.spend(ids.len(), line.object, || line.start)?;
             near.extend(ids.iter().filter(|&&o| !taken[o as usize]).filter_map(|&o| {
                 let other = &lines[o as usize];
                 let fits = !kinds || other.kind == line.kind;
@@ -48,6 +52,7 @@ fn merged_of_object(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
             // Again while something joins: one at the far side of another may come first.
             loop {
                 let count = near.len();
+                effort.spend(count, line.object, || line.start)?;
                 near.retain(|&(o, a, b)| {
                     let joins = a <= to + touch && b >= from - touch;
                     if joins {
@@ -70,7 +75,7 @@ fn merged_of_object(lines: &[Line], touch: f64, kinds: bool) -> Vec<Line> {
         all.push((seed, line.part(from, to)));
     }
     all.sort_by_key(|(seed, _)| *seed);
-    all.into_iter().map(|(_, line)| line).collect()
+    Ok(all.into_iter().map(|(_, line)| line).collect())
 }
 
 /// Boxes that together hold a line grown by a margin: several where one would be wide for a slanting line.
@@ -115,16 +120,18 @@ fn along(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
 
 /// Takes from every line what an earlier one has already, whatever their objects; pieces shorter than `least` are
 /// dropped.
-pub(super) fn once(lines: &[Line], touch: f64, least: f64) -> Vec<Line> {
+pub(super) fn once(lines: &[Line], touch: f64, least: f64, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let index = index_of(lines);
     let (mut found, mut all) = (Found::default(), Vec::new());
     for (i, line) in lines.iter().enumerate() {
         let near = query_along(&index, line, 2.0 * touch, &mut found);
+        effort.spend(near.len(), line.object, || line.start)?;
         let mut left: Vec<(f64, f64)> = vec![(0.0, line.length())];
         for &earlier in near.iter().filter(|&&j| (j as usize) < i) {
             let Some((a, b)) = overlap(line, &lines[earlier as usize], touch) else { continue };
             left = left.into_iter().flat_map(|(from, to)| [(from, to.min(a)), (from.max(b), to)]).collect();
             left.retain(|(from, to)| to > from);
+            effort.spend(left.len(), line.object, || line.start)?;
         }
         let whole = left.len() == 1 && left[0] == (0.0, line.length());
         if whole {
@@ -133,7 +140,7 @@ pub(super) fn once(lines: &[Line], touch: f64, least: f64) -> Vec<Line> {
             all.extend(left.into_iter().filter(|(from, to)| to - from >= least).map(|(a, b)| line.part(a, b)));
         }
     }
-    all
+    Ok(all)
 }
 
 /// The part of a line that runs within `touch` of another.

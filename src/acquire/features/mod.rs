@@ -17,6 +17,7 @@
 mod candidates;
 mod corners;
 mod drafts;
+mod effort;
 mod lines;
 mod patches;
 mod solids;
@@ -28,6 +29,8 @@ use crate::error::{Error, Result, short};
 use crate::geometry::Aabb;
 use crate::threads::parallel;
 use drafts::{Draft, by_place, ordered};
+use effort::Effort;
+pub use effort::Progress;
 use glam::DMat3;
 use rayon::prelude::*;
 use wings::{Judge, Line, Scratch, Verdict};
@@ -182,41 +185,69 @@ pub struct Generated {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty; those of
-/// [`crate::Threads::new`].
+/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty;
+/// [`crate::ErrorKind::Invalid`] naming a place where so many polygons lie upon each other that it would take too long
+/// ([`crate::limits::MAX_FEATURE_PAIRS`]); those of [`crate::Threads::new`].
 pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+    generate_watched(environment, class, options, &|_| {})
+}
+
+/// [`generate`], and `watch` is told how far it has come, from any thread.
+///
+/// # Errors
+/// Those of [`generate`].
+pub fn generate_watched(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<Generated> {
+    generate_with(environment, class, options, &Effort::new(environment, watch))
+}
+
+fn generate_with(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    effort: &Effort<'_>,
+) -> Result<Generated> {
     options.check()?;
     if class.is_empty() {
         return Err(Error::usage("the sensor class is empty", "name one, such as \"video\""));
     }
-    parallel(|| generate_checked(environment, class, options))
+    parallel(|| generate_checked(environment, class, options, effort))?
 }
 
-fn generate_checked(environment: &Environment, class: &str, options: &GenerateOptions) -> Generated {
+fn generate_checked(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    effort: &Effort<'_>,
+) -> Result<Generated> {
     let touch = options.touch();
     let near = options.region.map(|r| soup::grown(&r, 10.0 * touch));
     let soup = soup::Soup::new(environment, class, near.as_ref());
-    let mut counts = Counts { polygons: soup.faces.len(), invisible: soup.invisible, ..Counts::default() };
+    let mut counts = Counts { polygons: soup.faces.len() + soup.equal, invisible: soup.invisible, ..Counts::default() };
     let wants = |kinds: &[Kind]| options.kinds.iter().any(|k| kinds.contains(k));
     let mut drafts: Vec<Draft> = Vec::new();
     if wants(&Kind::ALL[..5]) {
-        let edges = edges(environment, &soup, options, near.as_ref(), &mut counts);
+        let edges = edges(environment, &soup, options, near.as_ref(), &mut counts, effort)?;
         if wants(&[Kind::Corner]) {
-            let corners = corners::corners(&edges, 4.0 * touch, options.crease);
+            let corners = corners::corners(&edges, 4.0 * touch, options.crease, effort)?;
             drafts.extend(corners.into_iter().map(|(p, object)| Draft::new(Kind::Corner, object, vec![p])));
         }
         let wanted = edges.iter().filter(|e| wants(&[e.kind]));
         drafts.extend(wanted.map(|e| Draft::new(e.kind, e.object, ordered(e.start, e.end))));
     }
     if wants(&Kind::ALL[5..]) {
-        let patches = patches::patches(&soup, options.tilt, options.min_area, touch);
+        let patches = patches::patches(&soup, options.tilt, options.min_area, touch, effort)?;
         let wanted = patches.into_iter().filter(|p| {
             wants(&[p.kind]) && near.is_none_or(|n| candidates::meet(&n, &Aabb::of(p.corners.iter().copied())))
         });
         drafts.extend(wanted.map(Draft::from));
     }
-    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off);
-    Generated { layer: layer_of(environment, class, options, drafts, &mut counts), counts }
+    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
+    Ok(Generated { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
 }
 
 impl GenerateOptions {
@@ -254,27 +285,29 @@ fn edges(
     options: &GenerateOptions,
     near: Option<&Aabb>,
     counts: &mut Counts,
-) -> Vec<Line> {
+    effort: &Effort<'_>,
+) -> Result<Vec<Line>> {
     let touch = options.touch();
     let objects = environment.objects();
     let sizes: Vec<f64> = objects.iter().map(|o| o.world_bounds().size()).collect();
-    let mirrored = |o: u32| objects[o as usize].object_from_mesh.matrix3.determinant() < 0.0;
-    let solids = solids::Solids::new(soup, mirrored);
+    let solids = solids::Solids::new(soup);
     let mut candidates = candidates::sides_of_polygons(soup, options.crease);
-    candidates.extend(candidates::crossings(soup, touch, &sizes, near));
+    candidates.extend(candidates::crossings(soup, touch, &sizes, near, effort)?);
     candidates.retain(|line| near.is_none_or(|n| candidates::meet(n, &line.bounds())));
-    let joined = lines::merged(&candidates, touch, true);
+    let joined = lines::merged(&candidates, touch, true, effort)?;
     let (long, short): (Vec<Line>, Vec<Line>) = joined.into_iter().partition(|l| l.length() >= options.min_length);
     (counts.candidates, counts.short) = (long.len(), short.len());
-    let judge = Judge { soup, solids: &solids, touch, crease: options.crease };
+    let judge = Judge { soup, effort, solids: &solids, touch, crease: options.crease };
+    let steps = effort.stage("edges", long.len());
     let judged: Vec<Vec<(f64, f64, Verdict)>> = long
         .par_iter()
         .map_init(Scratch::default, |scratch, line| {
             let mut parts = Vec::new();
-            judge.judge(line, scratch, &mut parts);
-            parts
+            judge.judge(line, scratch, &mut parts)?;
+            steps.step();
+            Ok(parts)
         })
-        .collect();
+        .collect::<Result<_>>()?;
     let mut shown = Vec::new();
     for (line, parts) in long.iter().zip(judged) {
         let before = shown.len();
@@ -288,10 +321,10 @@ fn edges(
             if buried { counts.buried += 1 } else { counts.flat += 1 }
         }
     }
-    let mut edges = lines::merged(&shown, touch, false);
+    let mut edges = lines::merged(&shown, touch, false, effort)?;
     edges.retain(|l| l.length() >= options.min_length);
     edges.sort_by_key(|l| (l.kind == Kind::Intersection, l.object));
-    lines::once(&edges, touch, options.min_length)
+    lines::once(&edges, touch, options.min_length, effort)
 }
 
 fn layer_of(

@@ -2,7 +2,9 @@
 
 use super::Kind;
 use super::drafts::Draft;
+use super::effort::Effort;
 use super::soup::Soup;
+use crate::error::Result;
 use crate::geometry::{Aabb, Plane, plane_of_polygon};
 use crate::index::Found;
 use crate::limits;
@@ -32,7 +34,7 @@ struct Piece {
 
 /// All patches of at least `least` m^2 whose planes are vertical or horizontal within `tilt` (radians). Doubled faces
 /// give one patch.
-pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64) -> Vec<Patch> {
+pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64, effort: &Effort<'_>) -> Result<Vec<Patch>> {
     let mut planes: BTreeMap<(u32, bool), Vec<(Plane, u32)>> = BTreeMap::new();
     for (i, f) in soup.faces.iter().enumerate() {
         let up = f.plane.normal.z.abs();
@@ -44,28 +46,43 @@ pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64) -> Vec<Pat
     let mut all = Vec::new();
     for ((object, horizontal), faces) in planes {
         let kind = if horizontal { Kind::Horizontal } else { Kind::Vertical };
-        for (plane, faces) in coplanar(soup, faces, touch) {
+        for (plane, faces) in coplanar(soup, faces, touch, effort)? {
             let patch = |corners| Patch { corners, object, kind, normal: plane.normal };
-            all.extend(of_plane(soup, plane.normal, &faces, touch, least).into_iter().map(patch));
+            all.extend(of_plane(soup, plane.normal, &faces, touch, least, effort)?.into_iter().map(patch));
         }
     }
-    all
+    Ok(all)
 }
 
 /// Corners of the patches that faces of one plane make together.
-fn of_plane(soup: &Soup, normal: DVec3, faces: &[u32], touch: f64, least: f64) -> Vec<Vec<DVec3>> {
-    let Some(first) = faces.first() else { return Vec::new() };
+fn of_plane(
+    soup: &Soup,
+    normal: DVec3,
+    faces: &[u32],
+    touch: f64,
+    least: f64,
+    effort: &Effort<'_>,
+) -> Result<Vec<Vec<DVec3>>> {
+    let Some(first) = faces.first() else { return Ok(Vec::new()) };
     let (u, v) = normal.any_orthonormal_pair();
     let origin = soup.corners(*first)[0];
     let flat = |p: DVec3| DVec2::new((p - origin).dot(u), (p - origin).dot(v));
     let pieces = faces.iter().filter_map(|&f| Piece::around(soup.corners(f).iter().map(|p| flat(*p)).collect()));
-    let large = joined(pieces.collect(), touch).into_iter().filter(|p| p.area >= least);
-    large.map(|piece| piece.corners.iter().map(|c| origin + u * c.x + v * c.y).collect()).collect()
+    let object = soup.faces[*first as usize].object;
+    let spend = |pairs: usize, at: DVec2| effort.spend(pairs, object, || origin + u * at.x + v * at.y);
+    let large = joined(pieces.collect(), touch, &spend)?.into_iter().filter(|p| p.area >= least);
+    Ok(large.map(|piece| piece.corners.iter().map(|c| origin + u * c.x + v * c.y).collect()).collect())
 }
 
 /// The patches that a patch is joined of, joined again only where hardly anything is between them.
-pub(super) fn parts(soup: &Soup, whole: &Draft, least: f64, found: &mut Found) -> Vec<Patch> {
-    let (Some(plane), Some(normal)) = (plane_of_polygon(&whole.points), whole.normal) else { return Vec::new() };
+pub(super) fn parts(
+    soup: &Soup,
+    whole: &Draft,
+    least: f64,
+    found: &mut Found,
+    effort: &Effort<'_>,
+) -> Result<Vec<Patch>> {
+    let (Some(plane), Some(normal)) = (plane_of_polygon(&whole.points), whole.normal) else { return Ok(Vec::new()) };
     let bounds = Aabb::of(whole.points.iter().copied());
     let inside = |p: DVec3| {
         let sides = super::soup::sides(&whole.points, plane.normal);
@@ -79,11 +96,11 @@ pub(super) fn parts(soup: &Soup, whole: &Draft, least: f64, found: &mut Found) -
     };
     let faces: Vec<u32> = soup.near(&bounds, found).iter().copied().filter(belongs).collect();
     let patch = |corners| Patch { corners, object: whole.object, kind: whole.kind, normal };
-    of_plane(soup, normal, &faces, 0.0, least).into_iter().map(patch).collect()
+    Ok(of_plane(soup, normal, &faces, 0.0, least, effort)?.into_iter().map(patch).collect())
 }
 
 /// Faces by plane, whichever way they are wound; the plane of the first is the group's.
-fn coplanar(soup: &Soup, faces: Vec<(Plane, u32)>, touch: f64) -> Vec<(Plane, Vec<u32>)> {
+fn coplanar(soup: &Soup, faces: Vec<(Plane, u32)>, touch: f64, effort: &Effort<'_>) -> Result<Vec<(Plane, Vec<u32>)>> {
     // By rounded normal; what falls apart at a cell's border stays apart, which costs a merge and no truth.
     let mut groups: Vec<(Plane, Vec<u32>)> = Vec::new();
     let mut cells: BTreeMap<[i64; 3], Vec<usize>> = BTreeMap::new();
@@ -93,20 +110,24 @@ fn coplanar(soup: &Soup, faces: Vec<(Plane, u32)>, touch: f64) -> Vec<(Plane, Ve
         let side = if flip { -n } else { n };
         let cell = (side * 64.0).round().to_array().map(|c| c as i64);
         let known = cells.entry(cell).or_default();
+        let mut tried = 0;
         let fits = |g: &&usize| {
+            tried += 1;
             let p = &groups[**g].0;
             soup.corners(face).iter().all(|c| (p.normal.dot(*c) - p.offset).abs() <= touch)
                 && p.normal.dot(n).abs() > 0.999_99
         };
-        match known.iter().find(fits) {
-            Some(&g) => groups[g].1.push(face),
+        let group = known.iter().find(fits).copied();
+        effort.spend(tried, soup.faces[face as usize].object, || soup.corners(face)[0])?;
+        match group {
+            Some(g) => groups[g].1.push(face),
             None => {
                 known.push(groups.len());
                 groups.push((plane, vec![face]));
             }
         }
     }
-    groups
+    Ok(groups)
 }
 
 impl Piece {
@@ -136,10 +157,13 @@ impl Piece {
         (hull.len() >= 3 && area > 0.0).then_some(Self { corners: hull, area, low, high })
     }
 
+    fn is_apart(&self, other: &Self, touch: f64) -> bool {
+        self.low.cmpgt(other.high + touch).any() || other.low.cmpgt(self.high + touch).any()
+    }
+
     /// The union with another piece, if that is convex (or one holds the other).
     fn with(&self, other: &Self, touch: f64) -> Option<Self> {
-        let apart = self.low.cmpgt(other.high + touch).any() || other.low.cmpgt(self.high + touch).any();
-        if apart {
+        if self.is_apart(other, touch) {
             return None;
         }
         let hull = Self::around(self.corners.iter().chain(&other.corners).copied().collect())?;
@@ -158,8 +182,11 @@ fn turns_right(a: DVec2, b: DVec2, c: DVec2) -> bool {
     ab.perp_dot(bc) <= 1e-7 * ab.length() * bc.length()
 }
 
+/// Pairs that the hull of two pieces counts as.
+const HULL: usize = 16;
+
 /// Joins pieces until no two have a convex union, nearest in order of their low x first.
-fn joined(mut pieces: Vec<Piece>, touch: f64) -> Vec<Piece> {
+fn joined(mut pieces: Vec<Piece>, touch: f64, spend: &impl Fn(usize, DVec2) -> Result<()>) -> Result<Vec<Piece>> {
     loop {
         pieces.sort_by(|a, b| {
             a.low.x.total_cmp(&b.low.x).then(a.low.y.total_cmp(&b.low.y)).then(a.area.total_cmp(&b.area))
@@ -167,8 +194,13 @@ fn joined(mut pieces: Vec<Piece>, touch: f64) -> Vec<Piece> {
         let before = pieces.len();
         let mut i = 0;
         while i < pieces.len() {
-            let mut j = i + 1;
+            let (mut j, mut pairs) = (i + 1, 0);
             while j < pieces.len() && pieces[j].low.x <= pieces[i].high.x + touch {
+                let apart = pieces[i].is_apart(&pieces[j], touch);
+                pairs += if apart { 1 } else { HULL };
+                if pairs > 1 << 16 {
+                    spend(std::mem::take(&mut pairs), pieces[i].low)?;
+                }
                 match pieces[i].with(&pieces[j], touch) {
                     Some(union) => {
                         pieces[i] = union;
@@ -177,10 +209,11 @@ fn joined(mut pieces: Vec<Piece>, touch: f64) -> Vec<Piece> {
                     None => j += 1,
                 }
             }
+            spend(pairs, pieces[i].low)?;
             i += 1;
         }
         if pieces.len() == before {
-            return pieces;
+            return Ok(pieces);
         }
     }
 }

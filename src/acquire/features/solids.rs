@@ -21,8 +21,6 @@ pub(super) struct Solids {
     of_face: Vec<u32>,
     /// Boxes by solid.
     boxes: Vec<Aabb>,
-    /// -1 where the object mirrors its mesh: outward windings turn inward.
-    signs: Vec<i32>,
     /// Over the boxes.
     index: Skd<3>,
 }
@@ -37,8 +35,8 @@ struct Sum {
 }
 
 impl Solids {
-    /// Finds the solids; `mirrored` says which objects mirror their meshes.
-    pub fn new(soup: &Soup, mirrored: impl Fn(u32) -> bool) -> Self {
+    /// Finds the solids.
+    pub fn new(soup: &Soup) -> Self {
         let mut parent: Vec<u32> = (0..soup.vertex_count).collect();
         for face in 0..soup.faces.len() as u32 {
             for pair in soup.vertices(face).windows(2) {
@@ -62,15 +60,13 @@ impl Solids {
             sum.bounds = sum.bounds.union(soup.faces[face as usize].bounds);
         }
         let index = Skd::build(Params::default(), &[]);
-        let mut solids = Self { of_face: Vec::new(), boxes: Vec::new(), signs: Vec::new(), index };
+        let mut solids = Self { of_face: Vec::new(), boxes: Vec::new(), index };
         let mut number = vec![NONE; parent.len()];
         for face in 0..soup.faces.len() as u32 {
             let part = root(&mut parent, soup.vertices(face)[0]) as usize;
-            let sign = if mirrored(soup.faces[face as usize].object) { -1 } else { 1 };
-            if let Some(sum) = sums[part].take().filter(|s| is_solid(s, f64::from(sign))) {
+            if let Some(sum) = sums[part].take().filter(is_solid) {
                 number[part] = solids.boxes.len() as u32;
                 solids.boxes.push(sum.bounds);
-                solids.signs.push(sign);
             }
             solids.of_face.push(number[part]);
         }
@@ -99,7 +95,7 @@ impl Solids {
             if solid == NONE || self.boxes[solid as usize].distance_squared(p) > 0.0 {
                 continue;
             }
-            let turns = turns_around(soup.corners(face), p) * self.signs[solid as usize];
+            let turns = turns_around(soup.corners(face), p);
             if turns == 0 {
                 continue;
             }
@@ -115,9 +111,8 @@ impl Solids {
     }
 }
 
-fn is_solid(sum: &Sum, sign: f64) -> bool {
-    let volume = sum.volume * sign;
-    sum.vector.length() <= 1e-5 * sum.area && volume > 0.0 && 3.0 * volume < ROOM * sum.area
+fn is_solid(sum: &Sum) -> bool {
+    sum.vector.length() <= 1e-5 * sum.area && sum.volume > 0.0 && 3.0 * sum.volume < ROOM * sum.area
 }
 
 fn root(parent: &mut [u32], mut v: u32) -> u32 {

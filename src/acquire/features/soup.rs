@@ -4,7 +4,7 @@ use crate::environment::{Appearance, Environment, Object};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::index::{Found, Params, Region, Skd, SpatialIndex};
 use glam::DVec3;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// A convex polygon in the world.
 #[derive(Clone, Copy, Debug)]
@@ -14,7 +14,7 @@ pub(super) struct Face {
     /// Index of its object.
     pub object: u32,
     pub material: u16,
-    /// Right-handed from the winding in the world.
+    /// Its normal points to the front.
     pub plane: Plane,
     pub bounds: Aabb,
 }
@@ -31,6 +31,8 @@ pub(super) struct Soup {
     index: Skd<3>,
     /// Polygons that the class does not see.
     pub invisible: usize,
+    /// Polygons equal to another one of their object, wound the same way: that one stands for them.
+    pub equal: usize,
 }
 
 impl Soup {
@@ -46,6 +48,7 @@ impl Soup {
             vertex_count: 0,
             index: Skd::build(Params::default(), &[]),
             invisible: 0,
+            equal: 0,
         };
         let region = near.map(Region::cuboid);
         for (index, object) in environment.objects().iter().enumerate() {
@@ -59,7 +62,7 @@ impl Soup {
     }
 
     fn add(&mut self, index: u32, object: &Object, seen: &[bool]) {
-        let (mesh, world_from_mesh) = (&object.mesh, object.world_from_mesh());
+        let (mesh, world_from_mesh, mirrored) = (&object.mesh, object.world_from_mesh(), object.mirrors());
         let mut known: HashMap<[u32; 3], u32> = HashMap::with_capacity(mesh.vertices().len());
         // Adding 0 makes -0 and 0 the same.
         let key = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
@@ -74,6 +77,7 @@ impl Soup {
         let placed: Vec<DVec3> =
             mesh.vertices().iter().map(|v| world_from_mesh.transform_point3(v.as_dvec3())).collect();
         self.vertex_count += known.len() as u32;
+        let mut equal: HashSet<(u16, Vec<u32>)> = HashSet::with_capacity(mesh.polygon_count());
         for polygon in 0..mesh.polygon_count() as u32 {
             let material = mesh.material(polygon);
             if !seen[usize::from(material)] {
@@ -81,18 +85,25 @@ impl Soup {
                 continue;
             }
             let corners = mesh.corner_indices(polygon);
-            let at = |k: usize| placed[corners[k] as usize];
+            let count = corners.len();
+            // A mirror turns the winding round, and the front stays where it is.
+            let number = |k: usize| if mirrored { (count - k) % count } else { k };
+            let at = |k: usize| placed[corners[number(k)] as usize];
             // A scale that flattens a sliver beyond f64 leaves nothing that could be seen.
-            let Some(plane) = plane_of_loop(corners.len(), at) else { continue };
-            let (first, count) = (self.corners.len() as u32, corners.len() as u32);
-            self.corners.extend((0..corners.len()).map(at));
-            self.vertices.extend(corners.iter().map(|c| welded[*c as usize]));
+            let Some(plane) = plane_of_loop(count, at) else { continue };
+            if !equal.insert((material, turned(corners.iter().map(|c| welded[*c as usize]).collect()))) {
+                self.equal += 1;
+                continue;
+            }
+            let first = self.corners.len() as u32;
+            self.corners.extend((0..count).map(at));
+            self.vertices.extend((0..count).map(|k| welded[corners[number(k)] as usize]));
             let bounds = Aabb::of(self.corners[first as usize..].iter().copied());
-            self.faces.push(Face { first, count, object: index, material, plane, bounds });
+            self.faces.push(Face { first, count: count as u32, object: index, material, plane, bounds });
         }
     }
 
-    /// Corners of a face, in winding order.
+    /// Corners of a face, counter-clockwise as seen from its front.
     pub fn corners(&self, face: u32) -> &[DVec3] {
         let f = &self.faces[face as usize];
         &self.corners[f.first as usize..][..f.count as usize]
@@ -121,6 +132,13 @@ impl Soup {
         found.ids.dedup();
         &found.ids
     }
+}
+
+/// A loop that begins with its lowest number.
+fn turned(mut numbers: Vec<u32>) -> Vec<u32> {
+    let lowest = (0..numbers.len()).min_by_key(|k| numbers[*k]).unwrap_or(0);
+    numbers.rotate_left(lowest);
+    numbers
 }
 
 /// Each edge of a convex polygon as its start and the unit normal in the polygon's plane that points inward.

@@ -6,8 +6,10 @@
 //! (a T-junction) is a wing along that part.
 
 use super::Kind;
+use super::effort::Effort;
 use super::lines::boxes_along;
 use super::soup::{Soup, clip, grown, sides};
+use crate::error::Result;
 use crate::geometry::Aabb;
 use crate::index::Found;
 use glam::DVec3;
@@ -99,9 +101,9 @@ pub(super) fn creased(span: f64, crease: f64) -> bool {
 }
 
 /// What the surroundings of lines are judged by.
-#[derive(Debug)]
 pub(super) struct Judge<'a> {
     pub soup: &'a Soup,
+    pub effort: &'a Effort<'a>,
     pub solids: &'a super::solids::Solids,
     /// How far apart things that touch may be, metres.
     pub touch: f64,
@@ -138,9 +140,14 @@ pub(super) enum Verdict {
 
 impl Judge<'_> {
     /// Cuts a line where its surroundings change and appends what each part shows, in order along it; neighbours differ.
-    pub fn judge(&self, line: &Line, scratch: &mut Scratch, parts: &mut Vec<(f64, f64, Verdict)>) {
+    ///
+    /// # Errors
+    /// Those of [`Effort::spend`].
+    pub fn judge(&self, line: &Line, scratch: &mut Scratch, parts: &mut Vec<(f64, f64, Verdict)>) -> Result<()> {
         let (d, length) = (line.direction(), line.length());
-        self.gather(line, d, length, scratch);
+        self.gather(line, d, length, scratch)?;
+        let looked_at = scratch.cuts.len() * scratch.faces.len();
+        self.effort.spend(looked_at, line.object, || line.start + d * (0.5 * length))?;
         let Scratch { found, faces, cuts, wings } = scratch;
         cuts.sort_by(f64::total_cmp);
         let u = d.any_orthonormal_vector();
@@ -170,15 +177,18 @@ impl Judge<'_> {
             from = to;
         }
         parts.extend(done);
+        Ok(())
     }
 
     /// Finds the faces along the line and the places where something begins, ends, or pierces it.
-    fn gather(&self, line: &Line, d: DVec3, length: f64, scratch: &mut Scratch) {
+    fn gather(&self, line: &Line, d: DVec3, length: f64, scratch: &mut Scratch) -> Result<()> {
         let touch = self.touch;
         scratch.faces.clear();
         scratch.cuts.clear();
         scratch.cuts.push(length);
-        for &face in self.soup.near_any(boxes_along(line, 2.0 * touch), &mut scratch.found) {
+        let near = self.soup.near_any(boxes_along(line, 2.0 * touch), &mut scratch.found);
+        self.effort.spend(near.len(), line.object, || line.start + d * (0.5 * length))?;
+        for &face in near {
             let f = &self.soup.faces[face as usize];
             let (off, rate) = (f.plane.normal.dot(line.start) - f.plane.offset, f.plane.normal.dot(d));
             let mut range = clip(clip((0.0, length), touch - off, -rate), touch + off, rate);
@@ -204,6 +214,7 @@ impl Judge<'_> {
             }
         }
         scratch.cuts.retain(|t| *t > 3.0 * touch && (*t < length - 3.0 * touch || *t == length));
+        Ok(())
     }
 
     /// Directions in which a face leaves the line at `p`.

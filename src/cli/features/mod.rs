@@ -6,7 +6,8 @@ mod pick;
 use super::load;
 use super::outputs::OutputFiles;
 use super::{Verdict, print};
-use crate::acquire::features::{GenerateOptions, Generated, Kind, generate};
+use crate::acquire::features::{GenerateOptions, Generated, Kind, generate_watched};
+use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
@@ -120,13 +121,32 @@ pub fn run(args: &Args) -> Result<Verdict> {
     files.check_named([scene.as_path()])?;
     let scene = load::scene(scene, &ImportOptions::default(), Scheme::None)?;
     let start = Instant::now();
-    let generated = generate(scene.world.environment(), class, &options)?;
+    let generated = generated(scene.world.environment(), class, &options)?;
     files.check_read()?;
     if let Some(path) = &args.out {
         layer::write(path, &generated.layer)?;
     }
     print::lines(in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
     Ok(Verdict::Done)
+}
+
+/// With a bar that shows how far it has come.
+#[cfg(feature = "report")]
+fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+    let bar = super::bar::bar(0);
+    let generated = generate_watched(environment, class, options, &|progress| {
+        bar.set_length(progress.of as u64);
+        bar.set_position(progress.done as u64);
+        bar.set_message(progress.stage);
+    });
+    bar.finish_and_clear();
+    generated
+}
+
+/// Without what draws bars.
+#[cfg(not(feature = "report"))]
+fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+    generate_watched(environment, class, options, &|_| {})
 }
 
 fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> Vec<String> {

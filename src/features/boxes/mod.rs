@@ -70,7 +70,7 @@ impl BoxOptions {
 /// Adds to every visible feature its box, and the covariance of its defining points in the image.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1; [`crate::ErrorKind::Invalid`] for a covariance that is not
+/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and those of [`Pose::check`]; [`crate::ErrorKind::Invalid`] for a covariance that is not
 /// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about; those of
 /// [`crate::Threads::new`].
 pub fn add_boxes(
@@ -127,7 +127,7 @@ impl<'a> BoxFrame<'a> {
         objects.sort_by_key(|(object, _)| *object);
         Ok(Self {
             image: Image::of(sensor),
-            viewpoint: Viewpoint::new(world_from_sensor, &options.sensor),
+            viewpoint: Viewpoint::new(world_from_sensor, &options.sensor)?,
             level: Level::new(options.confidence),
             method: options.method,
             world,

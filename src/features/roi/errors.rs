@@ -6,6 +6,7 @@
 
 use super::PoseCovariance;
 use crate::environment::FeatureShape;
+use crate::error::Result;
 use crate::features::normal::square_root;
 use crate::geometry::Pose;
 use glam::{DMat3, DVec3};
@@ -53,11 +54,15 @@ pub struct Viewpoint {
 
 impl Viewpoint {
     /// Of a sensor's pose and its covariance along the world's axes, rotation by Exp(dtheta) from the left.
-    pub fn new(world_from_body: &Pose, covariance: &PoseCovariance) -> Self {
+    ///
+    /// # Errors
+    /// Those of [`Pose::check`].
+    pub fn new(world_from_body: &Pose, covariance: &PoseCovariance) -> Result<Self> {
+        world_from_body.check()?;
         let body_from_world = world_from_body.rotation_matrix().transpose();
         let errors = PoseErrors::new(covariance).turned(&body_from_world);
         let columns = Columns::new(&errors.map(|pair| pair.map(|v| -v)));
-        Self { world_from_body: *world_from_body, body_from_world, columns, size: sizes(&errors) }
+        Ok(Self { world_from_body: *world_from_body, body_from_world, columns, size: sizes(&errors) })
     }
 }
 
@@ -158,15 +163,19 @@ impl Uncertain {
     /// The errors of a feature seen from a pose. `world_from_frame` is the pose of the feature's object (identity for
     /// the world) with its covariance in the object's own axes; the sensor's covariance is along the world's axes,
     /// rotation by Exp(dtheta) from the left.
+    ///
+    /// # Errors
+    /// Those of [`Pose::check`], of either pose.
     pub fn new(
         world_from_body: &Pose,
         sensor: &PoseCovariance,
         world_from_frame: &Pose,
         object: Option<&PoseCovariance>,
         shape: &FeatureShape,
-    ) -> Self {
-        let object = object.map(PoseErrors::new);
-        Self::seen_from(&Viewpoint::new(world_from_body, sensor), world_from_frame, object.as_ref(), shape)
+    ) -> Result<Self> {
+        world_from_frame.check()?;
+        let (viewpoint, object) = (Viewpoint::new(world_from_body, sensor)?, object.map(PoseErrors::new));
+        Ok(Self::seen_from(&viewpoint, world_from_frame, object.as_ref(), shape))
     }
 
     /// As [`Uncertain::new`], with the data that many features share computed beforehand.

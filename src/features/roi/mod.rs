@@ -54,7 +54,7 @@
 //! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
 //! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
 //! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
-//! let uncertain = Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape);
+//! let uncertain = Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape)?;
 //! let points = [0.0, 1.0].map(|t| Material::on_segment(&ends, t));
 //! let found = roi(&Camera, &uncertain, &points, 0.99).expect("it is before the camera");
 //!
@@ -65,6 +65,7 @@
 //! assert!(2.58 < deviations && deviations < 3.1, "{deviations}");
 //! assert!((0.5 * (left + right) - 319.5).abs() < 0.1);
 //! assert_eq!(found.flag, RoiFlag::Linear);
+//! # Ok::<(), presight::Error>(())
 //! ```
 //!
 //! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.

@@ -103,7 +103,7 @@ impl Default for FeatureOptions {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
-/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range;
+/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
 /// those of [`crate::Threads::new`].
 pub fn predict_features(
     world: &World,
@@ -141,6 +141,7 @@ impl<'a> Prepared<'a> {
         placed: &'a [PlacedFeature],
         options: &FeatureOptions,
     ) -> Result<Self> {
+        world_from_sensor.check()?;
         let frame = match placed {
             [] => None,
             _ => Some(Frame::new(world, sensor, world_from_sensor, images, placed, options)?),

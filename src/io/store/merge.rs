@@ -87,6 +87,7 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
     let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;
     let (ours, theirs) = (hashes(environment.materials()), hashes(scene.materials()));
     let mut meshes: HashMap<*const Mesh, Arc<Mesh>> = HashMap::new();
+    let mut attached_to = None;
     for object in scene.objects().iter().filter(|o| !o.is_deleted()) {
         let mut kept = Vec::new();
         if let Some(present) = environment.object(&object.name) {
@@ -108,7 +109,8 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
                 changes.push(Change::SetPose { name, world_from_object: object.world_from_object });
                 continue;
             }
-            kept = attached(environment, &name);
+            let all = attached_to.get_or_insert_with(|| attached(environment));
+            kept = all.remove(name.as_str()).unwrap_or_default();
             changes.push(Change::DeleteObject { name });
         }
         let mesh = meshes.entry(Arc::as_ptr(&object.mesh));
@@ -147,20 +149,22 @@ fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, t
     Ok(())
 }
 
-/// What brings back the features and covariances that are given in an object's frame, after it was replaced.
-fn attached(environment: &Environment, object: &str) -> Vec<Change> {
-    let mut changes = Vec::new();
-    for (class, covariance, ids) in environment.attached_to(object) {
-        for feature in ids.into_iter().filter_map(|id| environment.feature(&class, id)) {
-            changes.push(Change::RestoreFeature { class: class.clone(), feature: feature.clone() });
+/// What brings back the features and covariances that are given in objects' frames, after these were replaced.
+fn attached(environment: &Environment) -> HashMap<&str, Vec<Change>> {
+    let mut all: HashMap<&str, Vec<Change>> = HashMap::new();
+    for FeatureLayer { class, features, pose_covariances, .. } in environment.layers() {
+        for feature in features {
+            let Some(object) = &feature.object else { continue };
+            let change = Change::RestoreFeature { class: class.clone(), feature: feature.clone() };
+            all.entry(object).or_default().push(change);
         }
-        let of_layer = environment.layer(&class).map_or(&[][..], |layer| &layer.pose_covariances);
-        let known = of_layer.iter().find(|(path, _)| covariance && path == object).map(|(_, c)| *c);
-        if known.is_some() {
-            changes.push(Change::SetPoseCovariance { class, object: object.to_owned(), covariance: known });
+        for (object, covariance) in pose_covariances {
+            let (class, covariance) = (class.clone(), Some(*covariance));
+            let change = Change::SetPoseCovariance { class, object: object.clone(), covariance };
+            all.entry(object).or_default().push(change);
         }
     }
-    changes
+    all
 }
 
 fn hashes(materials: &[Material]) -> Vec<crate::environment::ContentHash> {

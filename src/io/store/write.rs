@@ -19,6 +19,7 @@ use crate::io::text::check_json_memory;
 use crate::placement;
 use crate::world::World;
 use rusqlite::{OptionalExtension, Params, ToSql, params};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -255,17 +256,26 @@ impl Store {
             let mut number_of = |mesh: &Arc<Mesh>| self.number_of(mesh);
             (Op::of(change, &mut number_of)?, Op::of(inverse, &mut number_of)?)
         };
+        // What all features of a class share is written once, however many there are.
+        let mut layers = BTreeSet::new();
         for key in Touched::of(&[&change, &inverse]).writes {
             match key {
                 Key::Object(name) => {
                     self.write_object(now, &name)?;
                     self.write_group(now, &name)?;
                 }
-                Key::Feature(class, id) => self.write_feature(now, &class, id)?,
-                Key::Layer(class) => self.write_layer(now, &class)?,
+                Key::Feature(class, id) => {
+                    self.write_feature(now, &class, id)?;
+                    // The class may be new.
+                    layers.insert(class);
+                }
+                Key::Layer(class) => {
+                    layers.insert(class);
+                }
                 Key::Existence(_) => {}
             }
         }
+        layers.iter().try_for_each(|class| self.write_layer(now, class))?;
         (self.meta.next_object, self.meta.next_slot) = (now.objects().len() as i64, i64::from(now.slot_count()));
         self.append((&change, &inverse), note, entry)
     }
@@ -379,7 +389,7 @@ impl Store {
 
     fn write_feature(&mut self, now: &Environment, class: &str, id: u32) -> Result<()> {
         let feature = now.feature(class, id);
-        if feature.is_none() && !now.retired(class).any(|retired| retired == id) {
+        if feature.is_none() && !now.is_retired(class, id) {
             return Ok(());
         }
         let kind = feature.map(|f| f.shape.kind());
@@ -390,8 +400,7 @@ impl Store {
         let sql = "INSERT INTO features VALUES(?1, ?2, ?3, ?4, ?5, ?6)";
         self.run(sql, params![class, id, kind, object, text, hash])?;
         self.meta.digest.add(&hash);
-        // A class may be new.
-        self.write_layer(now, class)
+        Ok(())
     }
 
     fn write_layer(&mut self, now: &Environment, class: &str) -> Result<()> {

@@ -79,7 +79,7 @@ impl One<'_> {
     }
 
     fn truth(&self, pose: &Pose) -> Result<Truth> {
-        let plan = FramePlan::new(&self.scene.world, self.sensor, pose, &request());
+        let plan = FramePlan::new(&self.scene.world, self.sensor, pose, &request())?;
         let mut images = Images::default();
         reference::render(&plan, &mut images)?;
         Ok(Truth { plan, images })
@@ -147,7 +147,8 @@ impl One<'_> {
         timing.warm(|| drawer.draw(&what.world, &view.sensor, pose, &mut images))?;
         let (truth_images, shown) = view.beside(&truth.images, &images);
         // A part of the image is judged by its own sensor: pixels have their places there.
-        let own = (!view.whole).then(|| FramePlan::new(&self.scene.world, &view.judge, pose, &request()));
+        let own =
+            (!view.whole).then(|| FramePlan::new(&self.scene.world, &view.judge, pose, &request())).transpose()?;
         let plan = own.as_ref().unwrap_or(&truth.plan);
         let exact = view.exact.then_some(what.path.precision());
         what.errors.add(&errors::compare_images(&truth_images, &shown, plan, exact)?);

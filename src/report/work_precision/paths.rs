@@ -224,15 +224,15 @@ impl Drawer {
         let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         let start = Instant::now();
         let plan = |stats: &mut Stats| {
-            let plan = FramePlan::new(world, sensor, pose, &request());
+            let plan = FramePlan::new(world, sensor, pose, &request())?;
             stats.stage("selection", start);
             stats.left_out = plan.left_out();
-            plan
+            Ok::<_, Error>(plan)
         };
         match self {
             Self::Predictor(predictor) => return predictor.predict_into(world, sensor, pose, &request(), images),
             Self::Reference => {
-                let plan = plan(&mut stats);
+                let plan = plan(&mut stats)?;
                 // It looks at everything, whatever was selected.
                 stats.left_out.clear();
                 let start = Instant::now();
@@ -242,7 +242,7 @@ impl Drawer {
                 stats.count("polygons tested", counts.polygons);
             }
             #[cfg(feature = "gpu")]
-            Self::Narrow(engine) => engine.render(&plan(&mut stats), images, &mut stats)?,
+            Self::Narrow(engine) => engine.render(&plan(&mut stats)?, images, &mut stats)?,
         }
         Ok(stats)
     }

@@ -1,0 +1,111 @@
+//! Features on one-sided polygons of a mirrored cube.
+
+use super::{INSIDE, OUTSIDE, cube, sensors, ways, world};
+use glam::{DMat3, DVec3};
+use presight::acquire::features::{GenerateOptions, generate};
+use presight::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight::features::{FeatureOptions, Reason, SeenFeature, Visibility, place};
+use presight::{Backend, NewObject, Options, Pose, Predictor, Request, Stats, World};
+
+/// Points on the walls at x = 2 and x = 3, off the middle so that no pixel's ray meets them by chance; a patch on either.
+fn layer() -> FeatureLayer {
+    let feature = |id: u32, shape: FeatureShape| Feature {
+        id,
+        name: None,
+        object: None,
+        shape,
+        existence: Existence::default(),
+        properties: Properties::default(),
+    };
+    let point = |x: f64| FeatureShape::Point { at: DVec3::new(x, 0.05, 0.06), covariance: DMat3::ZERO };
+    let patch = |x: f64| {
+        let corners = [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]].map(|[y, z]| DVec3::new(x, y, z));
+        FeatureShape::Patch { corners: corners.to_vec(), covariance: DMat3::ZERO }
+    };
+    let features = vec![feature(1, point(2.0)), feature(2, point(3.0)), feature(3, patch(2.0)), feature(4, patch(3.0))];
+    FeatureLayer { class: "laser".into(), tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() }
+}
+
+/// What a camera at `from` that looks along +x sees of them.
+fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visibility) -> Vec<SeenFeature> {
+    let (camera, _) = sensors().swap_remove(0);
+    let pose = Pose { translation: from, ..Pose::IDENTITY };
+    let images = predictor.predict(world, &camera, &pose, &Request::default()).unwrap().images;
+    let placed = place(world, &layer()).unwrap();
+    let options = FeatureOptions { visibility, ..FeatureOptions::default() };
+    let stats = &mut Stats::default();
+    predictor.predict_features(world, &camera, &pose, &images, &placed, &options, stats).unwrap().features
+}
+
+fn predictors() -> Vec<Predictor> {
+    let open = |backend| Predictor::new(Options { backend, ..Options::default() }).ok();
+    [Backend::Cpu, Backend::Gpu].into_iter().filter_map(open).collect()
+}
+
+/// Why a feature is not seen, if it is not.
+fn reason(f: &SeenFeature) -> Option<Reason> {
+    assert_eq!(f.visible.is_empty(), f.visible_fraction == 0.0);
+    assert!(f.visible.is_empty() || f.visible_fraction == 1.0, "all of it or nothing: {}", f.visible_fraction);
+    f.hidden.first().map(|h| h.reason)
+}
+
+#[test]
+fn a_feature_faces_away_where_its_polygon_does() {
+    let away = Some(Reason::FacingAway);
+    for mut predictor in predictors() {
+        for (what, world_from_mesh) in ways() {
+            let world = |outside| world(NewObject::from_affine("cube", world_from_mesh, cube(outside)).unwrap());
+            for visibility in [Visibility::Image, Visibility::Rays] {
+                let mut look = |outside, from| {
+                    let seen = seen(&mut predictor, &world(outside), from, visibility);
+                    seen.iter().map(reason).collect::<Vec<_>>()
+                };
+                // Fronts outside: the near wall shows its front, the far one its back, which is in nobody's way.
+                assert_eq!(look(true, OUTSIDE), [None, away, None, away], "{what}");
+                // Fronts inside: the near wall shows its back, through which the far one is seen.
+                assert_eq!(look(false, OUTSIDE), [away, None, away, None], "{what}");
+                let behind = Some(Reason::BehindSensor);
+                let from_inside = look(false, INSIDE);
+                assert_eq!((from_inside[0], from_inside[1]), (behind, None), "{what}");
+                assert_eq!(look(true, INSIDE)[1], away, "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn patches_made_of_a_mirrored_box_look_outward() {
+    let options = GenerateOptions { min_area: 0.1, ..GenerateOptions::default() };
+    for (what, world_from_mesh) in ways() {
+        for (outside, sign) in [(true, 1.0), (false, -1.0)] {
+            let world = world(NewObject::from_affine("cube", world_from_mesh, cube(outside)).unwrap());
+            let object = &world.environment().objects()[0].world_from_object;
+            let layer = generate(world.environment(), "laser", &options).unwrap().layer;
+            let mut patches = 0;
+            for f in &layer.features {
+                let FeatureShape::Patch { corners, .. } = &f.shape else { continue };
+                let normal = object.rotation * f.properties.normal.unwrap();
+                let out = object.transform_point(corners[0]) - INSIDE;
+                assert!(sign * normal.dot(out) > 0.0, "{what}, {outside}: {normal} at {out}");
+                patches += 1;
+            }
+            // A sheared cube keeps the two walls whose planes stay upright.
+            assert!(patches >= 2, "{what}: {patches}");
+            place(&world, &layer).unwrap();
+        }
+    }
+}
+
+/// A small cube within a mirrored one shows no edges: it is inside matter.
+#[test]
+fn what_lies_inside_a_mirrored_solid_is_left_out() {
+    for (what, world_from_mesh) in ways() {
+        let small = world_from_mesh * glam::DAffine3::from_scale(DVec3::splat(0.3));
+        let mut environment = super::one_sided();
+        for (at, outside) in [(world_from_mesh, true), (small, true)] {
+            environment.insert(NewObject::from_affine("cube", at, cube(outside)).unwrap()).unwrap();
+        }
+        let generated = generate(&environment, "laser", &GenerateOptions::default()).unwrap();
+        assert_eq!(generated.counts.buried, 12, "{what}");
+    }
+}

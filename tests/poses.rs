@@ -1,0 +1,181 @@
+//! A sensor's pose that is none is refused at every door of the library: an image of misses would read as free space.
+
+mod common;
+
+use common::scenes;
+use glam::{DMat3, DQuat, DVec3};
+use presight::environment::FeatureShape;
+use presight::features::roi::{Uncertain, Viewpoint};
+use presight::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, add_boxes, place, predict_features,
+};
+use presight::index::Region;
+use presight::io::{PointCloud, PointsFrame};
+use presight::plan::region_of;
+use presight::virtual_sensors::{Input, Settings, VirtualSensor};
+use presight::{
+    Backend, Error, ErrorKind, FramePlan, IdScheme, Images, Options, Pose, Predictor, Request, Sensor, Stats, World,
+};
+
+/// What is wrong, a pose with it, and what the message has to say.
+fn bad() -> Vec<(&'static str, Pose, &'static str)> {
+    let at = |translation| Pose { translation, ..Pose::IDENTITY };
+    let turned = |x, y, z, w| Pose { rotation: DQuat::from_xyzw(x, y, z, w), ..Pose::IDENTITY };
+    let (nan, inf) = (f64::NAN, f64::INFINITY);
+    vec![
+        ("x is NaN", at(DVec3::new(nan, 0.0, 1.0)), "not finite"),
+        ("z is infinite", at(DVec3::new(0.0, 0.0, inf)), "not finite"),
+        ("y is minus infinite", at(DVec3::new(0.0, -inf, 0.0)), "not finite"),
+        ("too far", at(DVec3::new(0.0, 2e12, 0.0)), "too far away"),
+        ("the rotation is NaN", turned(0.0, nan, 0.0, 1.0), "not finite"),
+        ("the rotation is infinite", turned(0.0, 0.0, 0.0, inf), "not finite"),
+        ("no rotation", turned(0.0, 0.0, 0.0, 0.0), "length 0,"),
+        ("too long", turned(0.0, 0.0, 0.0, 2.0), "length 2,"),
+        ("a little too short", turned(0.0, 0.0, 0.0, 1.0 - 1e-6), "is no rotation"),
+        ("overflows", turned(1e200, 0.0, 0.0, 0.0), "is no rotation"),
+    ]
+}
+
+fn refused<T>(door: &str, what: &str, said: &str, result: Result<T, Error>) {
+    let Err(e) = result else { panic!("{door} takes a pose where {what}") };
+    let text = e.to_string();
+    assert_eq!(e.kind(), ErrorKind::Usage, "{door}: {text}");
+    assert!(text.contains("the pose [") && text.contains(said), "{door}, {what}: {text}");
+    assert!(!e.remedy().is_empty() && !text.contains('\n'), "{door}: {text}");
+}
+
+struct Scene {
+    world: World,
+    sensor: Sensor,
+    images: Images,
+    placed: Vec<PlacedFeature>,
+}
+
+fn scene() -> Scene {
+    let (world, sensor) = (scenes::room_world(5, 3), scenes::camera(24, 18));
+    let images = common::reference(&common::plan(&world, &sensor, &Pose::IDENTITY));
+    let layer = presight::acquire::features::generate(world.environment(), "video", &Default::default()).unwrap().layer;
+    let placed = place(&world, &layer).unwrap();
+    assert!(placed.len() > 10);
+    Scene { world, sensor, images, placed }
+}
+
+/// Both engines of a predictor; without an adapter the CPU's alone.
+fn predictors() -> Vec<Predictor> {
+    let open = |backend| Predictor::new(Options { backend, threads: 1.into() }).ok();
+    [Backend::Cpu, Backend::Gpu].into_iter().filter_map(open).collect()
+}
+
+#[test]
+fn a_predictor_refuses_it_and_goes_on() {
+    let s = scene();
+    let (request, options) = (Request::default(), FeatureOptions::default());
+    for mut predictor in predictors() {
+        for (what, pose, said) in bad() {
+            refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
+            for placed in [&s.placed[..], &[]] {
+                let mut stats = Stats::default();
+                let done =
+                    predictor.predict_features(&s.world, &s.sensor, &pose, &s.images, placed, &options, &mut stats);
+                refused("predict_features", what, said, done);
+                let mut seen = match placed {
+                    [] => FeaturePrediction::default(),
+                    _ => predict_features(&s.world, &s.sensor, &Pose::IDENTITY, &s.images, placed, &options).unwrap(),
+                };
+                let boxes = BoxOptions::default();
+                let done = predictor.add_boxes(&mut seen, placed, &s.world, &s.sensor, &pose, &boxes, &mut stats);
+                refused("add_boxes", what, said, done);
+            }
+            let again = predictor.predict(&s.world, &s.sensor, &Pose::IDENTITY, &request).unwrap();
+            assert_eq!(again.images.polygon_id, s.images.polygon_id, "{what}: what comes after is right");
+        }
+    }
+}
+
+#[test]
+fn plans_and_regions_refuse_it() {
+    let s = scene();
+    let request = Request::default();
+    let shape = FeatureShape::Point { at: DVec3::X, covariance: DMat3::ZERO };
+    let covariance = [[0.0; 6]; 6];
+    for (what, pose, said) in bad() {
+        refused("FramePlan::new", what, said, FramePlan::new(&s.world, &s.sensor, &pose, &request));
+        let mut plan = common::plan(&s.world, &s.sensor, &Pose::IDENTITY);
+        let before = plan.runs.clone();
+        refused("FramePlan::renew", what, said, plan.renew(&s.world, &s.sensor, &pose, &request));
+        assert_eq!((plan.world_from_sensor, &plan.runs), (Pose::IDENTITY, &before), "{what}: it is as it was");
+        for sensor in [&s.sensor, &scenes::scanner(36, 5), &scenes::all_round(12, 7)] {
+            refused("region_of", what, said, region_of(sensor, &pose));
+        }
+        refused("Region::segment", what, said, Region::segment(&pose, 0.0, 1.0, (-0.1, 0.1), 5.0));
+        #[cfg(feature = "report")]
+        refused("paper_sector", what, said, presight::report::index_study::paper_sector(&pose));
+        refused("Viewpoint::new", what, said, Viewpoint::new(&pose, &covariance));
+        let good = Pose::IDENTITY;
+        refused("Uncertain::new", what, said, Uncertain::new(&pose, &covariance, &good, None, &shape));
+        refused("Uncertain::new", what, said, Uncertain::new(&good, &covariance, &pose, None, &shape));
+    }
+}
+
+#[test]
+fn functions_of_images_refuse_it() {
+    let s = scene();
+    for (what, pose, said) in bad() {
+        let options = FeatureOptions::default();
+        for placed in [&s.placed[..], &[]] {
+            let seen = predict_features(&s.world, &s.sensor, &pose, &s.images, placed, &options);
+            refused("predict_features", what, said, seen);
+        }
+        let mut none = FeaturePrediction::default();
+        refused("add_boxes", what, said, add_boxes(&mut none, &[], &s.world, &s.sensor, &pose, &BoxOptions::default()));
+        for frame in [PointsFrame::Sensor, PointsFrame::World] {
+            refused("PointCloud::new", what, said, PointCloud::new(&s.images, &s.sensor, &pose, frame));
+        }
+    }
+}
+
+/// Whoever changes the pose of a plan or of a prediction is not taken at his word either.
+#[test]
+fn engines_and_virtual_sensors_look_again() {
+    let s = scene();
+    let mut cpu = presight::cpu::Engine::new(1).unwrap();
+    #[cfg(feature = "gpu")]
+    let mut gpu = presight::gpu::Engine::new(presight::gpu::DeviceOptions::default()).ok();
+    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
+    for (what, pose, said) in bad() {
+        let mut plan = common::plan(&s.world, &s.sensor, &Pose::IDENTITY);
+        plan.world_from_sensor = pose;
+        let mut images = Images::default();
+        refused("the reference", what, said, presight::reference::render(&plan, &mut images));
+        refused("the CPU engine", what, said, cpu.render(&plan, &mut images, &mut Stats::default()));
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut gpu {
+            refused("the GPU engine", what, said, gpu.render(&plan, &mut images, &mut Stats::default()));
+        }
+        for task in VirtualSensor::ALL {
+            let name = match task.class() {
+                "video" => "video-camera",
+                "radar" => "microwave-radar-scan",
+                _ if task == VirtualSensor::Docking => "laser-scanner",
+                _ => "laser-range-camera",
+            };
+            let sensor = presight::preset(name).unwrap();
+            let request = Request { outputs: task.outputs(), ..Request::default() };
+            let mut prediction = predictor.predict(&s.world, &sensor, &Pose::IDENTITY, &request).unwrap();
+            prediction.world_from_sensor = pose;
+            let features = FeaturePrediction::default();
+            let (environment, ids) = (s.world.environment(), IdScheme::Model);
+            let input = Input { environment, prediction: &prediction, ids, features: Some(&features) };
+            refused(task.name(), what, said, task.reduce(&input, &Settings::default()));
+        }
+    }
+}
+
+#[test]
+fn a_mount_is_a_pose_too() {
+    for (what, mount, _) in bad() {
+        let spec = presight::SensorSpec { mount, ..scenes::camera(4, 3).spec().clone() };
+        let e = Sensor::new(spec).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("mount: the pose ["), "{what}: {e}");
+    }
+}
