@@ -26,6 +26,7 @@ mod virtual_sensor;
 
 use crate::error::Result;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::any::TypeId;
 use std::process::ExitCode;
 
 /// Predicts what a robot's sensors should see.
@@ -113,9 +114,14 @@ pub fn main() -> ExitCode {
 /// The command line: numbers may be negative, so that what is wrong with one is said of the number.
 fn command() -> clap::Command {
     fn numbers(command: clap::Command) -> clap::Command {
-        let negative = |arg: clap::Arg| match arg.get_action().takes_values() {
-            true => arg.allow_negative_numbers(true),
-            false => arg,
+        let negative = |arg: clap::Arg| {
+            let real = arg.get_value_parser().type_id() == TypeId::of::<f64>();
+            match (arg.get_action().takes_values(), real) {
+                (false, _) => arg,
+                (true, false) => arg.allow_negative_numbers(true),
+                // Clap does not take -1e-9 and -inf for numbers.
+                (true, true) => arg.allow_hyphen_values(true),
+            }
         };
         command.mut_args(negative).mut_subcommands(numbers)
     }

@@ -248,9 +248,10 @@ impl Args {
     /// What the prediction and its files take of memory.
     fn frame(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> Frame {
         let mut images = request.outputs;
+        // What the echo is made of, for which there may be no other reason; more only where reflection factors differ, as is
+        // known when the scene is.
         if images.has(Output::Echo) {
-            // What it is made of, for which there may be no other reason.
-            images = images.with(Output::CosIncidence).with(Output::PolygonId).with(Output::ObjectId);
+            images = images.with(Output::CosIncidence);
         }
         let picture = self.png.as_ref().map(|_| png::preview_size(sensor)).unwrap_or_default();
         let written = self.out.as_ref().map_or(0, |_| self.outputs.iter().count());

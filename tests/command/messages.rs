@@ -1,7 +1,7 @@
 //! Messages: one line, printable, of bounded length, and not misleading, whatever names and files hold.
 
 use super::{Outcome, Place, VIEW, WALL, WALL_INDICES, camera, wall};
-use presight::io::exr;
+use presight::io::sensor_toml;
 use serde_json::json;
 
 /// A name that breaks lines, colours a terminal, turns text round and hides.
@@ -54,7 +54,8 @@ fn names_are_shown_escaped_and_kept_as_they_are() {
     place.done(&format!("predict nasty.glb {view} --out a.exr"));
     let attributes = place.images("a.exr").attributes;
     assert_eq!(attributes.objects[&1], NASTY);
-    assert!(exr::read(&place.path("a.exr")).unwrap().attributes.sensor.unwrap().contains("\\n"));
+    let sensor = sensor_toml::parse(&attributes.sensor.unwrap(), "", None).unwrap();
+    assert_eq!(sensor.name, "wall\n\u{1b}[31mred");
 }
 
 #[test]
@@ -152,7 +153,7 @@ fn negative_numbers_are_numbers() {
         (format!("{predict} --repeat -2"), "--repeat"),
         (format!("{predict} --merge-tolerance -1e-9"), "merge tolerance"),
         ("index wall.glb --count -5".to_owned(), "--count"),
-        ("features wall.glb --class video --sigma -inf".to_owned(), "-i"),
+        ("features wall.glb --class video --sigma -inf".to_owned(), "deviation of -inf"),
     ] {
         let outcome = place.run(&line);
         assert_eq!(refused(&outcome), Some(2), "{line}");
