@@ -50,9 +50,11 @@ pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod history;
 pub mod index;
 pub mod io;
 pub mod limits;
+pub mod matching;
 pub mod placement;
 pub mod plan;
 mod predict;
