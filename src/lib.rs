@@ -42,6 +42,7 @@ mod change;
 #[doc(hidden)]
 pub mod cli;
 pub mod compare;
+pub mod cost;
 pub mod cpu;
 pub mod environment;
 mod error;

@@ -51,13 +51,7 @@ impl CommonMotion {
     pub fn new(image: &ImageExtent) -> Self {
         let size = DVec2::new(f64::from(image.width), f64::from(image.height));
         let still = PointMotion::new(DVec2::ZERO, DMat2::ZERO, 0.0, 0.0);
-        Self {
-            centre: (size - 1.0) / 2.0,
-            size,
-            coefficients: [still; 3],
-            shake: [LEAST_SHAKE; 3],
-            changed: [0.0; 3],
-        }
+        Self { centre: (size - 1.0) / 2.0, size, coefficients: [still; 3], shake: [LEAST_SHAKE; 3], changed: [0.0; 3] }
     }
 
     fn basis(&self, p: DVec2) -> [f64; 3] {

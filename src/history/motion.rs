@@ -54,11 +54,8 @@ impl PointMotion {
             + self.vv * (t * t)
             + twice(self.va) * (t * half)
             + self.aa * (half * half);
-        let pv = self.pv
-            + (self.pa + self.vv) * t
-            + self.va * (t * t)
-            + self.va.transpose() * half
-            + self.aa * (t * half);
+        let pv =
+            self.pv + (self.pa + self.vv) * t + self.va * (t * t) + self.va.transpose() * half + self.aa * (t * half);
         let mut moved = Self {
             position: self.position + self.speed * t + self.acceleration * half,
             speed: self.speed + self.acceleration * t,
@@ -111,7 +108,8 @@ impl PointMotion {
     /// Whether the covariances of position, speed and acceleration can be covariances.
     #[cfg(test)]
     pub fn is_sound(&self) -> bool {
-        let positive = |m: &DMat2| m.x_axis.x >= 0.0 && m.y_axis.y >= 0.0 && m.determinant() >= -1e-9 * m.x_axis.x * m.y_axis.y;
+        let positive =
+            |m: &DMat2| m.x_axis.x >= 0.0 && m.y_axis.y >= 0.0 && m.determinant() >= -1e-9 * m.x_axis.x * m.y_axis.y;
         self.is_finite() && [&self.pp, &self.vv, &self.aa].into_iter().all(positive)
     }
 }

@@ -74,7 +74,11 @@ impl Seed {
                 let (a, b) = (*world.first()?, *world.get(1)?);
                 let corners = [visible.t[0] <= 0.0, visible.t[1] >= 1.0];
                 let ends = visible.t.map(|t| (covariance(0) * (1.0 - t) + covariance(1) * t, a.lerp(b, t)));
-                (Shape::Segment { ends: visible.pixels, corners }, ends.map(|e| e.0).to_vec(), ends.map(|e| e.1).to_vec())
+                (
+                    Shape::Segment { ends: visible.pixels, corners },
+                    ends.map(|e| e.0).to_vec(),
+                    ends.map(|e| e.1).to_vec(),
+                )
             }
             FeatureShape::Patch { .. } if is_whole => {
                 (Shape::Patch(corners()?), (0..world.len()).map(covariance).collect(), world.clone())

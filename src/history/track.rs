@@ -3,7 +3,9 @@
 use super::common::CommonMotion;
 use super::motion::{PointMotion, isotropic};
 use super::options::TrackerOptions;
-use crate::matching::{Detection, Estimate, Expected, ExpectedProperties, Properties, PropertyNoise, Shape, turn_apart};
+use crate::matching::{
+    Detection, Estimate, Expected, ExpectedProperties, Properties, PropertyNoise, Shape, turn_apart,
+};
 use glam::{DMat2, DVec2, DVec3};
 use std::f64::consts::PI;
 

@@ -1,7 +1,7 @@
 //! Following all features of an image.
 
-use super::common::{CommonMotion, Field, Witness};
 use super::adapt::{Adaptation, FrameInnovations};
+use super::common::{CommonMotion, Field, Witness};
 use super::health::{Health, Want, spread};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
@@ -130,7 +130,18 @@ impl Tracker {
         let level = BoxLevel::new(options.confidence);
         let noise = Adaptation::new(&level, options.clutter_density, options.detection_probability);
         let common = CommonMotion::new(&options.image);
-        Ok(Self { options, level, tracks: Vec::new(), noise, common, time: None, is_corrected: false, before_seeding: 0.0, seeded: 0, has_gap: false })
+        Ok(Self {
+            options,
+            level,
+            tracks: Vec::new(),
+            noise,
+            common,
+            time: None,
+            is_corrected: false,
+            before_seeding: 0.0,
+            seeded: 0,
+            has_gap: false,
+        })
     }
 
     /// What it was told.
@@ -163,7 +174,10 @@ impl Tracker {
         let mut seeds = seeds;
         seeds.sort_by_key(|s| s.id);
         if let Some(pair) = seeds.windows(2).find(|pair| pair[0].id == pair[1].id) {
-            return Err(Error::invalid(format!("feature {} is given twice", pair[0].id), "give each a number of its own"));
+            return Err(Error::invalid(
+                format!("feature {} is given twice", pair[0].id),
+                "give each a number of its own",
+            ));
         }
         let mut done = Seeded::default();
         if interval > self.options.longest_gap {
@@ -618,12 +632,7 @@ struct Sightings {
 }
 
 impl Sightings {
-    fn new(
-        expected: &[Expected],
-        found: &[Detection],
-        assignment: &Assignment,
-        options: &TrackerOptions,
-    ) -> Self {
+    fn new(expected: &[Expected], found: &[Detection], assignment: &Assignment, options: &TrackerOptions) -> Self {
         let mut all = Self { points: Vec::with_capacity(expected.len()), starts: vec![0] };
         let mut aligned: Vec<Aligned> = Vec::new();
         for (expected, column) in expected.iter().zip(&assignment.columns) {

@@ -135,11 +135,8 @@ mod tests {
                 let roots = [across * a, across.perp() * b];
                 let outer = |v: DVec2| DMat2::from_cols(v * v.x, v * v.y);
                 let covariance = outer(roots[0]) + outer(roots[1]);
-                let ends: Vec<DVec2> = if case % 3 == 0 {
-                    vec![DVec2::ZERO]
-                } else {
-                    vec![DVec2::ZERO, 100.0 * across.perp()]
-                };
+                let ends: Vec<DVec2> =
+                    if case % 3 == 0 { vec![DVec2::ZERO] } else { vec![DVec2::ZERO, 100.0 * across.perp()] };
                 let bounds = level.bounds(&ends, &vec![covariance; ends.len()]);
                 let draws = 40_000;
                 let mut inside = 0;

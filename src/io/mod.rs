@@ -3,6 +3,7 @@
 pub mod atomic;
 pub mod camera_info;
 pub mod corridor;
+pub mod costs;
 pub mod exr;
 pub(crate) mod file;
 pub mod gltf;

@@ -58,11 +58,8 @@ pub struct Assignment {
 /// [`crate::ErrorKind::Invalid`] for a candidate whose row has no cost of not being seen, and for costs that are not finite.
 pub fn assign(candidates: &[Candidate], unseen: &[f64]) -> Result<Assignment> {
     check(candidates, unseen)?;
-    let mut found = Assignment {
-        columns: vec![None; unseen.len()],
-        candidates: vec![None; unseen.len()],
-        ..Assignment::default()
-    };
+    let mut found =
+        Assignment { columns: vec![None; unseen.len()], candidates: vec![None; unseen.len()], ..Assignment::default() };
     let mut edges: Vec<Edge> = Vec::with_capacity(candidates.len());
     for (i, c) in candidates.iter().enumerate() {
         let gain = unseen[c.row as usize] - c.cost;
@@ -303,9 +300,7 @@ mod tests {
     fn a_group_too_large_is_matched_greedily_and_counted() {
         let side = 2000u32;
         let pairs: Vec<Candidate> = (0..side)
-            .flat_map(|row| {
-                (0..20).map(move |k| Candidate { row, column: (row + 97 * k) % side, cost: f64::from(k) })
-            })
+            .flat_map(|row| (0..20).map(move |k| Candidate { row, column: (row + 97 * k) % side, cost: f64::from(k) }))
             .collect();
         let found = assign(&pairs, &vec![50.0; side as usize]).unwrap();
         assert_eq!((found.groups, found.greedy_groups), (1, 1));

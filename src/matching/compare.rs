@@ -254,9 +254,8 @@ mod tests {
     /// A segment broken in half is as near as a whole one, turned ends or not; across itself it counts.
     #[test]
     fn segments_count_across_themselves() {
-        let line = |y0: f64, y1: f64, x0: f64, x1: f64| {
-            Detection::segment([DVec2::new(x0, y0), DVec2::new(x1, y1)], 1.0)
-        };
+        let line =
+            |y0: f64, y1: f64, x0: f64, x1: f64| Detection::segment([DVec2::new(x0, y0), DVec2::new(x1, y1)], 1.0);
         let whole = Shape::Segment { ends: [DVec2::ZERO, DVec2::new(100.0, 0.0)], corners: [true, true] };
         let p = expected(whole, 1.0);
         for (x0, x1) in [(0.0, 100.0), (0.0, 50.0), (100.0, 0.0), (120.0, 10.0)] {

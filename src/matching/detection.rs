@@ -52,14 +52,6 @@ impl Shape {
         points.iter().sum::<DVec2>() / points.len().max(1) as f64
     }
 
-    /// True where a corner ends a segment at `end`, and of everything else.
-    pub(crate) fn is_fixed(&self, end: usize) -> bool {
-        match self {
-            Self::Segment { corners, .. } => corners[end],
-            _ => true,
-        }
-    }
-
     /// True unless the points are too many, too few, not finite, or in one place.
     pub(crate) fn check(&self) -> Result<(), Rejection> {
         if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {

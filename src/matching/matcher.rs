@@ -210,7 +210,10 @@ impl Matcher {
             all.log_clutter -= range.ln();
         };
         let noise = &self.properties;
-        let told = [(&expected.strength, found.strength, noise.strength), (&expected.contrast, found.contrast, noise.contrast)];
+        let told = [
+            (&expected.strength, found.strength, noise.strength),
+            (&expected.contrast, found.contrast, noise.contrast),
+        ];
         for (expected, found, sigma) in told {
             if let (Some(Estimate { mean, variance }), Some(found)) = (expected, found) {
                 add(found - mean, variance + sigma * sigma, 1.0);
@@ -320,7 +323,10 @@ mod tests {
             Detection::point(DVec2::new(100.0, 50.0), f64::INFINITY),
             Detection::point(DVec2::new(1e300, 50.0), 1.0),
             Detection::segment([DVec2::new(100.0, 50.0); 2], 1.0),
-            Detection { covariance: DMat2::from_cols_array(&[1.0, 2.0, 2.0, 1.0]), ..Detection::point(DVec2::new(100.0, 50.0), 1.0) },
+            Detection {
+                covariance: DMat2::from_cols_array(&[1.0, 2.0, 2.0, 1.0]),
+                ..Detection::point(DVec2::new(100.0, 50.0), 1.0)
+            },
         ];
         let got = Matcher::default().candidates(&[point(100.0, 50.0)], &bad);
         let why: Vec<Rejection> = got.rejected.iter().map(|(_, why)| *why).collect();

@@ -27,19 +27,28 @@ struct Tally {
 }
 
 impl Tally {
-    fn coverage(&self) -> f64 { self.held as f64 / self.windows as f64 }
+    fn coverage(&self) -> f64 {
+        self.held as f64 / self.windows as f64
+    }
     fn print(&self, name: &str) {
-        println!("{name}: wrong {:.3} % of {}, coverage {:.2} % of {}, area ratio {:.2} (told coverage {:.2} %), frames {} history {:.1} %, full {}, lost {}",
-            100.0 * self.wrong as f64 / self.matched.max(1) as f64, self.matched, 100.0 * self.coverage(), self.windows, self.area / self.told_area,
-            100.0 * self.told_held as f64 / self.windows as f64, self.frames, 100.0 * self.history as f64 / self.frames as f64, self.full, self.lost);
+        println!(
+            "{name}: wrong {:.3} % of {}, coverage {:.2} % of {}, area ratio {:.2} (told coverage {:.2} %), frames {} history {:.1} %, full {}, lost {}",
+            100.0 * self.wrong as f64 / self.matched.max(1) as f64,
+            self.matched,
+            100.0 * self.coverage(),
+            self.windows,
+            self.area / self.told_area,
+            100.0 * self.told_held as f64 / self.windows as f64,
+            self.frames,
+            100.0 * self.history as f64 / self.frames as f64,
+            self.full,
+            self.lost
+        );
     }
 }
 
 fn options() -> TrackerOptions {
-    TrackerOptions {
-        detection_probability: 0.8,
-        ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT))
-    }
+    TrackerOptions { detection_probability: 0.8, ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)) }
 }
 
 const YOUNG: u32 = 5;
@@ -51,14 +60,18 @@ fn run(seed: u64, legs: &[Leg], disturbance: Disturbance, options: TrackerOption
     let mut told: BTreeMap<u32, Told> = BTreeMap::new();
     let mut before = None;
     for (k, frame) in frames.iter().enumerate() {
-        if with_view { alternating.set_view(|p| frame.robot.project(p)); }
+        if with_view {
+            alternating.set_view(|p| frame.robot.project(p));
+        }
         let step = alternating.predict(frame.time, || Ok(simulator.predict_fully(frame, 150))).unwrap();
         tally.frames += 1;
         match &step.source {
             Source::History => tally.history += 1,
             Source::Full { seeded, .. } => {
                 tally.full += 1;
-                for id in &seeded.begun { told.insert(*id, Told::new(&disturbance)); }
+                for id in &seeded.begun {
+                    told.insert(*id, Told::new(&disturbance));
+                }
             }
         }
         let wanted: Vec<Option<DVec2>> = step.windows.iter().map(|w| simulator.detected_at(frame, w.id)).collect();
@@ -67,8 +80,13 @@ fn run(seed: u64, legs: &[Leg], disturbance: Disturbance, options: TrackerOption
             let track = alternating.tracker().tracks().iter().find(|t| t.id() == window.id).unwrap();
             let filter = told.get_mut(&window.id).unwrap();
             let truth = frame.robot.project(simulator.points[window.id as usize].at).unwrap();
-            let bounds = filter.window(before.and_then(|b: &simulator::Frame| b.robot.project(simulator.points[window.id as usize].at)), truth);
-            if track.seen() < YOUNG { continue; }
+            let bounds = filter.window(
+                before.and_then(|b: &simulator::Frame| b.robot.project(simulator.points[window.id as usize].at)),
+                truth,
+            );
+            if track.seen() < YOUNG {
+                continue;
+            }
             let area = |b: &[f64; 4]| (b[2] - b[0]) * (b[3] - b[1]);
             let own = presight_unclipped(window);
             tally.windows += 1;
@@ -98,9 +116,19 @@ fn run(seed: u64, legs: &[Leg], disturbance: Disturbance, options: TrackerOption
     }
 }
 
-fn presight_unclipped(window: &presight::history::Window) -> [f64; 4] { window.bounds }
+fn presight_unclipped(window: &presight::history::Window) -> [f64; 4] {
+    window.bounds
+}
 
-const DRIVE: &[Leg] = &[leg(5.0, 1.0, 0.0), leg(3.0, 1.0, 0.4), leg(4.0, 1.0, 0.0), leg(3.0, 1.0, -0.3), leg(2.0, 0.0, 0.0), leg(2.0, 0.0, 0.0), leg(4.0, 1.0, 0.0)];
+const DRIVE: &[Leg] = &[
+    leg(5.0, 1.0, 0.0),
+    leg(3.0, 1.0, 0.4),
+    leg(4.0, 1.0, 0.0),
+    leg(3.0, 1.0, -0.3),
+    leg(2.0, 0.0, 0.0),
+    leg(2.0, 0.0, 0.0),
+    leg(4.0, 1.0, 0.0),
+];
 
 #[test]
 fn explore() {
@@ -112,15 +140,29 @@ fn explore() {
         ("no properties", Disturbance { properties: false, ..Disturbance::default() }),
     ] {
         for memory in std::env::var("MEM").unwrap_or("5".into()).split(',').map(|m| m.parse().unwrap()) {
-        let mut tally = Tally::default();
-        for seed in 1..5 { run(seed, DRIVE, d, TrackerOptions { memory, ..options() }, false, &mut tally); }
-        tally.print(&format!("{name} {memory}"));
-        if name == "all" && std::env::var("V").is_ok() {
-            for ((l, f), e) in &tally.by_frame { if *f < 16 || *f % 10 == 0 { println!("{l} {f}: held {:.3} of {} ratio {:.2} area {:.0}", e[0] / e[1], e[1], e[2] / e[3], e[2] / e[1]); } }
-        }
+            let mut tally = Tally::default();
+            for seed in 1..5 {
+                run(seed, DRIVE, d, TrackerOptions { memory, ..options() }, false, &mut tally);
+            }
+            tally.print(&format!("{name} {memory}"));
+            if name == "all" && std::env::var("V").is_ok() {
+                for ((l, f), e) in &tally.by_frame {
+                    if *f < 16 || *f % 10 == 0 {
+                        println!(
+                            "{l} {f}: held {:.3} of {} ratio {:.2} area {:.0}",
+                            e[0] / e[1],
+                            e[1],
+                            e[2] / e[3],
+                            e[2] / e[1]
+                        );
+                    }
+                }
+            }
         }
     }
     let mut tally = Tally::default();
-    for seed in 1..5 { run(seed, DRIVE, Disturbance::default(), options(), true, &mut tally); }
+    for seed in 1..5 {
+        run(seed, DRIVE, Disturbance::default(), options(), true, &mut tally);
+    }
     tally.print("with view");
 }

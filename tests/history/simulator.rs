@@ -92,7 +92,8 @@ impl Robot {
     /// Pixel of a point in the world; `None` behind the camera, outside of the image, or too far or near.
     pub fn see(&self, p: DVec3) -> Option<DVec2> {
         let pixel = self.project(p)?;
-        let inside = pixel.x > 0.0 && pixel.x < f64::from(WIDTH) - 1.0 && pixel.y > 0.0 && pixel.y < f64::from(HEIGHT) - 1.0;
+        let inside =
+            pixel.x > 0.0 && pixel.x < f64::from(WIDTH) - 1.0 && pixel.y > 0.0 && pixel.y < f64::from(HEIGHT) - 1.0;
         inside.then_some(pixel)
     }
 
@@ -100,7 +101,9 @@ impl Robot {
         let (s, c) = self.heading.sin_cos();
         let (dx, dy) = (p.x - self.x, p.y - self.y);
         let (ahead, left) = (c * dx + s * dy, c * dy - s * dx);
-        (2.0..25.0).contains(&ahead).then(|| DVec2::new(319.5 - FOCAL * left / ahead, 239.5 - FOCAL * (p.z - 1.2) / ahead))
+        (2.0..25.0)
+            .contains(&ahead)
+            .then(|| DVec2::new(319.5 - FOCAL * left / ahead, 239.5 - FOCAL * (p.z - 1.2) / ahead))
     }
 
     fn drive(&mut self, seconds: f64, leg: &Leg) {
