@@ -60,6 +60,7 @@ mod change;
 #[doc(hidden)]
 pub mod cli;
 pub mod compare;
+pub mod cost;
 pub mod cpu;
 pub mod environment;
 mod error;
@@ -68,9 +69,11 @@ pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod history;
 pub mod index;
 pub mod io;
 pub mod limits;
+pub mod matching;
 pub mod memory;
 pub mod placement;
 pub mod plan;

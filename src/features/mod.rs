@@ -2,7 +2,7 @@
 
 mod boxes;
 mod columns;
-mod normal;
+pub(crate) mod normal;
 mod place;
 mod prediction;
 pub mod roi;

@@ -4,12 +4,12 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use std::sync::OnceLock;
 
 /// P(X > x) of a standard normal X.
-pub(super) fn tail(x: f64) -> f64 {
+pub(crate) fn tail(x: f64) -> f64 {
     0.5 * libm::erfc(x * FRAC_1_SQRT_2)
 }
 
 /// The x with P(X > x) = p, for p in (0, 1).
-pub(super) fn tail_quantile(p: f64) -> f64 {
+pub(crate) fn tail_quantile(p: f64) -> f64 {
     let (mut low, mut high) = (-40.0, 40.0);
     for _ in 0..80 {
         let middle = 0.5 * (low + high);

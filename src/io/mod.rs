@@ -4,6 +4,7 @@ mod access;
 pub mod atomic;
 pub mod camera_info;
 pub mod corridor;
+pub mod costs;
 pub mod exr;
 pub(crate) mod file;
 pub mod gltf;

@@ -1,0 +1,214 @@
+//! What innovations say about noise: how large it is, and whether the motion has just changed.
+
+use super::window::BoxLevel;
+
+/// Frames over which the scale of the noise is learnt.
+const SCALE_FRAMES: f64 = 20.0;
+/// Largest factor by which one frame may widen variances.
+const MOST_INFLATION: f64 = 64.0;
+/// Largest factor that is learnt to be usual.
+const MOST_USUAL: f64 = 3.0;
+/// Standard deviations beyond which a frame's innovations mean that the motion has changed.
+const SIGNIFICANT: f64 = 3.0;
+
+/// Innovations of one frame, all tracks together.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct FrameInnovations {
+    /// Sum of squares, each by its predicted variance.
+    pub squares: f64,
+    /// Of how many coordinates.
+    pub coordinates: u32,
+    /// Tracks that should be seen.
+    pub wanted: u32,
+    /// Of these, those that were.
+    pub seen: u32,
+    /// Detections in windows that are no track's.
+    pub clutter: u32,
+    /// Of all windows, pixels squared.
+    pub area: f64,
+}
+
+/// How the motion has changed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Change {
+    /// Variances are so many times what was predicted; 1 unless the motion changed.
+    pub inflation: f64,
+    /// Features are displaced from their windows as if variances were so many times what was predicted; 1 unless they are.
+    pub displacement: f64,
+}
+
+/// Noise as the innovations of past frames have it.
+#[derive(Clone, Debug)]
+pub(super) struct Adaptation {
+    /// Variances are so many times what detections and process noise say: at least 1.
+    pub scale: f64,
+    /// Clutter by pixel squared.
+    pub clutter: f64,
+    /// Mean seconds between frames; 0 before the first.
+    pub interval: f64,
+    /// Share of tracks that are seen.
+    pub hit_rate: f64,
+    /// Variance of a frame's inflation beyond what chance explains: all features shake with the sensor.
+    unrest: f64,
+    /// Inflation of variances by the mean of squared innovations, from windows of this confidence.
+    truncation: Truncation,
+}
+
+impl Adaptation {
+    pub fn new(level: &BoxLevel, clutter: f64, hit_rate: f64) -> Self {
+        let truncation = Truncation::new(level.deviations());
+        Self { scale: 1.0, clutter, interval: 0.0, hit_rate, unrest: 0.0, truncation }
+    }
+
+    /// Notes the time between two frames.
+    pub fn pass(&mut self, interval: f64) {
+        self.interval = if self.interval > 0.0 { self.interval + 0.2 * (interval - self.interval) } else { interval };
+    }
+
+    /// Learns from a frame.
+    pub fn observe(&mut self, frame: &FrameInnovations) -> Change {
+        if frame.area > 0.0 {
+            let density = f64::from(frame.clutter) / frame.area;
+            self.clutter += 0.1 * (density - self.clutter);
+            self.clutter = self.clutter.clamp(1e-7, 10.0);
+        }
+        let mut inflation: f64 = 1.0;
+        if frame.coordinates > 0 {
+            let n = f64::from(frame.coordinates);
+            let found = self.truncation.inflation(frame.squares / n);
+            let deviation = (2.0 / n + self.unrest).sqrt();
+            if found > 1.0 + SIGNIFICANT * deviation {
+                inflation = found;
+            }
+            let usual = found.min(MOST_USUAL);
+            let excess = ((usual - 1.0).powi(2) - 2.0 / n).max(0.0);
+            self.unrest += (excess - self.unrest) / SCALE_FRAMES;
+            if inflation == 1.0 {
+                let step = (found - 1.0).clamp(-1.0, 1.0) / SCALE_FRAMES;
+                self.scale = (self.scale * step.exp()).clamp(1.0, 100.0);
+            }
+        }
+        Change { inflation, displacement: self.observe_misses(frame) }
+    }
+
+    /// Where far fewer are seen than usual, the windows are at the wrong place.
+    fn observe_misses(&mut self, frame: &FrameInnovations) -> f64 {
+        if frame.wanted == 0 {
+            return 1.0;
+        }
+        let n = f64::from(frame.wanted);
+        let share = f64::from(frame.seen) / n;
+        let deviation = (self.hit_rate * (1.0 - self.hit_rate) / n).sqrt();
+        if share < self.hit_rate - 4.0 * deviation - 0.1 {
+            return self.truncation.inflation_of_share(share / self.hit_rate);
+        }
+        self.hit_rate = (self.hit_rate + 0.05 * (share - self.hit_rate)).clamp(0.3, 0.99);
+        1.0
+    }
+}
+
+/// Innovations beyond a window are never seen: what the rest of them says about the variance of all.
+#[derive(Clone, Debug)]
+struct Truncation {
+    /// Sides of windows, standard deviations.
+    deviations: f64,
+    /// Mean squares seen, by the logarithm of the inflation in steps of an eighth.
+    means: Vec<f64>,
+}
+
+/// Table steps by factor e.
+const STEPS: f64 = 8.0;
+
+impl Truncation {
+    fn new(deviations: f64) -> Self {
+        let rows = (MOST_INFLATION.ln() * STEPS).ceil() as usize;
+        let means = (0..=2 * rows).map(|i| mean_within(deviations, ((i as f64 - rows as f64) / STEPS).exp())).collect();
+        Self { deviations, means }
+    }
+
+    /// The factor of the variance at which squared innovations within the window have this mean.
+    fn inflation(&self, mean: f64) -> f64 {
+        let i = self.means.partition_point(|m| *m < mean);
+        let zero = (self.means.len() / 2) as f64;
+        if i == 0 {
+            return (-zero / STEPS).exp();
+        }
+        let Some(above) = self.means.get(i) else { return MOST_INFLATION };
+        let below = self.means[i - 1];
+        let at = (i - 1) as f64 + (mean - below) / (above - below);
+        ((at - zero) / STEPS).exp()
+    }
+
+    /// The factor of the variance at which this share of points stays within windows.
+    fn inflation_of_share(&self, share: f64) -> f64 {
+        let of = |inflation: f64| (1.0 - 2.0 * tail(self.deviations / inflation.sqrt())).powi(2);
+        let (mut low, mut high) = (1.0, MOST_INFLATION);
+        for _ in 0..30 {
+            let middle = 0.5 * (low + high);
+            if of(middle) > share { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
+    }
+}
+
+fn tail(x: f64) -> f64 {
+    0.5 * libm::erfc(x * std::f64::consts::FRAC_1_SQRT_2)
+}
+
+/// The mean square of a normal variable of variance `inflation` where its amount is below `k`.
+fn mean_within(k: f64, inflation: f64) -> f64 {
+    let a = k / inflation.sqrt();
+    let density = (-0.5 * a * a).exp() / std::f64::consts::TAU.sqrt();
+    inflation * (1.0 - 2.0 * a * density / (1.0 - 2.0 * tail(a)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adaptation() -> Adaptation {
+        Adaptation::new(&BoxLevel::new(0.99), 1e-4, 0.9)
+    }
+
+    fn frame(mean: f64) -> FrameInnovations {
+        FrameInnovations { squares: 200.0 * mean, coordinates: 200, wanted: 110, seen: 100, clutter: 0, area: 1.0 }
+    }
+
+    #[test]
+    fn truncated_squares_tell_the_variance() {
+        // A standard normal variable within 2.807: 1 - 2 k phi(k) / (2 Phi(k) - 1) = 0.9564.
+        assert!((mean_within(2.807, 1.0) - 0.9564).abs() < 1e-3);
+        let t = Truncation::new(2.807);
+        for inflation in [0.5, 1.0, 2.0, 10.0] {
+            assert!((t.inflation(mean_within(2.807, inflation)) / inflation - 1.0).abs() < 0.01);
+        }
+        // Evenly spread over the window: k^2 / 3.
+        assert_eq!(t.inflation(2.807 * 2.807 / 3.0), MOST_INFLATION);
+        assert!((t.inflation_of_share(0.99) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_jump_of_all_innovations_is_a_manoeuvre_and_a_slow_rise_is_noise() {
+        let mut a = adaptation();
+        for _ in 0..50 {
+            assert_eq!(a.observe(&frame(0.956)).inflation, 1.0);
+        }
+        assert!((a.scale - 1.0).abs() < 0.02);
+        assert!(a.observe(&frame(1.8)).inflation > 2.0);
+        let mut slow = adaptation();
+        for i in 0..300 {
+            let mean = 0.956 + 0.3 * (f64::from(i) / 20.0).min(1.0) / slow.scale;
+            assert_eq!(slow.observe(&frame(mean)).inflation, 1.0, "{i}");
+        }
+        assert!(slow.scale > 1.05);
+    }
+
+    #[test]
+    fn when_nearly_all_are_missed_windows_are_at_the_wrong_place() {
+        let mut a = adaptation();
+        let missed = FrameInnovations { wanted: 100, seen: 20, ..FrameInnovations::default() };
+        assert!(a.observe(&missed).displacement > 8.0);
+        let usual = FrameInnovations { wanted: 100, seen: 84, ..FrameInnovations::default() };
+        assert_eq!(a.observe(&usual).displacement, 1.0);
+    }
+}

@@ -1,0 +1,184 @@
+//! What an extractor finds in a sensed image.
+
+use glam::{DMat2, DVec2};
+
+/// Corners of an outline at most: extractors deliver few, and every pair of outlines is compared corner by corner.
+pub(super) const MAX_OUTLINE: usize = 16;
+
+/// Where a feature is in the image: pixel coordinates (column, row), the centre of the top-left pixel at (0, 0).
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shape {
+    /// A point.
+    Point(DVec2),
+    /// A retro-reflector.
+    Reflector(DVec2),
+    /// A straight edge. Extractors break edges anywhere, so an end says nothing along the edge unless a corner ends it.
+    Segment {
+        /// Both ends, in any order.
+        ends: [DVec2; 2],
+        /// Whether a corner ends it, by end.
+        corners: [bool; 2],
+    },
+    /// The outline of a plane patch, 3 to 16 corners, beginning anywhere.
+    Patch(Vec<DVec2>),
+    /// A fiducial's corners, clockwise from its own top left.
+    Fiducial([DVec2; 4]),
+}
+
+impl Shape {
+    /// The points that define it.
+    pub fn points(&self) -> &[DVec2] {
+        match self {
+            Self::Point(at) | Self::Reflector(at) => std::slice::from_ref(at),
+            Self::Segment { ends, .. } => ends,
+            Self::Patch(corners) => corners,
+            Self::Fiducial(corners) => corners,
+        }
+    }
+
+    /// The same, to move them.
+    pub(crate) fn points_mut(&mut self) -> &mut [DVec2] {
+        match self {
+            Self::Point(at) | Self::Reflector(at) => std::slice::from_mut(at),
+            Self::Segment { ends, .. } => ends,
+            Self::Patch(corners) => corners,
+            Self::Fiducial(corners) => corners,
+        }
+    }
+
+    /// Mean of the points that define it.
+    pub fn centre(&self) -> DVec2 {
+        let points = self.points();
+        points.iter().sum::<DVec2>() / points.len().max(1) as f64
+    }
+
+    /// True unless the points are too many, too few, not finite, or in one place.
+    pub(crate) fn check(&self) -> Result<(), Rejection> {
+        if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {
+            return Err(Rejection::NotFinite);
+        }
+        match self {
+            Self::Segment { ends, .. } if !(ends[0].distance(ends[1]) >= SHORTEST) => Err(Rejection::Degenerate),
+            Self::Patch(corners) if !(3..=MAX_OUTLINE).contains(&corners.len()) => Err(Rejection::Degenerate),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Shortest segment that has a direction, pixels.
+const SHORTEST: f64 = 1e-3;
+
+/// Largest pixel coordinate; squares of distances stay far from overflow.
+const MAX_PIXEL: f64 = 1e9;
+
+/// A fiducial's identity.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Marker {
+    /// OpenCV's name of the dictionary.
+    pub family: String,
+    /// Number in the dictionary.
+    pub code: u32,
+}
+
+/// What else an extractor tells; `None` is not known and never compared.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Properties {
+    /// Strength or reflectivity, 0..=1.
+    pub strength: Option<f64>,
+    /// Contrast, 0..=1.
+    pub contrast: Option<f64>,
+    /// Direction in the image, radians from columns to rows, modulo pi. Of segments their ends tell it.
+    pub direction: Option<f64>,
+    /// Of fiducials: never taken for another.
+    pub marker: Option<Marker>,
+}
+
+/// Something found in a sensed image.
+///
+/// ```
+/// use glam::DVec2;
+/// use presight::matching::Detection;
+/// let mut corner = Detection::point(DVec2::new(120.5, 64.0), 0.5);
+/// corner.properties.contrast = Some(0.8);
+/// assert!(corner.check().is_ok());
+/// let broken = Detection::point(DVec2::new(f64::NAN, 64.0), 0.5);
+/// assert!(broken.check().is_err());
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    /// Where.
+    pub shape: Shape,
+    /// Covariance of each defining point, pixels squared. Of a segment's end only the part across the segment counts, unless
+    /// a corner ends it.
+    pub covariance: DMat2,
+    /// What else is known.
+    pub properties: Properties,
+}
+
+impl Detection {
+    /// A shape whose points are each known to `sigma` pixels.
+    pub fn new(shape: Shape, sigma: f64) -> Self {
+        Self { shape, covariance: DMat2::from_diagonal(DVec2::splat(sigma * sigma)), properties: Properties::default() }
+    }
+
+    /// A point known to `sigma` pixels.
+    pub fn point(at: DVec2, sigma: f64) -> Self {
+        Self::new(Shape::Point(at), sigma)
+    }
+
+    /// An edge that no corner ends, known to `sigma` pixels across itself.
+    pub fn segment(ends: [DVec2; 2], sigma: f64) -> Self {
+        Self::new(Shape::Segment { ends, corners: [false; 2] }, sigma)
+    }
+
+    /// Whether anything can be computed from it.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn check(&self) -> Result<(), Rejection> {
+        self.shape.check()?;
+        let [a, b, c, d] = self.covariance.to_cols_array();
+        if ![a, b, c, d].iter().all(|x| x.is_finite() && x.abs() <= MAX_PIXEL * MAX_PIXEL) {
+            return Err(Rejection::NotFinite);
+        }
+        if !(a >= 0.0 && d >= 0.0 && (b - c).abs() <= 1e-9 * (a + d) && b * c <= a * d * (1.0 + 1e-9)) {
+            return Err(Rejection::Covariance);
+        }
+        let p = &self.properties;
+        let numbers = [p.strength, p.contrast, p.direction];
+        if numbers.iter().flatten().all(|x| x.is_finite()) { Ok(()) } else { Err(Rejection::NotFinite) }
+    }
+}
+
+/// Why a detection was not looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Rejection {
+    /// A coordinate, a covariance or a property is NaN, infinite or absurdly large.
+    NotFinite,
+    /// A segment without length, or an outline of fewer than 3 or more than 16 corners.
+    Degenerate,
+    /// The covariance is not symmetric and positive semidefinite.
+    Covariance,
+}
+
+/// A number with its variance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Most likely value.
+    pub mean: f64,
+    /// Its variance.
+    pub variance: f64,
+}
+
+/// What is known of a feature's properties; `None` is not known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExpectedProperties {
+    /// Strength or reflectivity.
+    pub strength: Option<Estimate>,
+    /// Contrast.
+    pub contrast: Option<Estimate>,
+    /// Direction, radians, modulo pi.
+    pub direction: Option<Estimate>,
+    /// Of fiducials.
+    pub marker: Option<Marker>,
+}

@@ -1,0 +1,337 @@
+//! Which detections may be which expected feature, and what each pair costs.
+
+use super::assign::Candidate;
+use super::bins::Bins;
+use super::compare::{Distance, chi_squared_quantile, compare, turn_apart};
+use super::detection::{Detection, Estimate, ExpectedProperties, Properties, Rejection, Shape};
+use glam::{DMat2, DVec2};
+use std::f64::consts::PI;
+
+/// Most candidates of one feature: the nearest are kept. An optimum never needs more than there are features in a group.
+pub const MAX_CANDIDATES: usize = 64;
+
+/// A feature that may be found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Expected {
+    /// Where, most likely.
+    pub shape: Shape,
+    /// Covariance of each defining point, pixels squared, without the detection's own.
+    pub covariances: Vec<DMat2>,
+    /// Where it is looked for: x0, y0, x1, y1. What is outside is no candidate, but segments may lead out of it.
+    pub window: [f64; 4],
+    /// What else is known of it.
+    pub properties: ExpectedProperties,
+}
+
+/// How well an extractor tells properties, one sigma each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PropertyNoise {
+    /// Of 0..=1.
+    pub strength: f64,
+    /// Of 0..=1.
+    pub contrast: f64,
+    /// Radians.
+    pub direction: f64,
+}
+
+impl Default for PropertyNoise {
+    /// 0.05, 0.05 and 3 degrees.
+    fn default() -> Self {
+        Self { strength: 0.05, contrast: 0.05, direction: 3f64.to_radians() }
+    }
+}
+
+/// Gates and costs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Matcher {
+    /// Standard normal deviate of the probability with which a feature's own detection passes the gate; 3.09 is 99.9 %.
+    pub gate_deviate: f64,
+    /// Probability that a feature in its window is detected.
+    pub detection_probability: f64,
+    /// Clutter by pixel squared.
+    pub clutter_density: f64,
+    /// Multiplies every detection's covariance.
+    pub noise: f64,
+    /// How well properties are told.
+    pub properties: PropertyNoise,
+    /// Columns of a full turn, if the image goes round.
+    pub turn: Option<f64>,
+}
+
+impl Default for Matcher {
+    fn default() -> Self {
+        Self {
+            gate_deviate: 3.090_232,
+            detection_probability: 0.9,
+            clutter_density: 1e-4,
+            noise: 1.0,
+            properties: PropertyNoise::default(),
+            turn: None,
+        }
+    }
+}
+
+/// The pairs that may be.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Candidates {
+    /// Rows are expected features, columns detections.
+    pub pairs: Vec<Candidate>,
+    /// Their distances in the image, pair by pair.
+    pub distances: Vec<Distance>,
+    /// Detections that nothing can be computed from.
+    pub rejected: Vec<(u32, Rejection)>,
+    /// Detections in each window, whether candidates or not.
+    pub in_window: Vec<u32>,
+}
+
+impl Matcher {
+    /// The cost of a feature that is not seen.
+    pub fn unseen_cost(&self) -> f64 {
+        -(1.0 - self.detection_probability).ln()
+    }
+
+    /// The pairs that may be: of one kind, in the window, within the gate by position and properties together.
+    pub fn candidates(&self, expected: &[Expected], found: &[Detection]) -> Candidates {
+        let mut all = Candidates { in_window: vec![0; expected.len()], ..Candidates::default() };
+        let mut places = Vec::with_capacity(found.len());
+        for (i, detection) in found.iter().enumerate() {
+            match detection.check() {
+                Ok(()) => places.push((i as u32, self.wrapped(detection.shape.centre()))),
+                Err(why) => all.rejected.push((i as u32, why)),
+            }
+        }
+        let bins = Bins::new(&places);
+        let mut near: Vec<(Candidate, Distance)> = Vec::new();
+        let mut inside: Vec<u32> = Vec::new();
+        for (row, feature) in expected.iter().enumerate() {
+            self.find_inside(feature, found, &bins, &mut inside);
+            all.in_window[row] = inside.len() as u32;
+            near.clear();
+            for column in &inside {
+                if let Some((cost, distance)) = self.cost(feature, &found[*column as usize]) {
+                    near.push((Candidate { row: row as u32, column: *column, cost }, distance));
+                }
+            }
+            near.sort_unstable_by(|(a, _), (b, _)| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
+            for (pair, distance) in near.iter().take(MAX_CANDIDATES) {
+                all.pairs.push(*pair);
+                all.distances.push(*distance);
+            }
+        }
+        all
+    }
+
+    /// The detections in a feature's window.
+    fn find_inside(&self, feature: &Expected, found: &[Detection], bins: &Bins, inside: &mut Vec<u32>) {
+        inside.clear();
+        for shift in self.shifts(&feature.window) {
+            let [x0, y0, x1, y1] = reach(feature);
+            bins.each_near([x0 + shift, y0, x1 + shift, y1], |column| {
+                if self.is_inside(feature, &found[column as usize]) {
+                    inside.push(column);
+                }
+            });
+        }
+        if self.turn.is_some() {
+            // A bin may be near on both sides of the seam.
+            inside.sort_unstable();
+            inside.dedup();
+        }
+    }
+
+    /// Columns of one turn only, where the image goes round.
+    fn wrapped(&self, p: DVec2) -> DVec2 {
+        match self.turn {
+            Some(turn) => DVec2::new(p.x - turn * (p.x / turn).floor(), p.y),
+            None => p,
+        }
+    }
+
+    /// By how much a window is moved to reach detections within one turn.
+    fn shifts(&self, window: &[f64; 4]) -> impl Iterator<Item = f64> + use<> {
+        let (x0, turn) = (window[0], self.turn);
+        let first = turn.map_or(0.0, |turn| -turn * (x0 / turn).floor());
+        [Some(first), turn.map(|turn| first - turn), turn.map(|turn| first + turn)].into_iter().flatten()
+    }
+
+    /// Whether a detection is in the window. Segments may lead out of it: they have to pass it.
+    fn is_inside(&self, feature: &Expected, detection: &Detection) -> bool {
+        let centre = detection.shape.centre();
+        let [x0, y0, x1, y1] = feature.window;
+        let middle = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
+        let half = DVec2::new(0.5 * (x1 - x0), 0.5 * (y1 - y0));
+        let shift = super::compare::unwrap(self.turn, middle.x, centre.x);
+        let off = (centre + DVec2::new(shift, 0.0) - middle).abs();
+        match &detection.shape {
+            Shape::Segment { ends, .. } => {
+                let extent = 0.5 * (ends[1] - ends[0]).abs();
+                off.cmple(half + extent).all()
+            }
+            _ => off.cmple(half).all(),
+        }
+    }
+
+    /// Whether a detection is within the gate by its position alone.
+    pub fn is_near(&self, feature: &Expected, detection: &Detection) -> bool {
+        let near = |d: Distance| d.squared <= chi_squared_quantile(d.dimensions, self.gate_deviate);
+        compare(feature, detection, self.noise, self.turn).is_some_and(near)
+    }
+
+    /// What a pair costs; `None` outside of the gate.
+    fn cost(&self, feature: &Expected, detection: &Detection) -> Option<(f64, Distance)> {
+        let distance = compare(feature, detection, self.noise, self.turn)?;
+        // Most are too far, whatever else they are.
+        if distance.squared > chi_squared_quantile(distance.dimensions, self.gate_deviate) {
+            return None;
+        }
+        let alike = self.compare_properties(&feature.properties, &detection.properties)?;
+        let dimensions = distance.dimensions + alike.dimensions;
+        let squared = distance.squared + alike.squared;
+        if squared > chi_squared_quantile(dimensions, self.gate_deviate) {
+            return None;
+        }
+        let target = 0.5 * squared + distance.log_volume + alike.log_volume;
+        let clutter = self.clutter_density.ln() + distance.log_clutter + alike.log_clutter;
+        Some((target + clutter - self.detection_probability.ln(), distance))
+    }
+
+    /// How unlike the properties are that both know; `None` for two different markers.
+    fn compare_properties(&self, expected: &ExpectedProperties, found: &Properties) -> Option<Distance> {
+        if let (Some(a), Some(b)) = (&expected.marker, &found.marker)
+            && a != b
+        {
+            return None;
+        }
+        let mut all = Distance { squared: 0.0, dimensions: 0, log_volume: 0.0, log_clutter: 0.0 };
+        let mut add = |apart: f64, variance: f64, range: f64| {
+            all.squared += apart * apart / variance;
+            all.dimensions += 1;
+            all.log_volume += 0.5 * (2.0 * PI * variance).ln();
+            all.log_clutter -= range.ln();
+        };
+        let noise = &self.properties;
+        let told = [
+            (&expected.strength, found.strength, noise.strength),
+            (&expected.contrast, found.contrast, noise.contrast),
+        ];
+        for (expected, found, sigma) in told {
+            if let (Some(Estimate { mean, variance }), Some(found)) = (expected, found) {
+                add(found - mean, variance + sigma * sigma, 1.0);
+            }
+        }
+        if let (Some(Estimate { mean, variance }), Some(found)) = (&expected.direction, found.direction) {
+            add(turn_apart(found, *mean), variance + noise.direction * noise.direction, PI);
+        }
+        Some(all)
+    }
+}
+
+/// Where the centre of a detection may be that is the feature: a segment may be found in part, or longer than expected.
+fn reach(feature: &Expected) -> [f64; 4] {
+    let [x0, y0, x1, y1] = feature.window;
+    match &feature.shape {
+        Shape::Segment { ends, .. } => {
+            let more = (ends[1] - ends[0]).abs();
+            [x0 - more.x, y0 - more.y, x1 + more.x, y1 + more.y]
+        }
+        _ => feature.window,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(x: f64, y: f64) -> Expected {
+        Expected {
+            shape: Shape::Point(DVec2::new(x, y)),
+            covariances: vec![DMat2::IDENTITY],
+            window: [x - 4.0, y - 4.0, x + 4.0, y + 4.0],
+            properties: ExpectedProperties::default(),
+        }
+    }
+
+    #[test]
+    fn nearer_is_cheaper_and_far_is_no_candidate() {
+        let found: Vec<Detection> =
+            [0.0, 1.0, 3.0, 30.0].map(|x| Detection::point(DVec2::new(100.0 + x, 50.0), 1.0)).into();
+        let got = Matcher::default().candidates(&[point(100.0, 50.0)], &found);
+        assert_eq!(got.pairs.iter().map(|p| p.column).collect::<Vec<_>>(), [0, 1, 2]);
+        // Variance 2: half a squared distance of 1 / 2.
+        assert!((got.pairs[1].cost - got.pairs[0].cost - 0.25).abs() < 1e-4);
+        assert_eq!(got.in_window, [3]);
+    }
+
+    #[test]
+    fn properties_gate_and_weigh() {
+        let mut feature = point(100.0, 50.0);
+        feature.properties.contrast = Some(Estimate { mean: 0.5, variance: 0.0 });
+        feature.properties.direction = Some(Estimate { mean: 0.01, variance: 0.0 });
+        let alike = |contrast: f64, direction: f64| {
+            let mut d = Detection::point(DVec2::new(100.0, 50.0), 1.0);
+            (d.properties.contrast, d.properties.direction) = (Some(contrast), Some(direction));
+            d
+        };
+        let found = [alike(0.5, 0.01), alike(0.56, 0.01), alike(0.9, 0.01), alike(0.5, 1.0), alike(0.5, PI)];
+        let got = Matcher::default().candidates(&[feature], &found);
+        let columns: Vec<u32> = got.pairs.iter().map(|p| p.column).collect();
+        assert_eq!(columns, [0, 4, 1], "unlike ones are out; directions are modulo pi");
+    }
+
+    #[test]
+    fn markers_are_never_taken_for_others() {
+        let corners = [DVec2::ZERO, DVec2::X, DVec2::ONE, DVec2::Y].map(|c| 10.0 * c);
+        let marker = |code| Some(super::super::Marker { family: "DICT_4X4_50".into(), code });
+        let feature = Expected {
+            shape: Shape::Fiducial(corners),
+            covariances: vec![DMat2::IDENTITY; 4],
+            window: [-4.0, -4.0, 14.0, 14.0],
+            properties: ExpectedProperties { marker: marker(3), ..ExpectedProperties::default() },
+        };
+        let mut other = Detection::new(Shape::Fiducial(corners), 1.0);
+        other.properties.marker = marker(4);
+        let mut own = other.clone();
+        own.properties.marker = marker(3);
+        let got = Matcher::default().candidates(&[feature], &[other, own]);
+        assert_eq!(got.pairs.iter().map(|p| p.column).collect::<Vec<_>>(), [1]);
+    }
+
+    #[test]
+    fn the_seam_is_no_border() {
+        let matcher = Matcher { turn: Some(720.0), ..Matcher::default() };
+        for x in [719.5, -0.5] {
+            for column in [719.0, -1.0, 0.0, 720.0] {
+                let got = matcher.candidates(&[point(x, 50.0)], &[Detection::point(DVec2::new(column, 50.0), 1.0)]);
+                assert_eq!(got.pairs.len(), 1, "{x} {column}");
+            }
+        }
+    }
+
+    #[test]
+    fn thousands_in_one_window_leave_the_nearest() {
+        let found: Vec<Detection> =
+            (0..5000).map(|i| Detection::point(DVec2::new(100.0 + f64::from(i) * 2e-4, 50.0), 1.0)).collect();
+        let got = Matcher::default().candidates(&[point(100.0, 50.0)], &found);
+        assert_eq!((got.pairs.len(), got.in_window[0]), (MAX_CANDIDATES, 5000));
+        assert_eq!(got.pairs[0].column, 0);
+    }
+
+    #[test]
+    fn what_is_not_finite_is_rejected() {
+        let bad = [
+            Detection::point(DVec2::new(f64::NAN, 0.0), 1.0),
+            Detection::point(DVec2::new(100.0, 50.0), f64::INFINITY),
+            Detection::point(DVec2::new(1e300, 50.0), 1.0),
+            Detection::segment([DVec2::new(100.0, 50.0); 2], 1.0),
+            Detection {
+                covariance: DMat2::from_cols_array(&[1.0, 2.0, 2.0, 1.0]),
+                ..Detection::point(DVec2::new(100.0, 50.0), 1.0)
+            },
+        ];
+        let got = Matcher::default().candidates(&[point(100.0, 50.0)], &bad);
+        let why: Vec<Rejection> = got.rejected.iter().map(|(_, why)| *why).collect();
+        assert!(got.pairs.is_empty());
+        let (not_finite, degenerate) = (Rejection::NotFinite, Rejection::Degenerate);
+        assert_eq!(why, [not_finite, not_finite, not_finite, degenerate, Rejection::Covariance]);
+    }
+}

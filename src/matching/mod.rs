@@ -1,0 +1,30 @@
+//! Which detection belongs to which expected feature: gates, costs, and an assignment that is globally optimal.
+//!
+//! 1. [`Matcher::candidates`] pairs each expected feature with the detections that may be it: near enough by Mahalanobis
+//!    distance, and alike in the properties that both sides know.
+//! 2. [`assign`] picks the pairs with the least total cost, each feature and each detection once. Not being seen has a cost, too.
+//!
+//! The cost of a pair is the negative logarithm of a likelihood ratio: the detection is the feature, against the detection
+//! is clutter, spread evenly over the image (and over the range of each property). Costs of pairs with other numbers of
+//! dimensions are therefore comparable. With innovation n of covariance S, probability of detection `P_D`, and the density c of
+//! clutter over all dimensions:
+//!
+//! ```text
+//! cost of a pair       = 1/2 n' S^-1 n + 1/2 ln det(2 pi S) + ln c - ln P_D
+//! cost of not being seen = -ln(1 - P_D)
+//! ```
+//!
+//! (Y. Bar-Shalom, X. R. Li, Multitarget-Multisensor Tracking, 1995, section 6.3; the assignment after H. W. Kuhn 1955 and J. Munkres
+//! 1957.)
+
+mod assign;
+mod bins;
+mod compare;
+mod detection;
+mod matcher;
+
+pub use assign::{Assignment, Candidate, MAX_GROUP_WORK, assign};
+pub(crate) use compare::{Aligned, align, turn_apart, unwrap};
+pub use compare::{Distance, chi_squared_quantile};
+pub use detection::{Detection, Estimate, ExpectedProperties, Marker, Properties, Rejection, Shape};
+pub use matcher::{Candidates, Expected, MAX_CANDIDATES, Matcher, PropertyNoise};
