@@ -2,7 +2,7 @@
 //!
 //! Scenes are names of the shared data (`PRESIGHT_DATA`, default `../shared/data`) or paths of `.glb` and `.rhai` files.
 //! `PRESIGHT_POSES` free poses (default 20), `PRESIGHT_ENGINE` cpu or gpu, `PRESIGHT_SENSORS` names, comma-separated. A row tells the median over the poses of the
-//! whole prediction (the fastest of three at each), selection included, and the median of its ratio to the pinhole's.
+//! whole prediction (the fastest of three at each), selection included, the median of its ratio to the pinhole's, and what the sensor's tables take.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
 #![allow(clippy::print_stdout, reason = "the table is what it is for")]
@@ -118,8 +118,11 @@ fn main() {
                 pinhole.clone_from(&times);
             }
             let ratio = median(times.iter().zip(&pinhole).map(|(t, p)| t / p).collect());
-            let kind = if matches!(sensor.grid(), PixelGrid::Rays(_)) { "table" } else { "lines" };
-            println!("| {scene} | {name} | {kind} | {:.2} ms | {ratio:.2} x |", median(times));
+            let tables = match sensor.grid() {
+                PixelGrid::Rays(rays) => format!("{:.1} MB", rays.bytes() as f64 * 1e-6),
+                PixelGrid::Lines(_) => "lines".to_owned(),
+            };
+            println!("| {scene} | {name} | {tables} | {:.2} ms | {ratio:.2} x |", median(times));
         }
     }
 }

@@ -5,6 +5,7 @@ use crate::limits;
 use crate::sensor::{Ahead, ConeTree, RayGrid, TILE_SIDE, View};
 use glam::DVec3;
 use pulp::Simd;
+use std::ops::Range;
 
 /// The footprints of [`LANES`] polygons, in whole tiles.
 #[inline(always)]
@@ -72,20 +73,122 @@ fn ahead<S: Simd>(
     let rows = view.rows.tiles_around(simd, &e.low[0], &e.high[0]);
     let columns = view.columns.tiles_around(simd, &e.low[1], &e.high[1]);
     let mut footprints = [const { NOTHING }; LANES];
+    let mut caps = None;
     for l in 0..LANES {
         if e.is_beside(l, range_max_squared) {
             continue;
         }
-        footprints[l] = if e.least[1][l] > 0.0 {
-            of_tiles(grid, [rows[0][l], rows[1][l]], [columns[0][l], columns[1][l]])
-        } else {
-            everything(grid)
-        };
+        if !(e.least[1][l] > 0.0) {
+            footprints[l] = everything(grid);
+            continue;
+        }
+        let found = of_tiles(grid, [rows[0][l], rows[1][l]], [columns[0][l], columns[1][l]]);
+        if !found.samples.is_empty() {
+            let caps = caps.get_or_insert_with(|| Caps::around(corners));
+            footprints[l] = narrowed(simd, grid, found, caps.axis(l), caps.cosine[l]);
+        }
     }
     footprints
 }
 
-/// By the cone around each polygon's corners: one of less than a right angle is convex and holds the polygon.
+/// The cones around the corners of [`LANES`] polygons. One of less than a right angle is convex and holds the polygon.
+struct Caps {
+    axis: [Lanes; 3],
+    /// Of the half angle; no number where a corner is at the sensor.
+    cosine: Lanes,
+}
+
+impl Caps {
+    #[inline(always)]
+    fn around(corners: &[[Lanes; 3]]) -> Self {
+        let mut per_length = [[0.0; LANES]; limits::MAX_CORNERS];
+        let mut axis = [[0.0; LANES]; 3];
+        for (corner, per_length) in corners.iter().zip(&mut per_length) {
+            for l in 0..LANES {
+                let [x, y, z] = [corner[0][l], corner[1][l], corner[2][l]];
+                per_length[l] = 1.0 / (x * x + y * y + z * z).sqrt();
+            }
+            for a in 0..3 {
+                for l in 0..LANES {
+                    axis[a][l] += corner[a][l] * per_length[l];
+                }
+            }
+        }
+        let mut per_axis = [0.0; LANES];
+        for l in 0..LANES {
+            let [x, y, z] = [axis[0][l], axis[1][l], axis[2][l]];
+            per_axis[l] = 1.0 / (x * x + y * y + z * z).sqrt();
+        }
+        for a in 0..3 {
+            for l in 0..LANES {
+                axis[a][l] *= per_axis[l];
+            }
+        }
+        let mut cosine = [1.0; LANES];
+        for (corner, per_length) in corners.iter().zip(&per_length) {
+            for l in 0..LANES {
+                let dot = axis[0][l] * corner[0][l] + axis[1][l] * corner[1][l] + axis[2][l] * corner[2][l];
+                let own = dot * per_length[l];
+                // What is no number stays so.
+                cosine[l] = if own >= cosine[l] { cosine[l] } else { own };
+            }
+        }
+        Self { axis, cosine }
+    }
+
+    #[inline(always)]
+    fn axis(&self, l: usize) -> DVec3 {
+        DVec3::new(self.axis[0][l], self.axis[1][l], self.axis[2][l])
+    }
+}
+
+/// Most tiles of a footprint whose rays are looked at one by one.
+const FEW: usize = 4;
+
+/// A footprint of few tiles with only the lines on which a cone has a ray: most small polygons lie between the rays. Larger ones
+/// stay as they are.
+#[inline(always)]
+fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3, cosine: f64) -> Footprint {
+    let tiles = |range: &Range<u32>| range.start / TILE_SIDE..range.end.div_ceil(TILE_SIDE);
+    let (rows, columns) = (tiles(&footprint.lines[0]), tiles(&footprint.samples));
+    let few = rows.len() * columns.len() <= FEW;
+    // Written so that what is no number is kept.
+    if !(few && cosine > WIDEST) {
+        return footprint;
+    }
+    let least = simd.splat_f64s(cosine - ROUNDING);
+    let [ax, ay, az] = [axis.x, axis.y, axis.z].map(|v| simd.splat_f64s(v));
+    // A bit for each line.
+    let (mut held, none) = (simd.splat_u64s(0), simd.splat_u64s(0));
+    for (row, column) in rows.clone().flat_map(|row| columns.clone().map(move |column| (row, column))) {
+        let rays = grid.rays_of(row as usize * grid.tiles_across() + column as usize);
+        for line in 0..TILE_SIDE as usize {
+            let bit = simd.splat_u64s(1 << ((row - rows.start) * TILE_SIDE + line as u32));
+            let [x, y, z] = [&rays.x, &rays.y, &rays.z].map(|lanes| S::as_simd_f64s(&lanes[line]).0);
+            for i in 0..LANES / S::F64_LANES {
+                let xy = simd.add_f64s(simd.mul_f64s(ax, x[i]), simd.mul_f64s(ay, y[i]));
+                let inside = simd.greater_than_or_equal_f64s(simd.add_f64s(xy, simd.mul_f64s(az, z[i])), least);
+                held = simd.or_u64s(held, simd.select_u64s(inside, bit, none));
+            }
+        }
+    }
+    let mut lanes = [0; LANES];
+    S::as_mut_simd_u64s(&mut lanes).0[0] = held;
+    let bits = lanes.iter().fold(0, |bits, lane| bits | lane);
+    if bits == 0 {
+        return NOTHING;
+    }
+    let first = rows.start * TILE_SIDE;
+    Footprint { lines: [first + bits.trailing_zeros()..first + u64::BITS - bits.leading_zeros(), 0..0], ..footprint }
+}
+
+/// Cosine of the widest cone that is told from everything.
+const WIDEST: f64 = 1e-2;
+
+/// More than the roundings of cosines and of products of unit vectors.
+const ROUNDING: f64 = 1e-14;
+
+/// By the cone around each polygon's corners.
 #[inline(always)]
 fn around<S: Simd>(
     simd: S,
@@ -94,54 +197,25 @@ fn around<S: Simd>(
     range_max_squared: f64,
     corners: &[[Lanes; 3]],
 ) -> [Footprint; LANES] {
-    /// Cosine of the widest cone that is told from everything.
-    const WIDEST: f64 = 1e-2;
     let mut e = Extent::new();
-    let mut per_length = [[0.0; LANES]; limits::MAX_CORNERS];
-    let mut axis = [[0.0; LANES]; 3];
-    for (corner, per_length) in corners.iter().zip(&mut per_length) {
-        e.hold(corner);
-        for l in 0..LANES {
-            let [x, y, z] = [corner[0][l], corner[1][l], corner[2][l]];
-            per_length[l] = 1.0 / (x * x + y * y + z * z).sqrt();
-        }
-        for a in 0..3 {
-            for l in 0..LANES {
-                axis[a][l] += corner[a][l] * per_length[l];
-            }
-        }
-    }
-    let mut per_axis = [0.0; LANES];
-    for l in 0..LANES {
-        let [x, y, z] = [axis[0][l], axis[1][l], axis[2][l]];
-        per_axis[l] = 1.0 / (x * x + y * y + z * z).sqrt();
-    }
-    for a in 0..3 {
-        for l in 0..LANES {
-            axis[a][l] *= per_axis[l];
-        }
-    }
-    let mut cosine = [1.0; LANES];
-    for (corner, per_length) in corners.iter().zip(&per_length) {
-        for l in 0..LANES {
-            let dot = axis[0][l] * corner[0][l] + axis[1][l] * corner[1][l] + axis[2][l] * corner[2][l];
-            let own = dot * per_length[l];
-            // What is no number stays so: a corner at the sensor.
-            cosine[l] = if own >= cosine[l] { cosine[l] } else { own };
-        }
-    }
+    corners.iter().for_each(|corner| e.hold(corner));
+    let caps = Caps::around(corners);
     let (distance_squared, _) = e.box_distances_squared();
     let mut footprints = [const { NOTHING }; LANES];
     for l in 0..LANES {
         if distance_squared[l] > range_max_squared {
             continue;
         }
-        footprints[l] = if cosine[l] > WIDEST {
-            let [rows, columns] = tree.tiles_met(simd, DVec3::new(axis[0][l], axis[1][l], axis[2][l]), cosine[l]);
-            of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end])
+        let (axis, cosine) = (caps.axis(l), caps.cosine[l]);
+        if cosine > WIDEST {
+            let [rows, columns] = tree.tiles_met(simd, axis, cosine);
+            let found = of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end]);
+            if !found.samples.is_empty() {
+                footprints[l] = narrowed(simd, grid, found, axis, cosine);
+            }
         } else {
-            everything(grid)
-        };
+            footprints[l] = everything(grid);
+        }
     }
     footprints
 }

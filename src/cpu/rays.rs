@@ -9,6 +9,7 @@ use crate::limits::MAX_CORNERS;
 use crate::sensor::{Cones, RayGrid, TileRays};
 use glam::DVec3;
 use pulp::Simd;
+use std::ops::Range;
 
 /// Bands hold whole rows of tiles.
 pub(super) const BAND_MULTIPLE: usize = TILE;
@@ -94,12 +95,15 @@ pub(super) fn rasterize<S: Simd>(
                     for column in held {
                         if meeting.shows[column % EIGHT] != 0 {
                             let rays = grid.rays_of(row * grid.tiles_across() + column);
-                            let first = row * TILE - lines.start;
+                            let held =
+                                lines.start.max(set_up.first_line as usize)..lines.end.min(set_up.end_line as usize);
+                            let inner = |line: usize| line.saturating_sub(row * TILE).min(TILE);
+                            let drawn = inner(held.start)..inner(held.end);
                             let count = TILE.min(lines.end - row * TILE);
-                            let place = Place { first, count, column };
+                            let place = Place { first: row * TILE - lines.start, count, drawn, column };
                             let count = take(edges, meeting.open[column % EIGHT], &mut open);
-                            if polygon.paint(simd, buffer, rays, place, &open[..count]) {
-                                polygon.settle_ties(buffer, rays, place, slots);
+                            if polygon.paint(simd, buffer, rays, &place, &open[..count]) {
+                                polygon.settle_ties(buffer, rays, &place, slots);
                             }
                         }
                     }
@@ -123,17 +127,20 @@ fn take(edges: &[DVec3], mut bits: u64, taken: &mut [DVec3; MAX_CORNERS]) -> usi
 
 /// Rows and columns of tiles of a polygon that are among some lines.
 #[inline(always)]
-fn tiles_of(polygon: &SetUp, lines: &std::ops::Range<usize>) -> [std::ops::Range<usize>; 2] {
+fn tiles_of(polygon: &SetUp, lines: &Range<usize>) -> [Range<usize>; 2] {
     let (first, end) = (lines.start.max(polygon.first_line as usize), lines.end.min(polygon.end_line as usize));
     let columns = polygon.first_sample as usize / TILE..(polygon.end_sample as usize).div_ceil(TILE);
     [first / TILE..end.div_ceil(TILE), columns]
 }
 
-/// Where a tile is in a buffer: its first line, its lines, and its column of tiles.
-#[derive(Clone, Copy)]
+/// Where a tile is in a buffer.
 struct Place {
+    /// Its first line, and how many there are.
     first: usize,
     count: usize,
+    /// Of these, those that may be drawn.
+    drawn: Range<usize>,
+    /// Its column of tiles.
     column: usize,
 }
 
@@ -170,12 +177,11 @@ impl Polygon<'_> {
 
     /// Draws into a tile what is inside some edges. The answer is true if anywhere the buffer held the same depth.
     #[inline(always)]
-    fn paint<S: Simd>(&self, simd: S, buffer: &mut Buffer, rays: &TileRays, place: Place, edges: &[DVec3]) -> bool {
+    fn paint<S: Simd>(&self, simd: S, buffer: &mut Buffer, rays: &TileRays, place: &Place, edges: &[DVec3]) -> bool {
         let (number, zero) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(0.0));
         let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
-        let mut ties = none;
-        let mut farthest = simd.splat_f64s(f64::INFINITY);
-        for line in 0..place.count {
+        let (mut ties, mut written) = (none, none);
+        for line in place.drawn.clone() {
             let at = buffer.at(place.first + line, place.column);
             let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
             let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
@@ -193,23 +199,28 @@ impl Polygon<'_> {
                 let before = inverse[i];
                 let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
                 ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                written = simd.or_u64s(written, nearer);
                 inverse[i] = simd.max_f64s(k, before);
-                farthest = simd.min_f64s(farthest, inverse[i]);
                 winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
             }
         }
-        *buffer.farthest_of(place.first / TILE, place.column) = simd.reduce_min_f64s(farthest);
-        let mut any = [0; EIGHT];
-        S::as_mut_simd_u64s(&mut any).0[0] = ties;
-        any.iter().fold(0, |any, tie| any | tie) != 0
+        let any = |lanes: S::u64s| {
+            let mut all = [0; EIGHT];
+            S::as_mut_simd_u64s(&mut all).0[0] = lanes;
+            all.iter().fold(0, |any, lane| any | lane) != 0
+        };
+        if any(written) {
+            measure(simd, buffer, place);
+        }
+        any(ties)
     }
 
     /// On bit-equal inverse depth the lower slot wins.
     #[cold]
     #[inline(never)]
-    fn settle_ties(&self, buffer: &mut Buffer, rays: &TileRays, place: Place, slots: &[u32]) {
+    fn settle_ties(&self, buffer: &mut Buffer, rays: &TileRays, place: &Place, slots: &[u32]) {
         let own = slots[self.number as usize];
-        for line in 0..place.count {
+        for line in place.drawn.clone() {
             let at = buffer.at(place.first + line, place.column);
             for i in 0..EIGHT {
                 let ray = DVec3::new(rays.x[line][i], rays.y[line][i], rays.z[line][i]);
@@ -222,6 +233,19 @@ impl Polygon<'_> {
             }
         }
     }
+}
+
+/// Notes the farthest depth of a tile.
+#[inline(always)]
+fn measure<S: Simd>(simd: S, buffer: &mut Buffer, place: &Place) {
+    let mut farthest = simd.splat_f64s(f64::INFINITY);
+    for line in 0..place.count {
+        let at = buffer.at(place.first + line, place.column);
+        for &inverse in S::as_simd_f64s(&buffer.inverse[at].0).0 {
+            farthest = simd.min_f64s(farthest, inverse);
+        }
+    }
+    *buffer.farthest_of(place.first / TILE, place.column) = simd.reduce_min_f64s(farthest);
 }
 
 /// Products with eight vectors, rounded as glam rounds them.
