@@ -389,6 +389,7 @@ fn many_features_at_once_are_as_one_by_one() {
         assert_eq!(hash(&together), hash(&world()), "{seed}");
         // What is refused at the end leaves nothing behind.
         let refused = Change::DeleteFeature { class: "video".into(), id: 41 };
+        let mut together = world();
         let before = everything(&together);
         let e = together.apply(Change::Group(taken.into_iter().chain([refused]).collect())).unwrap_err();
         assert!(e.to_string().contains("there is no feature 41 for class \"video\""), "{e}");

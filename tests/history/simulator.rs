@@ -242,3 +242,50 @@ impl Simulator {
 pub fn holds([x0, y0, x1, y1]: &[f64; 4], p: DVec2) -> bool {
     p.x >= *x0 && p.x <= *x1 && p.y >= *y0 && p.y <= *y1
 }
+
+/// Edges in space, and how an extractor finds them: broken anywhere, unless a corner ends them.
+pub struct Edges {
+    pub ends: Vec<[DVec3; 2]>,
+    /// Whether a corner is at each end.
+    pub corners: Vec<[bool; 2]>,
+}
+
+impl Edges {
+    /// Door frames and shelves: upright and level edges of half a metre to two.
+    pub fn new(random: &mut Random, count: usize) -> Self {
+        let mut edges = Self { ends: Vec::new(), corners: Vec::new() };
+        for _ in 0..count {
+            let at = DVec3::new(random.between(-20.0, 60.0), random.between(-30.0, 30.0), random.between(0.0, 3.0));
+            let length = random.between(0.5, 2.0);
+            let heading = TAU * random.unit();
+            let level = DVec3::new(heading.cos(), heading.sin(), 0.0);
+            let along = if random.unit() < 0.5 { DVec3::Z } else { level };
+            edges.ends.push([at, at + length * along]);
+            edges.corners.push([random.unit() < 0.5, random.unit() < 0.5]);
+        }
+        edges
+    }
+
+    /// The pixels of both ends; `None` unless both are in the image, 20 pixels apart.
+    pub fn see(&self, robot: &Robot, id: u32) -> Option<[DVec2; 2]> {
+        let [a, b] = self.ends[id as usize];
+        let (a, b) = (robot.see(a)?, robot.see(b)?);
+        (a.distance(b) > 20.0).then_some([a, b])
+    }
+
+    /// What an extractor makes of an edge at these pixels: each end without a corner slides inwards by up to a quarter.
+    pub fn detect(&self, random: &mut Random, ends: [DVec2; 2], id: u32, sigma: f64) -> Detection {
+        let corners = self.corners[id as usize];
+        let mut share = [0.0, 1.0];
+        for k in 0..2 {
+            if !corners[k] {
+                share[k] += (1.0 - 2.0 * share[k]) * 0.25 * random.unit();
+            }
+        }
+        let found = share.map(|t| ends[0].lerp(ends[1], t) + random.normal() * sigma);
+        // In any order.
+        let (found, corners) =
+            if random.unit() < 0.5 { (found, corners) } else { ([found[1], found[0]], [corners[1], corners[0]]) };
+        Detection::new(Shape::Segment { ends: found, corners }, sigma)
+    }
+}

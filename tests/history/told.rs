@@ -1,9 +1,9 @@
 //! A plain Kalman filter that is told how each feature truly moves.
 
-use super::simulator::Disturbance;
+use crate::simulator::Disturbance;
 use glam::DVec2;
 
-/// One feature: its place is the true one moved on, so that only noise is left to filter.
+/// One feature: its place is moved on as the true one moves, so that only noise is left to filter.
 pub struct Told {
     /// Estimated less true place.
     off: DVec2,
@@ -23,8 +23,8 @@ impl Told {
         Self { off: DVec2::ZERO, variance: 1.0, noise, truth: DVec2::ZERO }
     }
 
-    /// Where it will be detected; the motion from the last frame to this one is told.
-    pub fn window(&mut self, _before: Option<DVec2>, truth: DVec2) -> [f64; 4] {
+    /// Where it will be detected; it has truly moved to `truth`.
+    pub fn window(&mut self, truth: DVec2) -> [f64; 4] {
         self.truth = truth;
         let at = truth + self.off;
         let half = DEVIATIONS * (self.variance + self.noise).sqrt();

@@ -1,0 +1,171 @@
+//! Points, seen from a robot that drives straight, turns, stops and starts.
+
+use crate::simulator::{self, Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
+use crate::told::Told;
+use presight::history::{Alternating, End, ImageExtent, Source, Tracker, TrackerOptions};
+use std::collections::BTreeMap;
+
+/// A long straight, a curve, a straight, a curve the other way, a stop, standing, and off again.
+const DRIVE: [Leg; 7] = [
+    leg(5.0, 1.0, 0.0),
+    leg(3.0, 1.0, 0.4),
+    leg(4.0, 1.0, 0.0),
+    leg(3.0, 1.0, -0.3),
+    leg(2.0, 0.0, 0.0),
+    leg(2.0, 0.0, 0.0),
+    leg(4.0, 1.0, 0.0),
+];
+
+/// Frames a track must have been seen in: before, its speed is only guessed, and its window large for that.
+const YOUNG: u32 = 5;
+
+/// Windows that held their feature, windows, area, area of the filter that is told, with what that one held.
+#[derive(Clone, Copy, Debug, Default)]
+struct Windows {
+    held: f64,
+    count: f64,
+    area: f64,
+    told_area: f64,
+    told_held: f64,
+}
+
+impl Windows {
+    fn add(&mut self, more: &Self) {
+        self.held += more.held;
+        self.count += more.count;
+        self.area += more.area;
+        self.told_area += more.told_area;
+        self.told_held += more.told_held;
+    }
+
+    fn coverage(&self) -> f64 {
+        self.held / self.count
+    }
+
+    fn ratio(&self) -> f64 {
+        self.area / self.told_area
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct Tally {
+    matched: f64,
+    wrong: f64,
+    frames: f64,
+    history: f64,
+    lost: f64,
+    /// By leg and frame of the leg, from 0.
+    windows: BTreeMap<(usize, usize), Windows>,
+}
+
+impl Tally {
+    fn over(&self, which: impl Fn(usize, usize) -> bool) -> Windows {
+        let mut sum = Windows::default();
+        self.windows.iter().filter(|((leg, frame), _)| which(*leg, *frame)).for_each(|(_, w)| sum.add(w));
+        sum
+    }
+
+    fn print(&self, name: &str) {
+        let all = self.over(|_, _| true);
+        let mut ratios: Vec<f64> = self.windows.values().map(Windows::ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        println!(
+            "{name}: wrong {:.2} % of {}, coverage {:.2} % of {} windows (told filter {:.2} %), area {:.2} times the told filter's \
+             (median frame {:.2}), history {:.1} % of {} frames, {} lost",
+            100.0 * self.wrong / self.matched,
+            self.matched,
+            100.0 * all.coverage(),
+            all.count,
+            100.0 * all.told_held / all.count,
+            all.ratio(),
+            ratios[ratios.len() / 2],
+            100.0 * self.history / self.frames,
+            self.frames,
+            self.lost,
+        );
+        if std::env::var("BY_FRAME").is_ok() {
+            for ((leg, frame), w) in self.windows.iter().filter(|((_, f), _)| *f < 20 || f % 10 == 0) {
+                println!("{leg} {frame}: {:.1} % of {}, area {:.2}", 100.0 * w.coverage(), w.count, w.ratio());
+            }
+        }
+    }
+}
+
+fn options() -> TrackerOptions {
+    TrackerOptions { detection_probability: 0.8, ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)) }
+}
+
+fn drive(disturbance: Disturbance, options: &TrackerOptions, knows_motion: bool) -> Tally {
+    let mut tally = Tally::default();
+    (1..=6).for_each(|seed| drive_once(seed, disturbance, options, knows_motion, &mut tally));
+    tally
+}
+
+fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, knows_motion: bool, tally: &mut Tally) {
+    let mut simulator = Simulator::new(seed, disturbance);
+    let frames = simulator.drive(&DRIVE);
+    let mut alternating = Alternating::new(Tracker::new(options.clone()).unwrap(), None);
+    let mut told: BTreeMap<u32, Told> = BTreeMap::new();
+    let (mut leg, mut in_leg) = (0, 0);
+    for frame in &frames {
+        (leg, in_leg) = if frame.leg == leg { (leg, in_leg + 1) } else { (frame.leg, 0) };
+        if knows_motion {
+            alternating.set_view(|p| frame.robot.project(p));
+        }
+        let step = alternating.predict(frame.time, || Ok(simulator.predict_fully(frame, 150))).unwrap();
+        tally.frames += 1.0;
+        match &step.source {
+            Source::History => tally.history += 1.0,
+            Source::Full { seeded, .. } => {
+                told.extend(seeded.begun.iter().map(|id| (*id, Told::new(&disturbance))));
+            }
+        }
+        let wanted: Vec<_> = step.windows.iter().map(|w| simulator.detected_at(frame, w.id)).collect();
+        let old: BTreeMap<u32, bool> =
+            alternating.tracker().tracks().iter().map(|t| (t.id(), t.seen() >= YOUNG)).collect();
+        for (window, at) in step.windows.iter().zip(&wanted) {
+            let Some(at) = at else { continue };
+            let truth = frame.robot.project(simulator.points[window.id as usize].at).unwrap();
+            let bounds = told.get_mut(&window.id).unwrap().window(truth);
+            if !old[&window.id] {
+                continue;
+            }
+            let area = |b: &[f64; 4]| (b[2] - b[0]) * (b[3] - b[1]);
+            let yes = |b| f64::from(u8::from(b));
+            tally.windows.entry((leg, in_leg)).or_default().add(&Windows {
+                held: yes(holds(&window.bounds, *at)),
+                count: 1.0,
+                area: area(&window.bounds),
+                told_area: area(&bounds),
+                told_held: yes(holds(&bounds, *at)),
+            });
+        }
+        let (found, whose) = simulator.extract(&step.windows, &wanted);
+        let matches = alternating.correct(frame.time, &found).unwrap();
+        for m in &matches.matched {
+            tally.matched += 1.0;
+            if whose[m.detection] == Some(m.id) {
+                told.get_mut(&m.id).unwrap().correct(found[m.detection].shape.centre());
+            } else {
+                tally.wrong += 1.0;
+            }
+        }
+        tally.lost += matches.ended.iter().filter(|e| e.1 == End::Lost).count() as f64;
+    }
+}
+
+#[test]
+fn explore() {
+    for (name, disturbance, options, knows) in [
+        ("all", Disturbance::default(), options(), false),
+        ("clean", Disturbance { jitter: 0.0, misses: 0.0, clutter: 0, ..Disturbance::default() }, options(), false),
+        ("jitter 0.5", Disturbance { jitter: 0.5, ..Disturbance::default() }, options(), false),
+        ("without properties", Disturbance { properties: false, ..Disturbance::default() }, options(), false),
+        ("known motion", Disturbance::default(), options(), true),
+        ("memory 4", Disturbance::default(), TrackerOptions { memory: 4.0, ..options() }, false),
+        ("memory 8", Disturbance::default(), TrackerOptions { memory: 8.0, ..options() }, false),
+    ] {
+        drive(disturbance, &options, knows).print(name);
+    }
+    let _ = simulator::TOLD;
+}
