@@ -153,8 +153,8 @@ fn sensor(random: &mut Random, kind: usize) -> Sensor {
     Sensor::new(spec).expect("a sound sensor")
 }
 
-/// Triangles of one size anywhere in the room.
-fn soup(random: &mut Random, count: usize, size: f64) -> Mesh {
+/// Triangles of one size anywhere in the room, as a mesh and as one that is wound the other way round.
+fn soup(random: &mut Random, count: usize, size: f64) -> [Arc<Mesh>; 2] {
     let (mut vertices, mut polygons) = (Vec::new(), Vec::new());
     let mut coordinate = |half: f64| random.uniform(-half, half) as f32;
     for _ in 0..count {
@@ -167,7 +167,12 @@ fn soup(random: &mut Random, count: usize, size: f64) -> Mesh {
             polygons.push(Polygon::new(vec![first, first + 1, first + 2], (polygons.len() % 3) as u16));
         }
     }
-    Mesh::new("soup", vertices, polygons, PolygonOrder::Spatial).expect("a sound mesh")
+    let turned: Vec<Polygon> =
+        polygons.iter().map(|p| Polygon::new(vec![p.corners[0], p.corners[2], p.corners[1]], p.material)).collect();
+    [polygons, turned].map(|polygons| {
+        let mesh = Mesh::new("soup", vertices.clone(), polygons, PolygonOrder::Spatial);
+        Arc::new(mesh.expect("a sound mesh"))
+    })
 }
 
 /// A room with boxes, some of them twice in the same place, and loose triangles: few large ones, or more small ones than are
@@ -182,9 +187,10 @@ fn world(random: &mut Random) -> World {
         environment.insert(again).expect("a sound object");
     }
     let (count, size) = [(20, 1.5), (300, 0.4), (3000, 0.1), (9000, 0.05)][random.below(4)];
-    let mesh = Arc::new(soup(random, count, size));
+    let [mesh, turned] = soup(random, count, size);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.0), 0.0, 0.0, random.uniform(-3.0, 3.0));
-    let mut mirrored = NewObject::new("mirrored", pose, mesh.clone());
+    // Wound the other way round, for a mirrored object keeps its fronts: the hashes are of a time when it turned them round.
+    let mut mirrored = NewObject::new("mirrored", pose, turned);
     mirrored.object_from_mesh = DAffine3::from_scale(DVec3::new(-1.0, 1.0, 0.9));
     environment.insert(NewObject::new("loose", pose, mesh)).expect("a sound object");
     environment.insert(mirrored).expect("a sound object");
@@ -244,7 +250,7 @@ fn in_a_full_room(geometry: Geometry) -> Images {
     let mut environment = scenes::room(7, 20);
     environment.add_material(Material::named("red")).expect("a sound material");
     environment.add_material(Material::named("green")).expect("a sound material");
-    let mesh = Arc::new(soup(&mut random, 9000, 0.2));
+    let [mesh, _] = soup(&mut random, 9000, 0.2);
     environment.insert(NewObject::new("loose", Pose::IDENTITY, mesh)).expect("a sound object");
     let sensor = Sensor::new(SensorSpec::new("odd", "laser", geometry)).expect("a sound sensor");
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.4), 0.0, 0.0, 0.3);

@@ -149,7 +149,7 @@ fn no_store_is_overwritten() {
     place.write("l.json", LAYER.as_bytes());
     place.done("env create h.presight wall.glb");
     place.done("env import h.presight l.json");
-    for name in ["h.exr", "h.json", "d/scene.glb", "d/laser.layer.json", "index.svg", "report.json"] {
+    for name in ["h.exr", "h.json", "d/scene.glb", "d/laser.layer.json", "index.csv", "report.json"] {
         fs::copy(place.path("h.presight"), place.path(name)).unwrap();
     }
     let mut lines: Vec<(String, &[&str])> = vec![
@@ -161,7 +161,7 @@ fn no_store_is_overwritten() {
         // What a class's file is called is known when the store is read.
         ("env export d/laser.layer.json d".into(), &["d/laser.layer.json"]),
         ("env create wall.glb wall.glb".into(), &["wall.glb"]),
-        ("index index.svg --out .".into(), &["index.svg"]),
+        ("index index.csv --out .".into(), &["index.csv"]),
     ];
     if cfg!(feature = "report") {
         lines.push(("report report.json --out . --quick".into(), &["report.json"]));
