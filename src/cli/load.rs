@@ -11,9 +11,13 @@ use crate::index::{Params, Scheme};
 use crate::io::file;
 use crate::io::gltf::{ImportOptions, import};
 use crate::io::materials::Sidecar;
+use crate::limits;
 use crate::world::World;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
+
+/// What a store starts with.
+const SQLITE: &[u8; 16] = b"SQLite format 3\0";
 
 /// A scene as commands use it.
 pub struct Scene {
@@ -66,7 +70,7 @@ fn script(path: &Path, _options: &ImportOptions) -> Result<Imported> {
 /// True for a stored environment, whatever its name.
 fn is_store(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"))
-        || file::starts_with(path, b"SQLite format 3\0")
+        || file::starts_with(path, SQLITE)
 }
 
 /// A store is in presight's frame already.
@@ -110,8 +114,14 @@ pub fn no_report() -> Error {
 /// # Errors
 /// Those of reading it.
 pub fn blake3_of(path: &Path) -> Result<String> {
+    let file = file::open(path)?;
+    if file.limit() > limits::MAX_FILE_BYTES && !file::starts_with(path, SQLITE) {
+        // No scene: it is not read for minutes to be told so.
+        let what = format!("the file is too large: it has {} bytes", file.limit());
+        return Err(Error::invalid(what, format!("{} are the limit", limits::MAX_FILE_BYTES)).in_file(path));
+    }
     let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(file::open(path)?).map_err(|e| Error::io(path, "read it", e))?;
+    hasher.update_reader(file).map_err(|e| Error::io(path, "read it", e))?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 
