@@ -216,7 +216,8 @@ fn a_sensor_just_off_it_knows_its_side(world: &World, up: f64) {
     for (name, mut engine) in engines() {
         for sensor in sensors() {
             for height in [1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 0.0, -1e-6] {
-                let pose = Pose::from_xyz_rpy(height * normal, 0.1, 0.8, 0.3);
+                // It looks at the floor, from either side.
+                let pose = Pose::from_xyz_rpy(height * normal, 0.1, up * 0.8, 0.3);
                 let (images, stats) = check(name, &mut engine, world, &sensor, &pose);
                 let hits = images.polygon_id.iter().filter(|id| **id > 0).count();
                 if height >= 1e-9 {

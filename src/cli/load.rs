@@ -69,8 +69,7 @@ fn script(path: &Path, _options: &ImportOptions) -> Result<Imported> {
 
 /// True for a stored environment, whatever its name.
 fn is_store(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"))
-        || file::starts_with(path, SQLITE)
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight")) || file::starts_with(path, SQLITE)
 }
 
 /// A store is in presight's frame already.

@@ -99,6 +99,16 @@ impl Environment {
         self.retired.entry(class.to_owned()).or_default().insert(id);
     }
 
+    /// Lets an id be that of a feature again.
+    pub(super) fn unretire(&mut self, class: &str, id: u32) {
+        if let Some(ids) = self.retired.get_mut(class) {
+            ids.remove(&id);
+            if ids.is_empty() {
+                self.retired.remove(class);
+            }
+        }
+    }
+
     fn check_unused(&self, class: &str, id: u32) -> Result<()> {
         if !self.is_retired(class, id) {
             return Ok(());
@@ -121,9 +131,7 @@ impl Environment {
             self.check_feature(class, &feature)
         };
         check().map_err(|e| e.at(place))?;
-        if let Some(ids) = self.retired.get_mut(class) {
-            ids.remove(&feature.id);
-        }
+        self.unretire(class, feature.id);
         self.layer_or_new(class)?;
         self.put_feature(class, feature);
         Ok(())

@@ -75,9 +75,7 @@ impl Environment {
             }
             Revert::SetFeature { class, feature } => drop(self.put_feature(&class, feature)),
             Revert::DeleteFeature { class, feature } => {
-                if let Some(ids) = self.retired.get_mut(&class) {
-                    ids.remove(&feature.id);
-                }
+                self.unretire(&class, feature.id);
                 self.put_feature(&class, feature);
             }
             Revert::Tolerance { class, tolerance } => {

@@ -254,8 +254,8 @@ impl VirtualSensor {
     /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's.
     pub fn reduce(self, input: &Input<'_>, settings: &Settings) -> Result<VirtualReading> {
         let prediction = input.prediction;
-        self.check(&prediction.sensor)?;
         prediction.world_from_sensor.check()?;
+        self.check(&prediction.sensor)?;
         let features = || {
             let class = self.class();
             input.features.ok_or_else(|| {

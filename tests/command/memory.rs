@@ -78,7 +78,7 @@ fn predictions_take_what_they_say() {
         ("large", "--outputs range --depth-png a.png"),
         ("large", "--outputs range --points a.ply"),
         ("large", "--repeat 2 --stats a.json"),
-        ("large", "--outputs range --virtual free-floor"),
+        ("large", "--outputs range --virtual free-floor --floor-z 0"),
         ("scanner", "--out a.exr"),
     ] {
         check(&place, &predict(sensor, rest), least);

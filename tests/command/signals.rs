@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 /// Images that take a while to write.
 const LARGE: &str =
-    "format = 1\nkind = \"camera\"\nwidth = 3000\nheight = 2000\nfx = 1500.0\nfy = 1500.0\ncx = 1499.5\ncy = 999.5\n";
+    "format = 1\nkind = \"camera\"\nwidth = 5000\nheight = 4000\nfx = 2500.0\nfy = 2500.0\ncx = 2499.5\ncy = 1999.5\n";
 
 fn start(place: &Place, line: &str) -> Child {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("presight"));
@@ -33,12 +33,16 @@ fn interrupt(place: &Place, child: &mut Child, signal: &str) -> bool {
     true
 }
 
-/// Enough that some must hit while a file is written: that takes milliseconds, and a signal takes less.
-const TRIES: usize = 8;
+/// Interrupts that hit while a file is written, and how often that is tried: on a busy machine a signal may come too late.
+const HITS: usize = 4;
+const TRIES: usize = 60;
 
 fn ends_by(place: &Place, line: &str, signal: &str, number: i32) {
     let mut hits = 0;
     for _ in 0..TRIES {
+        if hits == HITS {
+            break;
+        }
         let mut child = start(place, line);
         interrupt(place, &mut child, signal);
         let ended = child.wait_with_output().unwrap();

@@ -92,7 +92,8 @@ fn refused_everywhere(make: impl Fn(&Path)) {
         assert!(status == Some(1) || status == Some(4), "{line}: {status:?}: {stderr}");
         let errors = stderr.lines().filter(|l| l.starts_with("error: ")).count();
         assert!(errors == 1 && stderr.len() < 1000, "{line}: {stderr}");
-        let named = [name, "asks.rhai", "rays.toml", "outside.gltf"].iter().any(|file| stderr.contains(file));
+        let named =
+            [name, "asks.rhai", "imports.rhai", "rays.toml", "outside.gltf"].iter().any(|file| stderr.contains(file));
         assert!(named, "{line}: {stderr}");
         if path.is_dir() { fs::remove_dir(&path).unwrap() } else { fs::remove_file(&path).unwrap() }
     }

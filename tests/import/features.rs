@@ -252,7 +252,13 @@ fn a_matrix_and_its_trs_are_the_same_place() {
         let read = g.import().unwrap();
         for slot in 0..2 {
             let found = read.environment.polygon_in_world(slot).unwrap();
-            for (p, local) in found.iter().zip(&SQUARE) {
+            // A mirror turns the winding round; the first corner stays the first.
+            let mirrored = scale.x * scale.y * scale.z < 0.0;
+            let mut corners = SQUARE[..found.len()].to_vec();
+            if mirrored {
+                corners[1..].reverse();
+            }
+            for (p, local) in found.iter().zip(&corners) {
                 let q = m * DVec3::from_array(local.map(f64::from)) + t;
                 let expected = DVec3::new(q.x, -q.z, q.y);
                 assert!((*p - expected).length() < 1e-14, "{scale}: {p} {expected}");

@@ -198,7 +198,7 @@ mod tests {
             assert!(!near || at.truncate().length() <= 1.0 && (0.0..=1.0).contains(&at.z), "{what}: {at}");
         }
         // As many as that are no trouble where there is room.
-        assert!(pairs(&fan(100)) < 100_000);
+        assert!(pairs(&fan(100)) < 100_000, "{}", pairs(&fan(100)));
     }
 
     #[test]

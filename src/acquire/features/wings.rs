@@ -116,6 +116,8 @@ pub(super) struct Judge<'a> {
 pub(super) struct Scratch {
     pub found: Found,
     faces: Vec<Near>,
+    /// Those that begin before a place and end behind it.
+    along: Vec<Near>,
     cuts: Vec<f64>,
     wings: Vec<(f64, u16)>,
 }
@@ -146,10 +148,11 @@ impl Judge<'_> {
     pub fn judge(&self, line: &Line, scratch: &mut Scratch, parts: &mut Vec<(f64, f64, Verdict)>) -> Result<()> {
         let (d, length) = (line.direction(), line.length());
         self.gather(line, d, length, scratch)?;
-        let looked_at = scratch.cuts.len() * scratch.faces.len();
-        self.effort.spend(looked_at, line.object, || line.start + d * (0.5 * length))?;
-        let Scratch { found, faces, cuts, wings } = scratch;
+        let Scratch { found, faces, along, cuts, wings } = scratch;
         cuts.sort_by(f64::total_cmp);
+        faces.sort_by(|a, b| a.from.total_cmp(&b.from));
+        along.clear();
+        let mut next = 0;
         let u = d.any_orthonormal_vector();
         let v = d.cross(u);
         let mut from = 0.0;
@@ -163,7 +166,12 @@ impl Judge<'_> {
             let middle = 0.5 * (from + to);
             let p = line.start + d * middle;
             wings.clear();
-            for near in faces.iter().filter(|n| n.from <= middle && middle <= n.to) {
+            let begun = faces[next..].iter().take_while(|n| n.from <= middle).count();
+            along.extend_from_slice(&faces[next..next + begun]);
+            next += begun;
+            along.retain(|n| middle <= n.to);
+            self.effort.spend(along.len(), line.object, || p)?;
+            for near in along.iter() {
                 self.wings_of(near.face, p, d, u, v, wings);
             }
             let verdict = self.verdict(line.kind, &join(wings), |angle| {

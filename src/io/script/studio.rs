@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// Known names listed in an error.
-const LISTED: usize = 20;
+/// Bytes of known names that an error lists.
+const LISTED: usize = 240;
 /// Bytes of an entry of a map besides its text.
 const ENTRY: usize = 48;
 
@@ -91,8 +91,14 @@ impl Studio {
     pub fn material(&self, name: &str) -> Result<u16> {
         let built = self.built.borrow();
         built.materials.get(name).copied().ok_or_else(|| {
-            let known: Vec<String> = built.materials.keys().take(LISTED).map(|known| shortened(known)).collect();
-            let more = if built.materials.len() > LISTED { ", .." } else { "" };
+            let mut room = LISTED;
+            let mut fits = |known: &String| {
+                room = room.saturating_sub(known.len() + 2);
+                room > 0
+            };
+            let known: Vec<String> =
+                built.materials.keys().map(|known| shortened(known)).take_while(|known| fits(known)).collect();
+            let more = if built.materials.len() > known.len() { ", .." } else { "" };
             let name = shortened(name);
             let remedy = match known.is_empty() {
                 true => format!("define it first: material({name:?}, #{{reflection: 0.5}})"),
