@@ -1,4 +1,48 @@
-//! history
+//! History-based prediction (paper section 3.4): where features will be found, from where they were found before.
+//!
+//! Between two frames most features move little. A [`Tracker`] follows each in the image, and tells a small [`Window`] in which it will
+//! be found in the next frame, in a thousandth of the time that a full prediction takes. It needs no world and no engine: full
+//! predictions seed it ([`Seed::of_prediction`]), and what an extractor finds in the windows ([`crate::matching::Detection`]) corrects it.
+//!
+//! | step | what it does |
+//! |---|---|
+//! | [`Tracker::seed`] | begins tracks from a full prediction, ends those that it does not show |
+//! | [`Tracker::set_view`] | optional: tells where the sensor will be; the flow that this causes is taken out |
+//! | [`Tracker::predict`] | windows that hold each feature with the stated probability |
+//! | [`Tracker::correct`] | finds each track's detection, corrects tracks, drops those missed three times in a row |
+//! | [`Tracker::health`] | whether a full prediction is wanted, and why |
+//!
+//! [`Alternating`] does all of it in turn. The mathematics and what was measured: `docs/history.md`.
+//!
+//! ```
+//! use glam::{DMat2, DVec2};
+//! use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
+//! use presight::matching::{Detection, ExpectedProperties, Shape};
+//!
+//! let mut tracker = Tracker::new(TrackerOptions::new(ImageExtent::new(640, 480)))?;
+//! let at = |time: f64| DVec2::new(100.0 + 80.0 * time, 200.0);
+//! let seed = Seed {
+//!     id: 1,
+//!     shape: Shape::Point(at(0.0)),
+//!     covariances: vec![DMat2::IDENTITY],
+//!     properties: ExpectedProperties::default(),
+//!     points_world: Vec::new(),
+//! };
+//! tracker.seed(0.0, vec![seed])?;
+//! let mut areas = Vec::new();
+//! for k in 0..20 {
+//!     let time = 0.05 * f64::from(k);
+//!     let [x0, y0, x1, y1] = tracker.predict(time)?[0].bounds;
+//!     areas.push((x1 - x0) * (y1 - y0));
+//!     tracker.correct(time, &[Detection::point(at(time), 0.5)])?;
+//! }
+//! // Its speed was not known at first.
+//! assert!(areas[19] < 0.1 * areas[1]);
+//! let speed = tracker.tracks()[0].speeds().next().expect("a point has one");
+//! assert!((speed - DVec2::new(80.0, 0.0)).length() < 1.0);
+//! # Ok::<(), presight::Error>(())
+//! ```
+
 mod adapt;
 mod alternating;
 mod common;

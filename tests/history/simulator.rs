@@ -125,8 +125,6 @@ pub struct Frame {
     pub time: f64,
     pub robot: Robot,
     pub leg: usize,
-    /// Seconds since the leg began.
-    pub since: f64,
     /// How the camera shook, pixels.
     pub shake: DVec2,
 }
@@ -160,7 +158,7 @@ impl Simulator {
                 robot.drive(interval, leg);
                 (time, since) = (time + interval, since + interval);
                 let shake = self.random.normal() * self.disturbance.jitter;
-                frames.push(Frame { time, robot, leg: i, since, shake });
+                frames.push(Frame { time, robot, leg: i, shake });
             }
         }
         frames
