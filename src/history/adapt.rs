@@ -6,10 +6,14 @@ use super::window::BoxLevel;
 const SCALE_FRAMES: f64 = 20.0;
 /// Largest factor by which one frame may widen variances.
 const MOST_INFLATION: f64 = 64.0;
+/// And what is made of it: larger ones are outliers as often as not.
+const MOST_CHANGE: f64 = 4.0;
+/// The same where features are displaced from their windows.
+const MOST_DISPLACEMENT: f64 = 9.0;
 /// Largest factor that is learnt to be usual.
 const MOST_USUAL: f64 = 3.0;
 /// Standard deviations beyond which a frame's innovations mean that the motion has changed.
-const SIGNIFICANT: f64 = 3.0;
+const SIGNIFICANT: f64 = 4.0;
 
 /// Innovations of one frame, all tracks together.
 #[derive(Clone, Copy, Debug, Default)]
@@ -78,7 +82,7 @@ impl Adaptation {
             let found = self.truncation.inflation(frame.squares / n);
             let deviation = (2.0 / n + self.unrest).sqrt();
             if found > 1.0 + SIGNIFICANT * deviation {
-                inflation = found;
+                inflation = found.min(MOST_CHANGE);
             }
             let usual = found.min(MOST_USUAL);
             let excess = ((usual - 1.0).powi(2) - 2.0 / n).max(0.0);
@@ -88,7 +92,7 @@ impl Adaptation {
                 self.scale = (self.scale * step.exp()).clamp(1.0, 100.0);
             }
         }
-        Change { inflation, displacement: self.observe_misses(frame) }
+        Change { inflation, displacement: self.observe_misses(frame).min(MOST_DISPLACEMENT) }
     }
 
     /// Where far fewer are seen than usual, the windows are at the wrong place.
@@ -207,7 +211,7 @@ mod tests {
     fn when_nearly_all_are_missed_windows_are_at_the_wrong_place() {
         let mut a = adaptation();
         let missed = FrameInnovations { wanted: 100, seen: 20, ..FrameInnovations::default() };
-        assert!(a.observe(&missed).displacement > 8.0);
+        assert!(a.observe(&missed).displacement > 4.0);
         let usual = FrameInnovations { wanted: 100, seen: 84, ..FrameInnovations::default() };
         assert_eq!(a.observe(&usual).displacement, 1.0);
     }

@@ -72,7 +72,7 @@ impl PointMotion {
     }
 
     /// Adds what white jerk does in `interval` seconds.
-    pub fn disturb(&mut self, interval: f64, jerk: f64) {
+    fn disturb(&mut self, interval: f64, jerk: f64) {
         let t = interval;
         let (t2, t3) = (t * t, t * t * t);
         self.pp += isotropic(jerk * t2 * t3 / 20.0);
@@ -81,6 +81,22 @@ impl PointMotion {
         self.vv += isotropic(jerk * t3 / 3.0);
         self.va += isotropic(jerk * t2 / 2.0);
         self.aa += isotropic(jerk * t);
+    }
+
+    /// The acceleration has changed when the interval began, by an amount that is not known: it brings this variance of the position.
+    pub fn change_acceleration(&mut self, variance: f64, interval: f64) {
+        if variance <= 0.0 || interval <= 0.0 {
+            return;
+        }
+        // A change a displaces by a t^2 / 2, and adds a t to the speed.
+        let rate = 2.0 / interval;
+        let rate_squared = rate / interval;
+        self.pp += isotropic(variance);
+        self.pv += isotropic(variance * rate);
+        self.pa += isotropic(variance * rate_squared);
+        self.vv += isotropic(variance * rate * rate);
+        self.va += isotropic(variance * rate * rate_squared);
+        self.aa += isotropic(variance * rate_squared * rate_squared);
     }
 
     /// Takes in that the innovation (measured less predicted position) was seen, with the covariance of the measurement.

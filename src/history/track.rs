@@ -41,8 +41,8 @@ pub struct Track {
     pub(super) seen: u32,
     /// Mean square of its own innovations, by their predicted variances.
     pub(super) own: f64,
-    /// As [`super::adapt::Adaptation::manoeuvre`], its own.
-    pub(super) manoeuvre: f64,
+    /// Variance that an unknown acceleration may bring in the next interval, pixels squared.
+    pub(super) changed: f64,
     pub(super) flow: Flow,
     /// Speed and acceleration that all tracks share, at its centre.
     pub(super) shared: [DVec2; 2],
@@ -75,7 +75,7 @@ impl Track {
             misses: 0,
             seen: 0,
             own: 1.0,
-            manoeuvre: 0.0,
+            changed: 0.0,
             flow: Flow { points_world: seed.points_world, last, ..Flow::default() },
             shared: [DVec2::ZERO; 2],
         }
@@ -181,7 +181,7 @@ impl Track {
         for (p, motion) in shape.points_mut().iter_mut().zip(motions) {
             *p = motion.position;
         }
-        let covariances = motions.iter().map(|m| m.pp * scale + common.covariance(m.position)).collect();
+        let covariances = motions.iter().map(|m| m.pp * scale + common.covariance()).collect();
         Expected { shape, covariances, window: [0.0; 4], properties: self.properties.clone() }
     }
 

@@ -1,7 +1,7 @@
 //! Following all features of an image.
 
 use super::adapt::{Adaptation, FrameInnovations};
-use super::common::{CommonMotion, Field, Witness};
+use super::common::{CommonMotion, Witness};
 use super::health::{Health, Want, spread};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
@@ -9,7 +9,7 @@ use super::track::{Seed, Track};
 use super::window::BoxLevel;
 use crate::error::{Error, Result};
 use crate::matching::{
-    Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign, unwrap,
+    Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign,
 };
 use glam::{DMat2, DVec2, DVec3};
 
@@ -20,12 +20,15 @@ pub const MAX_DETECTIONS: usize = 1 << 20;
 
 /// Largest amount of a sliding end's innovation along its segment that counts, standard deviations.
 const SLIDES: f64 = 2.0;
-/// Mean square of a track's own innovations that widens its own process noise.
-const OWN: f64 = 2.5;
+/// Mean square of a track's own innovations that says that its motion has changed, and by how much at most.
+const OWN: f64 = 3.2;
+const MOST_OWN: f64 = 8.0;
 /// Share of a frame in that mean.
 const OWN_RATE: f64 = 0.3;
-/// What is left of a track's own process noise a frame later.
-const OWN_FADE: f64 = 0.1;
+/// What is left, a frame later, of the variance of an acceleration that has changed.
+const FADE: f64 = 0.1;
+/// Variances of predictions that count as wide, by a detection's.
+const WIDE: f64 = 2.0;
 /// Frames a track must have been seen in for its speed to tell those of new ones around it.
 const OLD_ENOUGH: u32 = 5;
 /// So many tracks around a new one tell its speed.
@@ -129,13 +132,12 @@ impl Tracker {
         options.check()?;
         let level = BoxLevel::new(options.confidence);
         let noise = Adaptation::new(&level, options.clutter_density, options.detection_probability);
-        let common = CommonMotion::new(&options.image);
         Ok(Self {
             options,
             level,
             tracks: Vec::new(),
             noise,
-            common,
+            common: CommonMotion::still(),
             time: None,
             is_corrected: false,
             before_seeding: 0.0,
@@ -282,8 +284,8 @@ impl Tracker {
         let candidates = matcher.candidates(&expected, found);
         let assignment = assign(&candidates.pairs, &vec![matcher.unseen_cost(); expected.len()])?;
         let mut seen = Sightings::new(&expected, found, &assignment, &self.options);
-        let field = moved.common.correct(&seen.witnesses(&self.tracks, &moved, self.noise.scale), elapsed);
-        seen.take_out(&field, &moved);
+        let shift = moved.common.correct(&seen.witnesses(&self.tracks, &moved, self.noise.scale), elapsed);
+        seen.points.iter_mut().for_each(|p| p.innovation -= shift);
         self.adapt(elapsed, &expected, &candidates, &seen, &mut moved);
         self.take_over(&moved, interval);
         self.take_in(&seen, found, &assignment, moved.common);
@@ -337,26 +339,24 @@ impl Tracker {
         Ok(interval)
     }
 
-    /// Spectral density of a track's process noise.
-    fn jerk(&self, track: &Track) -> f64 {
-        let interval = self.noise.interval;
-        if interval <= 0.0 {
-            return 0.0;
-        }
-        let usual = self.options.memory.powi(-6);
-        (usual + track.manoeuvre) * track.detection_variance() / interval.powi(5)
-    }
-
+    /// Where all tracks are `interval` seconds after the last frame or seeding.
     fn propagated(&self, interval: f64) -> Motions {
+        let usual = self.noise.interval;
+        let mut common = self.common.propagated(interval, usual);
         let mut points = Vec::with_capacity(self.tracks.iter().map(|t| t.motions.len()).sum());
         let mut starts = vec![0];
         for track in &self.tracks {
-            track.propagated(interval, self.jerk(track), &self.options, &mut points);
+            let variance = self.options.memory.powi(-6) * track.detection_variance();
+            let jerk = if usual > 0.0 { variance / usual.powi(5) } else { 0.0 };
+            let first = points.len();
+            track.propagated(interval, jerk, &self.options, &mut points);
+            for motion in &mut points[first..] {
+                motion.position += common.displacement();
+                if usual > 0.0 {
+                    motion.change_acceleration(track.changed * (interval / usual).powi(4), interval);
+                }
+            }
             starts.push(points.len() as u32);
-        }
-        let mut common = self.common.propagated(interval, self.noise.interval, self.options.memory);
-        for point in &mut points {
-            point.position += common.displacement(point.position);
         }
         common.rebase();
         Motions { points, starts, common }
@@ -423,7 +423,7 @@ impl Tracker {
     ) {
         let mut frame = FrameInnovations::default();
         for (row, track) in self.tracks.iter_mut().enumerate() {
-            track.manoeuvre *= OWN_FADE;
+            track.changed *= FADE;
             frame.wanted += u32::from(is_within(expected[row].shape.centre(), &self.options.image));
             let [x0, y0, x1, y1] = expected[row].window;
             frame.area += (x1 - x0) * (y1 - y0);
@@ -446,11 +446,10 @@ impl Tracker {
             return;
         }
         if change.displacement > 1.0 {
-            let usual = self.options.detection_sigma.powi(2) * self.noise.scale;
-            moved.common.disturb((change.displacement - 1.0) * usual, interval);
+            moved.common.lose((change.displacement - 1.0) * self.options.detection_sigma.powi(2) * self.noise.scale);
         }
         for (row, track) in self.tracks.iter_mut().enumerate() {
-            let own = if track.own > OWN { std::mem::replace(&mut track.own, 1.0) } else { 1.0 };
+            let own = if track.own > OWN { std::mem::replace(&mut track.own, 1.0).min(MOST_OWN) } else { 1.0 };
             let inflation = change.inflation.max(own);
             if inflation <= 1.0 {
                 continue;
@@ -458,10 +457,10 @@ impl Tracker {
             let detection = track.detection_variance();
             let points = moved.of_mut(row);
             let predicted = 0.5 * (points[0].pp.x_axis.x + points[0].pp.y_axis.y) + detection;
-            let manoeuvre = 20.0 * (inflation - 1.0) * predicted / detection;
-            let jerk = manoeuvre * detection / interval.powi(5);
-            points.iter_mut().for_each(|m| m.disturb(interval, jerk));
-            track.manoeuvre = track.manoeuvre.max(manoeuvre);
+            // Of a window that is wide already nothing more is known.
+            let variance = (inflation - 1.0) * predicted.min(WIDE * detection);
+            points.iter_mut().for_each(|m| m.change_acceleration(variance, interval));
+            track.changed = track.changed.max(variance);
         }
     }
 
@@ -485,9 +484,7 @@ impl Tracker {
                 }
                 motion.correct(innovation, seen.covariance);
             }
-            for motion in &mut track.motions {
-                motion.position += common.displacement(motion.position);
-            }
+            track.motions.iter_mut().for_each(|m| m.position += common.displacement());
             match assignment.columns[row] {
                 None => track.misses += 1,
                 Some(column) => {
@@ -499,7 +496,7 @@ impl Tracker {
                 }
             }
             place(track, self.options.image.turn);
-            track.shared = common.speed(track.shape.centre());
+            track.shared = [common.speed(), common.acceleration()];
         }
         common.rebase();
         self.common = common;
@@ -659,20 +656,10 @@ impl Sightings {
         for (row, _) in tracks.iter().enumerate().filter(|(_, t)| t.seen >= OLD_ENOUGH) {
             for (seen, motion) in self.of(row).iter().zip(moved.of(row)) {
                 let information = ((motion.pp + seen.covariance) * scale).inverse();
-                witnesses.push(Witness { at: motion.position, innovation: seen.innovation, information });
+                witnesses.push(Witness { innovation: seen.innovation, information });
             }
         }
         witnesses
-    }
-
-    /// Leaves what is each track's own.
-    fn take_out(&mut self, field: &Field, moved: &Motions) {
-        for row in 0..self.starts.len() - 1 {
-            let own = &mut self.points[self.starts[row] as usize..self.starts[row + 1] as usize];
-            for (seen, motion) in own.iter_mut().zip(moved.of(row)) {
-                seen.innovation -= field.at(motion.position);
-            }
-        }
     }
 }
 
@@ -719,7 +706,6 @@ fn place(track: &mut Track, turn: Option<f64>) {
     let Track { shape, motions, .. } = track;
     if let Some(turn) = turn {
         let shift = -turn * ((motions[0].position.x + 0.5) / turn).floor();
-        let _ = unwrap(Some(turn), 0.0, shift);
         motions.iter_mut().for_each(|m| m.position.x += shift);
     }
     for (p, motion) in shape.points_mut().iter_mut().zip(motions) {
