@@ -8,7 +8,7 @@ use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeatu
 use crate::geometry::Pose;
 #[cfg(feature = "gpu")]
 use crate::gpu;
-use crate::plan::{FramePlan, Images, Output, Request, Stats};
+use crate::plan::{FramePlan, Images, Output, PlanBuffers, Request, Stats};
 #[cfg(feature = "gpu")]
 use crate::probe::{Probe, Task, Told};
 use crate::sensor::Sensor;
@@ -69,7 +69,10 @@ pub struct Predictor {
     #[cfg(feature = "gpu")]
     opening: Opening,
     engine: Engine,
-    plan: Option<FramePlan>,
+    /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
+    buffers: PlanBuffers,
+    #[cfg(feature = "gpu")]
+    last: Option<LastFrame>,
     /// What befell the GPU, once something did.
     notice: Option<String>,
 }
@@ -104,6 +107,15 @@ struct Proven {
     regions: Vec<(Task, Told)>,
 }
 
+/// What the device drew last.
+#[cfg(feature = "gpu")]
+struct LastFrame {
+    /// [`World::stamp`].
+    world: u64,
+    sensor: Sensor,
+    world_from_sensor: Pose,
+}
+
 impl Predictor {
     /// Makes a predictor and opens its engine.
     ///
@@ -134,7 +146,9 @@ impl Predictor {
             #[cfg(feature = "gpu")]
             opening,
             engine,
-            plan: None,
+            buffers: PlanBuffers::default(),
+            #[cfg(feature = "gpu")]
+            last: None,
             notice,
         })
     }
@@ -194,13 +208,8 @@ impl Predictor {
         }
         world_from_sensor.check()?;
         let start = Instant::now();
-        let plan = match self.plan.take() {
-            Some(mut plan) => {
-                plan.renew(world, sensor, world_from_sensor, request)?;
-                plan
-            }
-            None => FramePlan::new(world, sensor, world_from_sensor, request)?,
-        };
+        let buffers = std::mem::take(&mut self.buffers);
+        let plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
         let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         stats.stage("selection", start);
         let rendered = self.render(&plan, images, &mut stats);
@@ -208,7 +217,12 @@ impl Predictor {
         stats.left_out.extend(by_engine);
         plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
         stats.notices.extend(self.notice.clone());
-        self.plan = Some(plan);
+        #[cfg(feature = "gpu")]
+        {
+            self.last =
+                Some(LastFrame { world: world.stamp(), sensor: sensor.clone(), world_from_sensor: *world_from_sensor });
+        }
+        self.buffers = plan.into_buffers();
         rendered.map(|()| stats)
     }
 
@@ -344,13 +358,13 @@ impl Predictor {
         placed: &[PlacedFeature],
         stats: &mut Stats,
     ) -> Result<Option<Vec<Vec<Option<u32>>>>> {
-        let same = |plan: &FramePlan| {
-            std::sync::Arc::ptr_eq(plan.environment(), world.environment())
-                && std::ptr::eq(plan.sensor.grid(), sensor.grid())
-                && plan.world_from_sensor == *world_from_sensor
+        let same = |last: &LastFrame| {
+            last.world == world.stamp()
+                && std::ptr::eq(last.sensor.grid(), sensor.grid())
+                && last.world_from_sensor == *world_from_sensor
         };
         let there = matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes() && engine.holds_prediction());
-        if !there || !self.plan.as_ref().is_some_and(same) {
+        if !there || !self.last.as_ref().is_some_and(same) {
             return Ok(None);
         }
         let asking = self.on_threads(|| prepared.asking())?;

@@ -5,6 +5,7 @@ use crate::environment::{Environment, Revert};
 use crate::error::Result;
 use crate::index::{Params, Scheme, WorldIndex};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 mod objects;
 #[cfg(test)]
@@ -28,6 +29,8 @@ pub struct World {
     environment: Arc<Environment>,
     index: Arc<WorldIndex>,
     version: u64,
+    /// Unlike that of any other content of any world in this process.
+    stamp: u64,
     /// While a group of changes is applied: how what was done of it is taken back, oldest first.
     journal: Option<Vec<Revert>>,
 }
@@ -45,7 +48,13 @@ impl World {
 
     /// The first version of a world whose index is there.
     pub(crate) fn of(index: WorldIndex, environment: Environment) -> Self {
-        Self { environment: Arc::new(environment), index: Arc::new(index), version: 1, journal: None }
+        Self {
+            environment: Arc::new(environment),
+            index: Arc::new(index),
+            version: 1,
+            stamp: new_stamp(),
+            journal: None,
+        }
     }
 
     /// The same version of the environment with another index.
@@ -73,6 +82,12 @@ impl World {
     /// Number of the version. Predictions report it.
     pub fn version(&self) -> u64 {
         self.version
+    }
+
+    /// Tells this version from every other one of this process, those of other worlds included.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn stamp(&self) -> u64 {
+        self.stamp
     }
 
     /// Applies a change, which makes the next version, and returns its inverse. Environment and index change together, in
@@ -107,7 +122,7 @@ impl World {
             Change::Group(_) => self.apply_if(change, |_| Ok(())),
             single => {
                 let inverse = self.with_open_layers(single, Self::step)?;
-                self.version += 1;
+                self.advance();
                 Ok(inverse)
             }
         }
@@ -121,11 +136,16 @@ impl World {
             let done = world.step(change).and_then(|inverse| check(world).map(|()| inverse));
             let journal = world.journal.take().unwrap_or_default();
             match &done {
-                Ok(_) => world.version += 1,
+                Ok(_) => world.advance(),
                 Err(_) => journal.into_iter().rev().for_each(|step| world.revert(step)),
             }
             done
         })
+    }
+
+    fn advance(&mut self) {
+        self.version += 1;
+        self.stamp = new_stamp();
     }
 
     /// Notes how the step to come is taken back, where it may have to be.
@@ -292,5 +312,11 @@ impl World {
     pub(crate) fn reset(&mut self, environment: Environment) {
         self.index = Arc::new(WorldIndex::new(&environment, self.index.scheme(), self.index.params()));
         self.environment = Arc::new(environment);
+        self.stamp = new_stamp();
     }
+}
+
+fn new_stamp() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    NEXT.fetch_add(1, Ordering::Relaxed)
 }

