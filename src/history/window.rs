@@ -58,7 +58,7 @@ impl BoxLevel {
         let k = self.deviations_for(events);
         let reach = |side: usize| {
             let axis = side / 2;
-            let sign = if side % 2 == 0 { 1.0 } else { -1.0 };
+            let sign = if side.is_multiple_of(2) { 1.0 } else { -1.0 };
             let of = |i: usize| sign * points[i][axis] + k * sigma(i)[axis];
             sign * (0..points.len()).map(of).fold(f64::NEG_INFINITY, f64::max)
         };

@@ -108,6 +108,9 @@ pub(crate) struct ConeTree {
 pub(crate) type TileRange = [Range<u32>; 2];
 
 /// Tiles found so far.
+/// No tile yet: whatever is found widens it.
+const NOTHING: Range<usize> = Range { start: usize::MAX, end: 0 };
+
 struct Found {
     rows: Range<usize>,
     columns: Range<usize>,
@@ -148,7 +151,7 @@ impl ConeTree {
     pub fn tiles_met<S: Simd>(&self, simd: S, axis: DVec3, cosine: f64) -> TileRange {
         let cosine = cosine - SLACK;
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        let mut found = Found { rows: usize::MAX..0, columns: usize::MAX..0 };
+        let mut found = Found { rows: NOTHING, columns: NOTHING };
         // Blocks of siblings that wait: at most 16 of each level but the uppermost.
         let mut waiting = [(0u32, 0u32); 160];
         let top = self.levels.len() - 1;

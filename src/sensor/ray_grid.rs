@@ -118,6 +118,7 @@ pub(crate) struct Stretches {
 
 /// Spreads all places over -1..1; rising, also for what is infinite or no number.
 #[inline(always)]
+#[expect(clippy::manual_clamp, reason = "what is no number becomes one")]
 fn squeezed(t: f64) -> f64 {
     let t = t.max(-1e30).min(1e30);
     t / (1.0 + t.abs())

@@ -333,8 +333,11 @@ impl World {
     }
 }
 
-/// The ids and objects of all features, and the objects with covariances, in order.
-fn listed(world: &World) -> Vec<(String, Vec<(u32, Option<String>)>, Vec<String>)> {
+/// Of a class: ids and objects of its features, and the objects with covariances.
+type Listed = (String, Vec<(u32, Option<String>)>, Vec<String>);
+
+/// What the layers hold, in order.
+fn listed(world: &World) -> Vec<Listed> {
     let of = |layer: &crate::environment::FeatureLayer| {
         let features = layer.features.iter().map(|f| (f.id, f.object.clone())).collect();
         (layer.class.clone(), features, layer.pose_covariances.iter().map(|(object, _)| object.clone()).collect())
