@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::limits;
+use crate::memory;
 use std::cell::Cell;
 use std::rc::Rc;
 
@@ -10,10 +11,15 @@ use std::rc::Rc;
 pub(super) struct Budget {
     held: Cell<u64>,
     made: Cell<u64>,
+    /// Bytes that the system was not asked for yet.
+    unasked: Cell<u64>,
 }
 
 /// So many bytes are worth a corner.
 const BYTES_OF_CORNER: usize = 32;
+
+/// Bytes that are taken without asking the system: asking takes longer than making a small shape.
+const LITTLE: u64 = 16 << 20;
 
 /// The corners that so many bytes are worth.
 pub(super) fn corners_worth(bytes: usize) -> u64 {
@@ -31,6 +37,7 @@ impl Budget {
     /// Takes so many corners, before they are made.
     pub fn take(self: &Rc<Self>, corners: u64) -> Result<Held> {
         self.work(corners)?;
+        self.room(corners.saturating_mul(BYTES_OF_CORNER as u64))?;
         let held = self.held.get().saturating_add(corners);
         if held > limits::MAX_SCRIPT_CORNERS {
             let what = format!("the script's shapes and objects hold {held} corners of polygons");
@@ -46,6 +53,15 @@ impl Budget {
         let mut held = self.take(corners)?;
         held.corners = 0;
         Ok(())
+    }
+
+    /// Asks the system for so many bytes more, once there are enough of them.
+    pub fn room(&self, bytes: u64) -> Result<()> {
+        self.unasked.set(self.unasked.get().saturating_add(bytes));
+        if self.unasked.get() <= LITTLE {
+            return Ok(());
+        }
+        memory::require(self.unasked.replace(0))
     }
 
     /// Counts work that leaves nothing behind.

@@ -13,6 +13,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::io::gltf::{self, ImportOptions};
 use crate::limits;
+use crate::memory;
 use crate::placement;
 use crate::world::World;
 use std::cell::RefCell;
@@ -250,6 +251,7 @@ impl Placing<'_> {
         let default = if shape.needs_default() { built.default_material()? } else { 0 };
         if !shape.has_mesh() {
             self.budget.keep(shape.corners())?;
+            self.budget.room(memory::of_meshes(std::iter::once(u64::from(shape.triangles()))))?;
         }
         let name = path.rsplit('/').next().unwrap_or(path);
         let (mesh, new) = shape.mesh(name, default, self.options).map_err(|e| e.at(format!("object {path:?}")))?;
