@@ -107,7 +107,8 @@ fn refused(path: &Path, e: io::Error) -> Error {
         Io::NotFound | Io::NotADirectory => "create the folder first, or write elsewhere",
         Io::PermissionDenied | Io::ReadOnlyFilesystem => "check the permissions of folder and file, or write elsewhere",
         Io::IsADirectory => "name a file, not a folder",
-        Io::StorageFull | Io::QuotaExceeded | Io::FileTooLarge => "free some disk space, or write elsewhere",
+        Io::StorageFull | Io::QuotaExceeded => "free some disk space, or write elsewhere",
+        Io::FileTooLarge => "raise the limit on sizes of files (ulimit -f), or write elsewhere",
         _ => "write elsewhere, or see what the system says",
     };
     Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
