@@ -92,7 +92,7 @@ fn beams(random: &mut Random, (width, height): (u32, u32)) -> Vec<DVec3> {
     let (high, shift) = (random.uniform(0.01, 1.4), random.uniform(-0.05, 0.05));
     let holes = 3 + random.below(40) as u32;
     let ray = |c: u32, r: u32| {
-        if (5 * c + 3 * r * r) % holes == 0 {
+        if (5 * c + 3 * r * r).is_multiple_of(holes) {
             return DVec3::NAN;
         }
         let azimuth = turn * f64::from(c) / f64::from(width) + shift * f64::from(r % 4);

@@ -107,10 +107,10 @@ pub(crate) struct ConeTree {
 /// Rows and columns of tiles.
 pub(crate) type TileRange = [Range<u32>; 2];
 
-/// Tiles found so far.
 /// No tile yet: whatever is found widens it.
 const NOTHING: Range<usize> = Range { start: usize::MAX, end: 0 };
 
+/// Tiles found so far.
 struct Found {
     rows: Range<usize>,
     columns: Range<usize>,

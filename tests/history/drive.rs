@@ -65,6 +65,7 @@ impl Tally {
         sum
     }
 
+    #[expect(clippy::print_stdout, reason = "figures for docs/history.md")]
     fn print(&self, name: &str) {
         let all = self.over(|_, _| true);
         let mut ratios: Vec<f64> = self.windows.values().map(Windows::ratio).collect();

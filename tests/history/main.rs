@@ -1,5 +1,5 @@
 //! The tracker against a simulator of its own and a filter that is told the motion. `cargo test --test history -- --nocapture` prints
-//! the figures of docs/history.md.
+//! its figures.
 
 mod bad_input;
 mod drive;
