@@ -1,7 +1,6 @@
 //! What a predictor does when its GPU goes away: opens it again, or goes on with the CPU, and says so. On whatever adapter
 //! there is (lavapipe in CI).
 #![cfg(feature = "gpu")]
-#![expect(clippy::print_stderr, reason = "what became of the losses is worth reading")]
 
 mod common;
 

@@ -104,8 +104,8 @@ fn accessor_cases() -> Vec<Case> {
         changed("no such view", &["buffer view 8"], set("/accessors/0/bufferView", json!(8))),
         changed("no such buffer", &["buffer view 0", "buffer 3"], set("/bufferViews/0/buffer", json!(3))),
         changed("no such accessor", &["accessor 17"], set("/meshes/0/primitives/0/indices", json!(17))),
-        changed("no such positions", &["accessor 17"], {
-            set("/meshes/0/primitives/0/attributes/POSITION", json!(17))
+        changed("no such positions", &["accessor 18"], {
+            set("/meshes/0/primitives/0/attributes/POSITION", json!(18))
         }),
         changed("no such material", &["material 2"], set("/meshes/0/primitives/0/material", json!(2))),
         changed("unknown mode", &["primitive 0", "mode"], set("/meshes/0/primitives/0/mode", json!(9))),
