@@ -3,7 +3,6 @@
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::file;
 use crate::limits;
-use crate::printable::quoted;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -22,7 +21,7 @@ pub(crate) fn check_name(name: &str) -> Result<()> {
         return Ok(());
     }
     let remedy = format!("give segments such as \"cell1/robot\", at most {} bytes", limits::MAX_NAME_BYTES);
-    Err(Error::invalid(format!("{} is no name of an object", quoted(name)), remedy))
+    Err(Error::invalid(format!("{} is no name of an object", crate::printable::quoted(name)), remedy))
 }
 
 /// Bytes of memory for each object of JSON text, and each element of its lists: more than the largest of them takes that we

@@ -46,10 +46,7 @@ pub const ROWS: &[Row] = &[
     row("predict IN/hall.glb VIEW --explain", &[]),
     row("inspect IN/hall.glb --json", &[]),
     row("sensors", &[]),
-    row(
-        "index IN/hall.glb --count 1 --repeat 1 --sensor IN/small.toml --out study",
-        &["study/index.csv", "study/index.svg"],
-    ),
+    row("index IN/hall.glb --count 1 --repeat 1 --sensor IN/small.toml --out study", &["study/index.csv"]),
     row("compare IN/a.exr IN/a.exr --scene IN/hall.glb --json verdict.json", &["verdict.json"]),
     row("features IN/hall.glb --class video --out l.layer.json", &["l.layer.json"]),
     row("features pick IN/hall.rhai --sensor IN/small.toml --pose 0,0,1.2,0,5,20 --pixel 80,60", &[]),
