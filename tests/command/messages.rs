@@ -7,6 +7,7 @@ use serde_json::json;
 /// A name that breaks lines, colours a terminal, turns text round and hides.
 const NASTY: &str = "wall\n\u{1b}[31mred\r\u{202e}\u{200b}\u{9b}";
 /// The same, as it may be shown.
+#[cfg(feature = "store")]
 const SHOWN: &str = "wall\\n\\u{1b}[31mred\\r\\u{202e}\\u{200b}\\u{9b}";
 
 fn assert_printable(text: &str) {
