@@ -2,7 +2,7 @@
 //!
 //! 1. [`Matcher::candidates`] pairs each expected feature with the detections that may be it: near enough by Mahalanobis
 //!    distance, and alike in the properties that both sides know.
-//! 2. [`assign`] picks the pairs with the least total cost, each feature and each detection once. Not being seen has a cost, too.
+//! 2. `assign` picks the pairs with the least total cost, each feature and each detection once. Not being seen has a cost, too.
 //!
 //! The cost of a pair is the negative logarithm of a likelihood ratio: the detection is the feature, against the detection
 //! is clutter, spread evenly over the image (and over the range of each property). Costs of pairs with other numbers of
