@@ -35,8 +35,7 @@ pub const MAX_NAME_BYTES: usize = 4096;
 pub const LISTED_PROBLEMS: usize = 20;
 /// Largest tolerance for merging triangles, relative to the size of the mesh.
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
-/// Most pairs of polygons and lines upon each other that generating features looks at; the largest models at hand need a
-/// twentieth.
+/// Most pairs of polygons and lines upon each other that generating features looks at.
 pub const MAX_FEATURE_PAIRS: u64 = 1 << 30;
 /// Most facets around a round solid, or steps of stairs.
 pub const MAX_FACETS: u32 = 1024;
