@@ -156,7 +156,7 @@ fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, kno
 }
 
 #[test]
-fn explore() {
+fn points_are_followed_on_drives() {
     for (name, disturbance, options, knows) in [
         ("all", Disturbance::default(), options(), false),
         ("clean", Disturbance { jitter: 0.0, misses: 0.0, clutter: 0, ..Disturbance::default() }, options(), false),
@@ -166,7 +166,13 @@ fn explore() {
         ("memory 4", Disturbance::default(), TrackerOptions { memory: 4.0, ..options() }, false),
         ("memory 8", Disturbance::default(), TrackerOptions { memory: 8.0, ..options() }, false),
     ] {
-        drive(disturbance, &options, knows).print(name);
+        let tally = drive(disturbance, &options, knows);
+        tally.print(name);
+        // The others are measured only: docs/history.md says where they miss.
+        if matches!(name, "all" | "clean") {
+            assert!(tally.wrong < 0.01 * tally.matched, "{name}: {} of {}", tally.wrong, tally.matched);
+            assert!(tally.over(|_, _| true).coverage() >= 0.98, "{name}");
+        }
     }
     let _ = simulator::TOLD;
 }
