@@ -67,6 +67,7 @@ pub mod engine;
 pub mod environment;
 mod error;
 pub mod features;
+pub mod frames;
 pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
@@ -87,6 +88,7 @@ pub mod probe;
 mod random;
 pub mod reference;
 pub mod report;
+mod scene;
 pub mod sensor;
 #[cfg(all(test, feature = "gpu"))]
 #[path = "../tests/common/skip.rs"]
@@ -100,8 +102,9 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, StageRow, Stats, Work};
-pub use predict::{Backend, Options, Prediction, Predictor};
+pub use plan::{FramePlan, IdScheme, ImageRequest, Images, LeftOut, Output, Outputs, StageRow, Stats, Work};
+pub use predict::{Backend, Options, Prediction, Predictor, Request};
+pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;
 pub use world::World;

@@ -1,6 +1,6 @@
 //! `presight inspect`: what is in a model, and what is wrong with it.
 
-use super::load::{self, Scene};
+use super::open_scene;
 use super::{Verdict, print};
 use crate::environment::{Appearance, Environment, Material, Object};
 use crate::error::{Error, Result};
@@ -8,6 +8,7 @@ use crate::geometry::{Aabb, Pose};
 use crate::index::Scheme;
 use crate::io::gltf::ImportOptions;
 use crate::placement;
+use crate::scene::Scene;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -41,7 +42,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Verdict> {
     let mut options = ImportOptions::default();
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
-    let mut scene = load::scene(&args.scene, &options, Scheme::None)?;
+    let mut scene = open_scene(&args.scene, &options, Scheme::None)?;
     scene.report.problems.extend(placement::problem(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);

@@ -4,7 +4,7 @@ use super::{csv_field, median};
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::index::{Found, Params, Region, Scheme, SplitAxis, polygon_meets};
-use crate::plan::{Images, Request, region_of};
+use crate::plan::{ImageRequest, Images, region_of};
 use crate::predict::{Options, Predictor};
 use crate::sensor::Sensor;
 use crate::world::World;
@@ -124,10 +124,10 @@ impl Study {
             );
             returned.push(found.count() as f64);
             if let Some(sensor) = query.sensor {
-                let request = Request::default();
+                let request = ImageRequest::default();
                 prediction.push(
                     fastest(self.repeats, || {
-                        predictor.predict_into(world, sensor, pose, &request, &mut images).map(|_| ())
+                        predictor.predict_images(world, sensor, pose, &request, &mut images).map(|_| ())
                     })? * 1e3,
                 );
             }

@@ -2,7 +2,7 @@
 
 use crate::environment::{Feature, FeatureLayer, FeatureShape};
 use crate::error::Result;
-use crate::features::{FeatureOptions, SeenFeature, place, predict_features};
+use crate::features::{FeatureSettings, SeenFeature, place, predict_features};
 use crate::geometry::Pose;
 use crate::plan::Images;
 use crate::sensor::Sensor;
@@ -53,7 +53,7 @@ impl Eye<'_> {
             return Ok(vec![None; layer.features.len()]);
         }
         let placed = place(self.world, layer)?;
-        let options = FeatureOptions::default();
+        let options = FeatureSettings::default();
         let seen = predict_features(self.world, self.sensor, self.pose, self.images, &placed, &options)?;
         Ok(seen.features.iter().map(|f| self.pixels_to(f, pixel)).collect())
     }

@@ -28,7 +28,7 @@ pub use show::{to_csv, to_html, to_json};
 use crate::compare::Precision;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::plan::{LeftOut, Request};
+use crate::plan::{ImageRequest, LeftOut};
 use crate::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use crate::world::World;
 use one::One;
@@ -216,8 +216,8 @@ impl Findings {
 const FAULT_SHARE: &str = "fault_share";
 
 /// Images that every path makes.
-fn request() -> Request {
-    Request::default()
+fn request() -> ImageRequest {
+    ImageRequest::default()
 }
 
 /// The sensor of full studies that needs a ray table: a fisheye of 180 degrees.
