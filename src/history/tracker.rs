@@ -9,7 +9,7 @@ use super::track::{Seed, Track};
 use super::window::BoxLevel;
 use crate::error::{Error, Result};
 use crate::matching::{
-    Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign,
+    Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign, floored,
 };
 use glam::{DMat2, DVec2, DVec3};
 
@@ -273,7 +273,7 @@ impl Tracker {
             matches.ended.extend(self.tracks.drain(..).map(|t| (t.id, End::Gap)));
         }
         let elapsed = interval + std::mem::take(&mut self.before_seeding);
-        if elapsed > 0.0 {
+        if elapsed > 0.0 && elapsed <= self.options.longest_gap {
             self.noise.pass(elapsed);
         }
         let mut moved = self.propagated(interval);
@@ -367,13 +367,15 @@ impl Tracker {
         let mut expected = track.expected(motions, self.noise.scale, common);
         let noise = track.detection * self.noise.scale;
         let points = expected.shape.points();
-        let [first, second] = [0, 1].map(|i| expected.covariances.get(i).map_or(noise, |c| *c + noise));
-        expected.window = if points.len() <= 2 {
-            self.level.bounds(points, &[first, second][..points.len()])
+        let [x0, y0, x1, y1] = if let [p] = points {
+            self.level.bounds(&[*p], &[expected.covariances[0] + noise])
         } else {
             let covariances: Vec<DMat2> = expected.covariances.iter().map(|c| *c + noise).collect();
             self.level.bounds(points, &covariances)
         };
+        // At least a pixel a side.
+        let [wide, high] = [x1 - x0, y1 - y0].map(|side| (0.5 * (1.0 - side)).max(0.0));
+        expected.window = [x0 - wide, y0 - high, x1 + wide, y1 + high];
         expected
     }
 
@@ -388,12 +390,10 @@ impl Tracker {
         }
     }
 
-    /// Within the image, at least a pixel a side; `None` outside of it.
+    /// Within the image; `None` outside of it.
     fn clip(&self, [x0, y0, x1, y1]: [f64; 4]) -> Option<[f64; 4]> {
-        let ImageExtentF { width, height } = self.extent();
+        let [width, height] = [self.options.image.width, self.options.image.height].map(f64::from);
         let within = |low: f64, high: f64, size: f64| {
-            let short = (0.5 * (1.0 - (high - low))).max(0.0);
-            let (low, high) = (low - short, high + short);
             (high > -0.5 && low < size - 0.5).then(|| (low.clamp(-0.5, size - 1.5), high.clamp(0.5, size - 0.5)))
         };
         let (y0, y1) = within(y0, y1, height)?;
@@ -406,10 +406,6 @@ impl Tracker {
             None => within(x0, x1, width)?,
         };
         Some([x0, y0, x1, y1])
-    }
-
-    fn extent(&self) -> ImageExtentF {
-        ImageExtentF { width: f64::from(self.options.image.width), height: f64::from(self.options.image.height) }
     }
 
     /// Lets process noise and the scale of all noise follow the innovations.
@@ -489,7 +485,7 @@ impl Tracker {
                 None => track.misses += 1,
                 Some(column) => {
                     let detection = &found[column as usize];
-                    track.detection = detection.covariance;
+                    track.detection = floored(detection.covariance);
                     track.misses = 0;
                     track.seen = track.seen.saturating_add(1);
                     track.learn_properties(detection, &self.options.properties);
@@ -586,11 +582,6 @@ impl Tracker {
             }
         }
     }
-}
-
-struct ImageExtentF {
-    width: f64,
-    height: f64,
 }
 
 /// The points of all tracks, one track after the other, and what they share.

@@ -31,7 +31,8 @@ fn scalar(squared: f64, variance: f64, into: &mut Distance) {
     into.log_volume += 0.5 * (2.0 * PI * variance).ln();
 }
 
-fn floored(covariance: DMat2) -> DMat2 {
+/// A detection's covariance, no smaller than any extractor's is.
+pub(crate) fn floored(covariance: DMat2) -> DMat2 {
     covariance + DMat2::from_diagonal(DVec2::splat(FLOOR))
 }
 
