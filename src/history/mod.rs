@@ -54,7 +54,7 @@ mod track;
 mod tracker;
 mod window;
 
-pub use alternating::{Alternating, Frame, Source};
+pub use alternating::{Alternating, Frame, Source, View};
 pub use health::{Health, Want};
 pub use options::{ImageExtent, TrackerOptions};
 pub use seed::view;

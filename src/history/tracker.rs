@@ -29,6 +29,8 @@ const OWN_RATE: f64 = 0.3;
 const FADE: f64 = 0.1;
 /// Variances of predictions that count as wide, by a detection's.
 const WIDE: f64 = 2.0;
+/// Most detections of a window that count as clutter everywhere.
+const MOST_CLUTTER: u32 = 16;
 /// Frames a track must have been seen in for its speed to tell those of new ones around it.
 const OLD_ENOUGH: u32 = 5;
 /// So many tracks around a new one tell its speed.
@@ -424,7 +426,9 @@ impl Tracker {
             let [x0, y0, x1, y1] = expected[row].window;
             frame.area += (x1 - x0) * (y1 - y0);
             let (own, points) = (seen.of(row), moved.of(row));
-            frame.clutter += candidates.in_window[row].saturating_sub(u32::from(!own.is_empty()));
+            let clutter = candidates.in_window[row].saturating_sub(u32::from(!own.is_empty()));
+            // One window full of it says nothing about the others.
+            frame.clutter += clutter.min(MOST_CLUTTER);
             if own.is_empty() {
                 continue;
             }
