@@ -1,7 +1,7 @@
 //! History-based prediction (paper section 3.4): where features will be found, from where they were found before.
 //!
 //! Between two frames most features move little. A [`Tracker`] follows each in the image, and tells a small [`Window`] in which it will
-//! be found in the next frame, in a thousandth of the time that a full prediction takes. It needs no world and no engine: full
+//! be found in the next frame, in a fraction of the time that a full prediction takes. It needs no world and no engine: full
 //! predictions seed it ([`Seed::of_prediction`]), and what an extractor finds in the windows ([`crate::matching::Detection`]) corrects it.
 //!
 //! | step | what it does |
@@ -45,11 +45,13 @@
 
 mod adapt;
 mod alternating;
+mod border;
 mod common;
 mod health;
 mod motion;
 mod options;
 mod seed;
+mod sightings;
 mod track;
 mod tracker;
 mod window;

@@ -1,16 +1,16 @@
 //! Following all features of an image.
 
 use super::adapt::{Adaptation, FrameInnovations};
-use super::common::{CommonMotion, Witness};
+use super::border::{is_within, place, stay_within};
+use super::common::CommonMotion;
 use super::health::{Health, Want, spread};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
+use super::sightings::{Motions, Sightings, squares};
 use super::track::{Seed, Track};
 use super::window::BoxLevel;
 use crate::error::{Error, Result};
-use crate::matching::{
-    Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign, floored,
-};
+use crate::matching::{Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, assign, floored};
 use glam::{DMat2, DVec2, DVec3};
 
 /// Most tracks at a time, and most detections of a frame.
@@ -32,7 +32,7 @@ const WIDE: f64 = 2.0;
 /// Most detections of a window that count as clutter everywhere.
 const MOST_CLUTTER: u32 = 16;
 /// Frames a track must have been seen in for its speed to tell those of new ones around it.
-const OLD_ENOUGH: u32 = 5;
+pub(super) const OLD_ENOUGH: u32 = 5;
 /// So many tracks around a new one tell its speed.
 const NEIGHBOURS: usize = 8;
 
@@ -588,96 +588,6 @@ impl Tracker {
     }
 }
 
-/// The points of all tracks, one track after the other, and what they share.
-struct Motions {
-    points: Vec<PointMotion>,
-    /// By track where its points begin, and one more.
-    starts: Vec<u32>,
-    common: CommonMotion,
-}
-
-impl Motions {
-    fn of(&self, row: usize) -> &[PointMotion] {
-        &self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-
-    fn of_mut(&mut self, row: usize) -> &mut [PointMotion] {
-        &mut self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-}
-
-/// What was measured of one defining point of a track.
-#[derive(Clone, Copy, Debug)]
-struct Sighting {
-    /// Measured less predicted position.
-    innovation: DVec2,
-    covariance: DMat2,
-    /// Unit direction in which it slides.
-    slides: Option<DVec2>,
-}
-
-/// What was measured of all tracks.
-struct Sightings {
-    points: Vec<Sighting>,
-    /// By track where its points begin, and one more; of tracks that were missed there are none.
-    starts: Vec<u32>,
-}
-
-impl Sightings {
-    fn new(expected: &[Expected], found: &[Detection], assignment: &Assignment, options: &TrackerOptions) -> Self {
-        let mut all = Self { points: Vec::with_capacity(expected.len()), starts: vec![0] };
-        let mut aligned: Vec<Aligned> = Vec::new();
-        for (expected, column) in expected.iter().zip(&assignment.columns) {
-            if let Some(column) = column {
-                let detection = &found[*column as usize];
-                align(expected, detection, 1.0, options.slide_sigma, options.image.turn, &mut aligned);
-                for (seen, p) in aligned.iter().zip(expected.shape.points()) {
-                    let Aligned { at, covariance, slides } = *seen;
-                    all.points.push(Sighting { innovation: at - *p, covariance, slides });
-                }
-            }
-            all.starts.push(all.points.len() as u32);
-        }
-        all
-    }
-
-    fn of(&self, row: usize) -> &[Sighting] {
-        &self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-
-    /// What tracks that are known well enough tell about the motion that all share.
-    fn witnesses(&self, tracks: &[Track], moved: &Motions, scale: f64) -> Vec<Witness> {
-        let mut witnesses = Vec::with_capacity(self.points.len());
-        for (row, _) in tracks.iter().enumerate().filter(|(_, t)| t.seen >= OLD_ENOUGH) {
-            for (seen, motion) in self.of(row).iter().zip(moved.of(row)) {
-                let information = ((motion.pp + seen.covariance) * scale).inverse();
-                witnesses.push(Witness { innovation: seen.innovation, information });
-            }
-        }
-        witnesses
-    }
-}
-
-/// Sum of squared innovations by their predicted variances, and of how many coordinates.
-fn squares(seen: &[Sighting], points: &[PointMotion], scale: f64) -> (f64, u32) {
-    let (mut squares, mut coordinates) = (0.0, 0);
-    for (seen, motion) in seen.iter().zip(points) {
-        let covariance = (motion.pp + seen.covariance) * scale;
-        match seen.slides {
-            Some(along) => {
-                let across = along.perp();
-                squares += across.dot(seen.innovation).powi(2) / across.dot(covariance * across);
-                coordinates += 1;
-            }
-            None => {
-                squares += seen.innovation.dot(covariance.inverse() * seen.innovation);
-                coordinates += 2;
-            }
-        }
-    }
-    (squares, coordinates)
-}
-
 fn check_seed(seed: &Seed) -> Result<(), Rejection> {
     seed.shape.check()?;
     let points = seed.shape.points().len();
@@ -688,81 +598,4 @@ fn check_seed(seed: &Seed) -> Result<(), Rejection> {
         Detection { covariance: *covariance, ..Detection::new(seed.shape.clone(), 1.0) }.check()?;
     }
     if seed.points_world.iter().all(|p| p.is_finite()) { Ok(()) } else { Err(Rejection::NotFinite) }
-}
-
-/// Whether a point is in the image.
-fn is_within(p: DVec2, image: &super::ImageExtent) -> bool {
-    let inside = |x: f64, size: u32| x >= -0.5 && x <= f64::from(size) - 0.5;
-    (image.turn.is_some() || inside(p.x, image.width)) && inside(p.y, image.height)
-}
-
-/// Writes positions into the shape; columns of one turn.
-fn place(track: &mut Track, turn: Option<f64>) {
-    let Track { shape, motions, .. } = track;
-    if let Some(turn) = turn {
-        let shift = -turn * ((motions[0].position.x + 0.5) / turn).floor();
-        motions.iter_mut().for_each(|m| m.position.x += shift);
-    }
-    for (p, motion) in shape.points_mut().iter_mut().zip(motions) {
-        *p = motion.position;
-    }
-}
-
-/// Whether a track is still in the image. A segment that leaves it goes on with the part that is inside: its end slides along the
-/// border.
-fn stay_within(track: &mut Track, image: &super::ImageExtent) -> bool {
-    let Shape::Segment { .. } = &track.shape else { return is_within(track.shape.centre(), image) };
-    let ends = [track.motions[0].position, track.motions[1].position];
-    if ends.iter().all(|p| is_within(*p, image)) {
-        return true;
-    }
-    let Some([from, to]) = part_within(ends, image) else { return false };
-    let both = [track.motions[0], track.motions[1]];
-    for (i, t) in [(0, from), (1, to)] {
-        let is_moved = if i == 0 { t > 0.0 } else { t < 1.0 };
-        if is_moved {
-            let near = both[if t < 0.5 { 0 } else { 1 }];
-            let mix = |a: DVec2, b: DVec2| a.lerp(b, t);
-            track.motions[i] = PointMotion {
-                position: mix(both[0].position, both[1].position),
-                speed: mix(both[0].speed, both[1].speed),
-                acceleration: mix(both[0].acceleration, both[1].acceleration),
-                ..near
-            };
-            // What was known of that end's place is of another point of the segment.
-            track.flow = Default::default();
-            if let Shape::Segment { corners, .. } = &mut track.shape {
-                corners[i] = false;
-            }
-        }
-    }
-    place(track, image.turn);
-    let Shape::Segment { ends, .. } = &track.shape else { return true };
-    ends[0].distance(ends[1]) >= SHORTEST_PART
-}
-
-/// Shortest part of a segment at the border that is followed on, pixels.
-const SHORTEST_PART: f64 = 4.0;
-
-/// The part of a segment inside the image, by shares of it.
-fn part_within(ends: [DVec2; 2], image: &super::ImageExtent) -> Option<[f64; 2]> {
-    let (mut from, mut to) = (0.0f64, 1.0f64);
-    let d = ends[1] - ends[0];
-    let sizes = [image.width, image.height];
-    for axis in 0..2 {
-        if axis == 0 && image.turn.is_some() {
-            continue;
-        }
-        let (low, high) = (-0.5, f64::from(sizes[axis]) - 0.5);
-        let at = |x: f64| (x - ends[0][axis]) / d[axis];
-        if d[axis] == 0.0 {
-            if !(low..=high).contains(&ends[0][axis]) {
-                return None;
-            }
-            continue;
-        }
-        let (enter, leave) = if d[axis] > 0.0 { (at(low), at(high)) } else { (at(high), at(low)) };
-        (from, to) = (from.max(enter), to.min(leave));
-    }
-    (from < to).then_some([from, to])
 }
