@@ -151,9 +151,11 @@ impl Track {
                 shift = flow.shift(i, options.image.turn);
                 if was.is_none() {
                     let rest = isotropic(options.residual_speed_sigma.powi(2));
-                    // Unknown so far: what is left beside the flow is slow. Known: the flow was part of it.
+                    // Unknown so far: what is left beside the flow, of this track and what all share together, is slow. Known:
+                    // the flow was part of it.
                     if self.seen <= 1 {
-                        (motion.speed, motion.vv) = (DVec2::ZERO, rest);
+                        [motion.speed, motion.acceleration] = self.shared.map(|shared| -shared);
+                        motion.vv = rest;
                     } else {
                         motion.speed -= shift / interval;
                         motion.vv += rest;

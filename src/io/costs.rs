@@ -221,7 +221,7 @@ mod tests {
             ("\"wave\",\n", "\"wafe\",\n", "no forecast", ErrorKind::Invalid),
             ("\"right\": [", "\"right\": [1.0,", "11 numbers", ErrorKind::Invalid),
             ("\"ratios\": [", "\"ratios\": [-1.0,", "ratios", ErrorKind::Invalid),
-            ("{", "", "line 1", ErrorKind::Invalid),
+            ("{", "", "no file of costs", ErrorKind::Invalid),
         ] {
             let text = good.replacen(from, to, 1);
             assert_ne!(text, good, "{from}");
