@@ -169,13 +169,12 @@ impl Tracker {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for a time that is not finite or before the last, for two seeds of one number, and for more
     /// than [`MAX_TRACKS`].
-    pub fn seed(&mut self, time: f64, seeds: Vec<Seed>) -> Result<Seeded> {
+    pub fn seed(&mut self, time: f64, mut seeds: Vec<Seed>) -> Result<Seeded> {
         let interval = self.interval(time)?;
         if seeds.len() > MAX_TRACKS {
             let what = format!("{} features are more than {MAX_TRACKS}", seeds.len());
             return Err(Error::invalid(what, "give those that matter most"));
         }
-        let mut seeds = seeds;
         seeds.sort_by_key(|s| s.id);
         if let Some(pair) = seeds.windows(2).find(|pair| pair[0].id == pair[1].id) {
             return Err(Error::invalid(
