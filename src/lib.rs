@@ -60,7 +60,6 @@ mod change;
 #[doc(hidden)]
 pub mod cli;
 pub mod compare;
-#[doc(hidden)]
 pub mod cost;
 pub mod cpu;
 pub mod environment;
@@ -70,12 +69,10 @@ pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-#[doc(hidden)]
 pub mod history;
 pub mod index;
 pub mod io;
 pub mod limits;
-#[doc(hidden)]
 pub mod matching;
 pub mod memory;
 pub mod placement;
