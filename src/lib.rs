@@ -57,8 +57,6 @@
 
 pub mod acquire;
 mod change;
-#[doc(hidden)]
-pub mod cli;
 pub mod compare;
 pub mod cost;
 pub mod cpu;
@@ -72,6 +70,8 @@ pub mod geometry;
 pub mod gpu;
 pub mod history;
 pub mod index;
+#[doc(hidden)]
+pub mod internal;
 pub mod io;
 pub mod limits;
 pub mod matching;
@@ -83,11 +83,7 @@ mod printable;
 pub mod probe;
 mod random;
 pub mod reference;
-pub mod report;
 pub mod sensor;
-#[cfg(all(test, feature = "gpu"))]
-#[path = "../tests/common/skip.rs"]
-mod skip;
 mod threads;
 pub mod virtual_sensors;
 mod world;

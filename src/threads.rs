@@ -108,7 +108,7 @@ pub(crate) fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
 }
 
 /// [`parallel`] for work that cannot fail: where no thread can be started the calling one does it all.
-pub(crate) fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     if rayon::current_thread_index().is_some() {
         return work();
     }
