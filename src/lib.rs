@@ -52,8 +52,8 @@
 //!
 //! # Cargo features
 //!
-//! `gpu` (the wgpu engine), `script` (scenes as scripts), `store` (stored environments) and `report` (plots and studies) are
-//! on by default. Everything else works without them.
+//! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
+//! works without them.
 
 pub mod acquire;
 mod change;

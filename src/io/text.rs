@@ -54,7 +54,7 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_FILE_BYTES)
 }
 
-/// As [`read_text`], of a file that is small unless something is wrong.
+/// As `read_text`, of a file that is small unless something is wrong.
 pub fn read_settings(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_SETTINGS_BYTES)
 }
