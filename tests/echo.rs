@@ -2,7 +2,7 @@
 
 #![allow(clippy::print_stderr, reason = "what was compared is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::{engines, reference, scenes, summary};
 use glam::{DVec3, Vec3};

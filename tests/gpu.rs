@@ -2,7 +2,7 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::print_stderr, reason = "the worst errors are worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::skip::no_adapter;
 use common::{plan, reference};

@@ -2,7 +2,7 @@
 //! stages that ran, the passes and workgroups of the device, the bytes that travelled and the bytes of images are held to
 //! what the request alone says. These are counts, not times: a needless stage fails on any machine.
 
-mod common;
+use presight_testkit as common;
 
 #[cfg(feature = "gpu")]
 use common::skip::no_adapter;

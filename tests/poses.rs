@@ -1,6 +1,6 @@
 //! A sensor's pose that is none is refused at every door of the library: an image of misses would read as free space.
 
-mod common;
+use presight_testkit as common;
 
 use common::scenes;
 use glam::{DMat3, DQuat, DVec3};
@@ -102,8 +102,6 @@ fn plans_and_regions_refuse_it() {
             refused("region_of", what, said, region_of(sensor, &pose));
         }
         refused("Region::segment", what, said, Region::segment(&pose, 0.0, 1.0, (-0.1, 0.1), 5.0));
-        #[cfg(feature = "report")]
-        refused("paper_sector", what, said, presight::report::index_study::paper_sector(&pose));
         refused("Viewpoint::new", what, said, Viewpoint::new(&pose, &covariance));
         let good = Pose::IDENTITY;
         refused("Uncertain::new", what, said, Uncertain::new(&pose, &covariance, &good, None, &shape));

@@ -2,13 +2,11 @@
 //! there is (lavapipe in CI).
 #![cfg(feature = "gpu")]
 
-mod common;
-#[path = "common/faulty.rs"]
-mod faulty;
+use presight_testkit as common;
 
+use common::faulty::{Faulty, Switches};
 use common::scenes;
 use common::skip::no_adapter;
-use faulty::{Faulty, Switches};
 use glam::DVec3;
 use presight::compare::{Precision, compare};
 use presight::gpu::testing::Setup;

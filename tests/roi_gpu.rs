@@ -3,7 +3,7 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::print_stderr, reason = "the worst differences are worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::skip::no_adapter;
 use common::{Random, data, scenes};

@@ -147,7 +147,8 @@ mod tests {
     #[cfg(feature = "gpu")]
     #[test]
     fn a_device_that_is_right_is_found_sound() {
-        use crate::{gpu, skip::no_adapter};
+        use crate::gpu;
+        use presight_testkit::skip::no_adapter;
         let probe = Probe::new().unwrap();
         let mut engine = match gpu::testing::open(gpu::DeviceOptions::default(), gpu::testing::Setup::ALL_ON_DEVICE) {
             Ok(engine) => engine,

@@ -7,9 +7,9 @@ use crate::gpu::{DeviceOptions, Engine, testing};
 use crate::plan::{FramePlan, ImageRequest, Images, Stats};
 use crate::random::SplitMix64;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, SensorSpec};
-use crate::skip::no_adapter;
 use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use glam::{DQuat, Vec3};
+use presight_testkit::skip::no_adapter;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
