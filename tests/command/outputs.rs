@@ -148,7 +148,10 @@ fn no_image_of_a_scene_is_overwritten() {
     place.write("wood.png", b"of nobody");
     let scene = "scene/wall.gltf";
     let mut lines: Vec<(String, &[&str])> = vec![
-        (predict(scene, "--png scene/wood.png"), &["--png scene/wood.png", "overwrite scene/wood.png", "; write elsewhere"]),
+        (
+            predict(scene, "--png scene/wood.png"),
+            &["--png scene/wood.png", "overwrite scene/wood.png", "; write elsewhere"],
+        ),
         (predict(scene, "--out before.exr --depth-png link.png"), &["--depth-png link.png", "scene/wood.png"]),
         (predict(scene, "--png tex/../scene/tex/brick.png"), &["--png tex/../scene/tex/brick.png", "brick.png"]),
         (predict(scene, "--png tex/tile.PNG"), &["--png tex/tile.PNG"]),
