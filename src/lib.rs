@@ -52,17 +52,15 @@
 //!
 //! # Cargo features
 //!
-//! `gpu` (the wgpu engine), `script` (scenes as scripts), `store` (stored environments) and `report` (plots and studies) are
-//! on by default. Everything else works without them.
+//! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
+//! works without them.
 
 pub mod acquire;
 mod change;
-#[doc(hidden)]
-pub mod cli;
 pub mod compare;
-#[doc(hidden)]
 pub mod cost;
 pub mod cpu;
+pub mod engine;
 pub mod environment;
 mod error;
 pub mod features;
@@ -70,12 +68,12 @@ pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-#[doc(hidden)]
 pub mod history;
 pub mod index;
+#[doc(hidden)]
+pub mod internal;
 pub mod io;
 pub mod limits;
-#[doc(hidden)]
 pub mod matching;
 pub mod memory;
 pub mod placement;
@@ -85,11 +83,7 @@ mod printable;
 pub mod probe;
 mod random;
 pub mod reference;
-pub mod report;
 pub mod sensor;
-#[cfg(all(test, feature = "gpu"))]
-#[path = "../tests/common/skip.rs"]
-mod skip;
 mod threads;
 pub mod virtual_sensors;
 mod world;
@@ -100,8 +94,6 @@ pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
 pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, StageRow, Stats, Work};
-#[doc(hidden)]
-pub use predict::Opening;
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;

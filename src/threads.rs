@@ -107,8 +107,8 @@ pub(crate) fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
     if rayon::current_thread_index().is_some() { Ok(work()) } else { Threads::SHARED.run(work) }
 }
 
-/// [`parallel`] for work that cannot fail: where no thread can be started the calling one does it all.
-pub(crate) fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+/// `parallel` for work that cannot fail: where no thread can be started the calling one does it all.
+pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     if rayon::current_thread_index().is_some() {
         return work();
     }

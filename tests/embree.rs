@@ -5,7 +5,7 @@
 
 #![expect(clippy::print_stderr, reason = "what agrees and what does not is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::data;
 use flate2::read::GzDecoder;

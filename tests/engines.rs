@@ -6,7 +6,7 @@
 
 #![expect(clippy::print_stderr, reason = "what was compared and where it failed is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::{data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
@@ -83,7 +83,6 @@ fn cpu_in_real_scenes() {
     check_scenes(engines::cpu(2), Precision::F64, poses(), share());
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_in_rooms() {
     if let Some(gpu) = engines::gpu() {
@@ -91,7 +90,6 @@ fn gpu_in_rooms() {
     }
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_in_real_scenes() {
     if let Some(gpu) = engines::gpu() {

@@ -1,6 +1,6 @@
 //! Why features are not seen, reason by reason, in scenes of a wall and a sensor.
 
-mod common;
+use presight_testkit as common;
 
 use common::scenes;
 use glam::{DMat3, DVec3, Vec3};

@@ -3,7 +3,7 @@
 //!
 //! Between that tolerance and nothing nearer at all neither answer is held to be right.
 
-mod common;
+use presight_testkit as common;
 
 use common::data;
 use glam::{DMat3, DQuat, DVec3};

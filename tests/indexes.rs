@@ -4,7 +4,7 @@
 
 #![expect(clippy::print_stderr, reason = "what was compared is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::{data, engines, env_number, plan, scenes};
 use glam::DVec3;
@@ -96,7 +96,6 @@ fn cpu_images_are_equal_after_changes() {
     }
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_images_are_equal() {
     if let Some(mut gpu) = engines::gpu() {

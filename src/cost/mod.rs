@@ -7,8 +7,8 @@
 //! sum over frames of 0.98^age (1 - c . n / t)^2,    c >= 0
 //! ```
 //!
-//! which is recursive least squares on relative errors: a fast frame weighs as much as a slow one, and a machine that has changed
-//! is followed within some 50 frames. A weak pull towards careful defaults decides about counts that do not vary.
+//! which is recursive least squares on relative errors: a fast frame weighs as much as a slow one, and costs that
+//! have tripled are followed within some 200 frames. A weak pull towards careful defaults decides about counts that do not vary.
 //!
 //! An estimate is right on average; a deadline needs more. Beside the costs stand the last 200 ratios of measured over estimated
 //! time. [`Estimate::upper`] is the estimate times their 0.99 quantile, so that a machine that gets busy is planned for

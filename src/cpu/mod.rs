@@ -58,11 +58,6 @@ impl Engine {
         Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
     }
 
-    /// Does something else on its threads.
-    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        self.pool.install(work)
-    }
-
     /// Fills the asked images.
     ///
     /// # Errors

@@ -1,8 +1,9 @@
 //! Full predictions and history in turn.
 
 use super::health::Want;
+use super::outcome::{Matches, Seeded, Window};
 use super::track::Seed;
-use super::tracker::{Matches, Seeded, Tracker, Window};
+use super::tracker::Tracker;
 use crate::error::Result;
 use crate::matching::Detection;
 use glam::{DVec2, DVec3};
@@ -20,6 +21,9 @@ pub enum Source {
         seeded: Seeded,
     },
 }
+
+/// Gives the pixel (column, row) of a point in the world, metres; see [`super::view`].
+pub type View<'a> = &'a dyn Fn(DVec3) -> Option<DVec2>;
 
 /// One frame's windows.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,7 +57,7 @@ pub struct Frame {
 /// let mut alternating = Alternating::new(tracker, None);
 /// for k in 0..20 {
 ///     let time = 0.05 * f64::from(k);
-///     let frame = alternating.predict(time, || full(time))?;
+///     let frame = alternating.predict(time, None, || full(time))?;
 ///     assert_eq!(frame.source == Source::History, k > 0);
 ///     // Extraction would look into `frame.windows`.
 ///     let found: Vec<Detection> = (0..20).map(|i| Detection::point(at(i, time), 0.5)).collect();
@@ -83,22 +87,30 @@ impl Alternating {
         &self.tracker
     }
 
-    /// See [`Tracker::set_view`].
-    pub fn set_view(&mut self, project: impl Fn(DVec3) -> Option<DVec2>) {
-        self.tracker.set_view(project);
-    }
-
     /// The windows of the frame at `time` (seconds); `full` is called where a full prediction is needed, and gives what it shows.
+    /// `view` is what [`Tracker::set_view`] is told, if the motion is known.
     ///
     /// # Errors
     /// Those of `full`, [`Tracker::seed`] and [`Tracker::predict`].
-    pub fn predict(&mut self, time: f64, full: impl FnOnce() -> Result<Vec<Seed>>) -> Result<Frame> {
+    pub fn predict(
+        &mut self,
+        time: f64,
+        view: Option<View<'_>>,
+        full: impl FnOnce() -> Result<Vec<Seed>>,
+    ) -> Result<Frame> {
+        if let Some(view) = view {
+            self.tracker.set_view(view);
+        }
         let due = self.every.is_some_and(|every| self.since + 1 >= every);
         let gap = self.tracker.time().is_some_and(|last| time - last > self.tracker.options().longest_gap);
         let why = self.tracker.health().wants.or(gap.then_some(Want::Gap)).or(due.then_some(Want::Due));
         let source = match why {
             Some(why) => {
                 let seeded = self.tracker.seed(time, full()?)?;
+                // New tracks count their flow from this view, whatever pose the prediction took.
+                if let Some(view) = view {
+                    self.tracker.set_view(view);
+                }
                 (self.since, self.full) = (0, self.full + 1);
                 Source::Full { why, seeded }
             }

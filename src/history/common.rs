@@ -176,20 +176,23 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "not reached yet: see docs/history.md"]
     fn shaking_is_held_and_not_followed() {
         let mut common = CommonMotion::still();
+        let (mut at, mut furthest) = (DVec2::ZERO, 0.0f64);
         for k in 0..200 {
             let mut moved = common.propagated(FRAME, FRAME);
+            at += moved.displacement();
             moved.rebase();
             let shake = DVec2::new([0.6, -0.6, -0.6, 0.6][k % 4], 0.0);
-            moved.correct(&witnesses(shake), FRAME);
+            moved.correct(&witnesses(shake - at), FRAME);
+            at += moved.displacement();
             moved.rebase();
             common = moved;
+            furthest = if k >= 100 { furthest.max(at.length()) } else { 0.0 };
         }
         let deviation = common.covariance().x_axis.x.sqrt();
-        assert!((0.3..1.2).contains(&deviation), "{deviation}");
-        assert!(common.speed().length() * FRAME < 0.6, "{}", common.speed());
+        assert!((0.3..1.5).contains(&deviation), "{deviation}");
+        assert!(furthest < 0.6, "{furthest}");
     }
 
     #[test]

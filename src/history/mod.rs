@@ -1,7 +1,7 @@
 //! History-based prediction (paper section 3.4): where features will be found, from where they were found before.
 //!
 //! Between two frames most features move little. A [`Tracker`] follows each in the image, and tells a small [`Window`] in which it will
-//! be found in the next frame, in a thousandth of the time that a full prediction takes. It needs no world and no engine: full
+//! be found in the next frame, in a fraction of the time that a full prediction takes. It needs no world and no engine: full
 //! predictions seed it ([`Seed::of_prediction`]), and what an extractor finds in the windows ([`crate::matching::Detection`]) corrects it.
 //!
 //! | step | what it does |
@@ -45,18 +45,22 @@
 
 mod adapt;
 mod alternating;
+mod border;
 mod common;
 mod health;
 mod motion;
 mod options;
+mod outcome;
 mod seed;
+mod sightings;
 mod track;
 mod tracker;
 mod window;
 
-pub use alternating::{Alternating, Frame, Source};
+pub use alternating::{Alternating, Frame, Source, View};
 pub use health::{Health, Want};
 pub use options::{ImageExtent, TrackerOptions};
+pub use outcome::{End, Match, Matches, Seeded, Window};
 pub use seed::view;
 pub use track::{Seed, Track};
-pub use tracker::{End, MAX_DETECTIONS, MAX_TRACKS, Match, Matches, Seeded, Tracker, Window};
+pub use tracker::{MAX_DETECTIONS, MAX_TRACKS, Tracker};

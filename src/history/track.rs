@@ -4,7 +4,7 @@ use super::common::CommonMotion;
 use super::motion::{PointMotion, isotropic};
 use super::options::TrackerOptions;
 use crate::matching::{
-    Detection, Estimate, Expected, ExpectedProperties, Properties, PropertyNoise, Shape, turn_apart,
+    Detection, Estimate, Expected, ExpectedProperties, Properties, PropertyNoise, Shape, turn_apart, unwrap,
 };
 use glam::{DMat2, DVec2, DVec3};
 use std::f64::consts::PI;
@@ -58,6 +58,14 @@ pub(super) struct Flow {
     pub next: Vec<DVec2>,
     /// Pixels a second between the last two views, taken out of the speeds of motions; empty where it was not.
     pub speed: Vec<DVec2>,
+}
+
+impl Flow {
+    /// Pixels from the last view to the next, the short way round.
+    fn shift(&self, i: usize, turn: Option<f64>) -> DVec2 {
+        let shift = self.next[i] - self.last[i];
+        shift + DVec2::new(unwrap(turn, 0.0, shift.x), 0.0)
+    }
 }
 
 impl Track {
@@ -129,20 +137,25 @@ impl Track {
 
     /// Its points `interval` seconds later; `jerk` is process noise.
     pub(super) fn propagated(&self, interval: f64, jerk: f64, options: &TrackerOptions, into: &mut Vec<PointMotion>) {
+        if interval <= 0.0 {
+            into.extend_from_slice(&self.motions);
+            return;
+        }
         let flow = &self.flow;
-        let has_flow = !flow.next.is_empty() && flow.last.len() == flow.next.len() && interval > 0.0;
+        let has_flow = !flow.next.is_empty() && flow.last.len() == flow.next.len();
         for (i, motion) in self.motions.iter().enumerate() {
             let mut motion = *motion;
             let was = flow.speed.get(i).copied();
             let mut shift = DVec2::ZERO;
             if has_flow {
-                shift = flow.next[i] - flow.last[i];
-                shift.x += crate::matching::unwrap(options.image.turn, 0.0, shift.x);
+                shift = flow.shift(i, options.image.turn);
                 if was.is_none() {
                     let rest = isotropic(options.residual_speed_sigma.powi(2));
-                    // Unknown so far: what is left beside the flow is slow. Known: the flow was part of it.
+                    // Unknown so far: what is left beside the flow, of this track and what all share together, is slow. Known:
+                    // the flow was part of it.
                     if self.seen <= 1 {
-                        (motion.speed, motion.vv) = (DVec2::ZERO, rest);
+                        [motion.speed, motion.acceleration] = self.shared.map(|shared| -shared);
+                        motion.vv = rest;
                     } else {
                         motion.speed -= shift / interval;
                         motion.vv += rest;
@@ -160,19 +173,15 @@ impl Track {
     /// Keeps what the flow between two frames was.
     pub(super) fn pass_flow(&mut self, interval: f64, turn: Option<f64>) {
         let flow = &mut self.flow;
-        if flow.next.is_empty() {
-            flow.speed.clear();
-            return;
+        if interval > 0.0 {
+            let is_known = flow.last.len() == flow.next.len();
+            let known = if is_known { flow.next.len() } else { 0 };
+            flow.speed = (0..known).map(|i| flow.shift(i, turn) / interval).collect();
         }
-        if interval > 0.0 && flow.last.len() == flow.next.len() {
-            let speed = |(next, last): (&DVec2, &DVec2)| {
-                let mut shift = *next - *last;
-                shift.x += crate::matching::unwrap(turn, 0.0, shift.x);
-                shift / interval
-            };
-            flow.speed = flow.next.iter().zip(&flow.last).map(speed).collect();
+        // A frame without a view ends what was known of the last.
+        if interval > 0.0 || !flow.next.is_empty() {
+            flow.last = std::mem::take(&mut flow.next);
         }
-        flow.last = std::mem::take(&mut flow.next);
     }
 
     /// What is expected of it where its points are `motions`, without a window.

@@ -1,17 +1,20 @@
 //! Following all features of an image.
 
 use super::adapt::{Adaptation, FrameInnovations};
-use super::common::{CommonMotion, Witness};
+use super::border::{is_within, place, stay_within};
+use super::common::CommonMotion;
 use super::health::{Health, Want, spread};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
+use super::outcome::{End, Match, Matches, Seeded, Window};
+use super::sightings::{Motions, Sightings, squares};
 use super::track::{Seed, Track};
 use super::window::BoxLevel;
 use crate::error::{Error, Result};
-use crate::matching::{Aligned, Assignment, Candidates, Detection, Expected, Matcher, Rejection, Shape, align, assign};
+use crate::matching::{Assignment, Candidates, Detection, Expected, Matcher, Rejection, assign, floored};
 use glam::{DMat2, DVec2, DVec3};
 
-/// Most tracks at a time, and most detections of a frame.
+/// Most tracks at a time.
 pub const MAX_TRACKS: usize = 1 << 16;
 /// Most detections of a frame.
 pub const MAX_DETECTIONS: usize = 1 << 20;
@@ -27,80 +30,12 @@ const OWN_RATE: f64 = 0.3;
 const FADE: f64 = 0.1;
 /// Variances of predictions that count as wide, by a detection's.
 const WIDE: f64 = 2.0;
+/// Most detections of a window that count as clutter everywhere.
+const MOST_CLUTTER: u32 = 16;
 /// Frames a track must have been seen in for its speed to tell those of new ones around it.
-const OLD_ENOUGH: u32 = 5;
+pub(super) const OLD_ENOUGH: u32 = 5;
 /// So many tracks around a new one tell its speed.
 const NEIGHBOURS: usize = 8;
-
-/// Where a feature will be found.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Window {
-    /// The feature's number.
-    pub id: u32,
-    /// Where it is expected.
-    pub shape: Shape,
-    /// Covariance of each defining point as it will be detected, pixels squared.
-    pub covariances: Vec<DMat2>,
-    /// x0, y0, x1, y1: holds the feature with the stated probability, clipped to the image. Where the image goes round, x1 may be
-    /// beyond the width.
-    pub bounds: [f64; 4],
-}
-
-/// A feature and the detection that is it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Match {
-    /// The feature's number.
-    pub id: u32,
-    /// Index of the detection.
-    pub detection: usize,
-    /// Squared Mahalanobis distance from where it was expected.
-    pub distance_squared: f64,
-    /// Dimensions of that distance.
-    pub dimensions: u32,
-}
-
-/// Why a track ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum End {
-    /// It was missed too often in a row.
-    Lost,
-    /// It left the image.
-    Left,
-    /// The last frame is too long ago.
-    Gap,
-    /// A full prediction does not show it any more.
-    NotPredicted,
-}
-
-/// What became of a frame's detections and of the tracks.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Matches {
-    /// Features found.
-    pub matched: Vec<Match>,
-    /// Features not found: their histories are extrapolated.
-    pub missed: Vec<u32>,
-    /// Tracks that ended.
-    pub ended: Vec<(u32, End)>,
-    /// Detections that are no tracked feature.
-    pub unmatched: Vec<usize>,
-    /// Detections that nothing can be computed from.
-    pub rejected: Vec<(usize, Rejection)>,
-    /// Groups of candidates too large for an optimal assignment; 0 but for absurd clutter.
-    pub greedy_groups: usize,
-}
-
-/// What a full prediction did to the tracks.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Seeded {
-    /// Tracks begun.
-    pub begun: Vec<u32>,
-    /// Tracks that go on: their histories know more than the prediction.
-    pub kept: Vec<u32>,
-    /// Tracks that ended.
-    pub ended: Vec<(u32, End)>,
-    /// Features that cannot be followed.
-    pub refused: Vec<(u32, Rejection)>,
-}
 
 /// Follows features from frame to frame.
 #[derive(Clone, Debug)]
@@ -165,13 +100,12 @@ impl Tracker {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for a time that is not finite or before the last, for two seeds of one number, and for more
     /// than [`MAX_TRACKS`].
-    pub fn seed(&mut self, time: f64, seeds: Vec<Seed>) -> Result<Seeded> {
+    pub fn seed(&mut self, time: f64, mut seeds: Vec<Seed>) -> Result<Seeded> {
         let interval = self.interval(time)?;
         if seeds.len() > MAX_TRACKS {
             let what = format!("{} features are more than {MAX_TRACKS}", seeds.len());
             return Err(Error::invalid(what, "give those that matter most"));
         }
-        let mut seeds = seeds;
         seeds.sort_by_key(|s| s.id);
         if let Some(pair) = seeds.windows(2).find(|pair| pair[0].id == pair[1].id) {
             return Err(Error::invalid(
@@ -271,7 +205,7 @@ impl Tracker {
             matches.ended.extend(self.tracks.drain(..).map(|t| (t.id, End::Gap)));
         }
         let elapsed = interval + std::mem::take(&mut self.before_seeding);
-        if elapsed > 0.0 {
+        if elapsed > 0.0 && elapsed <= self.options.longest_gap {
             self.noise.pass(elapsed);
         }
         let mut moved = self.propagated(interval);
@@ -365,13 +299,15 @@ impl Tracker {
         let mut expected = track.expected(motions, self.noise.scale, common);
         let noise = track.detection * self.noise.scale;
         let points = expected.shape.points();
-        let [first, second] = [0, 1].map(|i| expected.covariances.get(i).map_or(noise, |c| *c + noise));
-        expected.window = if points.len() <= 2 {
-            self.level.bounds(points, &[first, second][..points.len()])
+        let [x0, y0, x1, y1] = if let [p] = points {
+            self.level.bounds(&[*p], &[expected.covariances[0] + noise])
         } else {
             let covariances: Vec<DMat2> = expected.covariances.iter().map(|c| *c + noise).collect();
             self.level.bounds(points, &covariances)
         };
+        // At least a pixel a side.
+        let [wide, high] = [x1 - x0, y1 - y0].map(|side| (0.5 * (1.0 - side)).max(0.0));
+        expected.window = [x0 - wide, y0 - high, x1 + wide, y1 + high];
         expected
     }
 
@@ -386,12 +322,10 @@ impl Tracker {
         }
     }
 
-    /// Within the image, at least a pixel a side; `None` outside of it.
+    /// Within the image; `None` outside of it.
     fn clip(&self, [x0, y0, x1, y1]: [f64; 4]) -> Option<[f64; 4]> {
-        let ImageExtentF { width, height } = self.extent();
+        let [width, height] = [self.options.image.width, self.options.image.height].map(f64::from);
         let within = |low: f64, high: f64, size: f64| {
-            let short = (0.5 * (1.0 - (high - low))).max(0.0);
-            let (low, high) = (low - short, high + short);
             (high > -0.5 && low < size - 0.5).then(|| (low.clamp(-0.5, size - 1.5), high.clamp(0.5, size - 0.5)))
         };
         let (y0, y1) = within(y0, y1, height)?;
@@ -404,10 +338,6 @@ impl Tracker {
             None => within(x0, x1, width)?,
         };
         Some([x0, y0, x1, y1])
-    }
-
-    fn extent(&self) -> ImageExtentF {
-        ImageExtentF { width: f64::from(self.options.image.width), height: f64::from(self.options.image.height) }
     }
 
     /// Lets process noise and the scale of all noise follow the innovations.
@@ -426,7 +356,9 @@ impl Tracker {
             let [x0, y0, x1, y1] = expected[row].window;
             frame.area += (x1 - x0) * (y1 - y0);
             let (own, points) = (seen.of(row), moved.of(row));
-            frame.clutter += candidates.in_window[row].saturating_sub(u32::from(!own.is_empty()));
+            let clutter = candidates.in_window[row].saturating_sub(u32::from(!own.is_empty()));
+            // One window full of it says nothing about the others.
+            frame.clutter += clutter.min(MOST_CLUTTER);
             if own.is_empty() {
                 continue;
             }
@@ -487,7 +419,7 @@ impl Tracker {
                 None => track.misses += 1,
                 Some(column) => {
                     let detection = &found[column as usize];
-                    track.detection = detection.covariance;
+                    track.detection = floored(detection.covariance);
                     track.misses = 0;
                     track.seen = track.seen.saturating_add(1);
                     track.learn_properties(detection, &self.options.properties);
@@ -586,101 +518,6 @@ impl Tracker {
     }
 }
 
-struct ImageExtentF {
-    width: f64,
-    height: f64,
-}
-
-/// The points of all tracks, one track after the other, and what they share.
-struct Motions {
-    points: Vec<PointMotion>,
-    /// By track where its points begin, and one more.
-    starts: Vec<u32>,
-    common: CommonMotion,
-}
-
-impl Motions {
-    fn of(&self, row: usize) -> &[PointMotion] {
-        &self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-
-    fn of_mut(&mut self, row: usize) -> &mut [PointMotion] {
-        &mut self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-}
-
-/// What was measured of one defining point of a track.
-#[derive(Clone, Copy, Debug)]
-struct Sighting {
-    /// Measured less predicted position.
-    innovation: DVec2,
-    covariance: DMat2,
-    /// Unit direction in which it slides.
-    slides: Option<DVec2>,
-}
-
-/// What was measured of all tracks.
-struct Sightings {
-    points: Vec<Sighting>,
-    /// By track where its points begin, and one more; of tracks that were missed there are none.
-    starts: Vec<u32>,
-}
-
-impl Sightings {
-    fn new(expected: &[Expected], found: &[Detection], assignment: &Assignment, options: &TrackerOptions) -> Self {
-        let mut all = Self { points: Vec::with_capacity(expected.len()), starts: vec![0] };
-        let mut aligned: Vec<Aligned> = Vec::new();
-        for (expected, column) in expected.iter().zip(&assignment.columns) {
-            if let Some(column) = column {
-                let detection = &found[*column as usize];
-                align(expected, detection, 1.0, options.slide_sigma, options.image.turn, &mut aligned);
-                for (seen, p) in aligned.iter().zip(expected.shape.points()) {
-                    let Aligned { at, covariance, slides } = *seen;
-                    all.points.push(Sighting { innovation: at - *p, covariance, slides });
-                }
-            }
-            all.starts.push(all.points.len() as u32);
-        }
-        all
-    }
-
-    fn of(&self, row: usize) -> &[Sighting] {
-        &self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-
-    /// What tracks that are known well enough tell about the motion that all share.
-    fn witnesses(&self, tracks: &[Track], moved: &Motions, scale: f64) -> Vec<Witness> {
-        let mut witnesses = Vec::with_capacity(self.points.len());
-        for (row, _) in tracks.iter().enumerate().filter(|(_, t)| t.seen >= OLD_ENOUGH) {
-            for (seen, motion) in self.of(row).iter().zip(moved.of(row)) {
-                let information = ((motion.pp + seen.covariance) * scale).inverse();
-                witnesses.push(Witness { innovation: seen.innovation, information });
-            }
-        }
-        witnesses
-    }
-}
-
-/// Sum of squared innovations by their predicted variances, and of how many coordinates.
-fn squares(seen: &[Sighting], points: &[PointMotion], scale: f64) -> (f64, u32) {
-    let (mut squares, mut coordinates) = (0.0, 0);
-    for (seen, motion) in seen.iter().zip(points) {
-        let covariance = (motion.pp + seen.covariance) * scale;
-        match seen.slides {
-            Some(along) => {
-                let across = along.perp();
-                squares += across.dot(seen.innovation).powi(2) / across.dot(covariance * across);
-                coordinates += 1;
-            }
-            None => {
-                squares += seen.innovation.dot(covariance.inverse() * seen.innovation);
-                coordinates += 2;
-            }
-        }
-    }
-    (squares, coordinates)
-}
-
 fn check_seed(seed: &Seed) -> Result<(), Rejection> {
     seed.shape.check()?;
     let points = seed.shape.points().len();
@@ -691,81 +528,4 @@ fn check_seed(seed: &Seed) -> Result<(), Rejection> {
         Detection { covariance: *covariance, ..Detection::new(seed.shape.clone(), 1.0) }.check()?;
     }
     if seed.points_world.iter().all(|p| p.is_finite()) { Ok(()) } else { Err(Rejection::NotFinite) }
-}
-
-/// Whether a point is in the image.
-fn is_within(p: DVec2, image: &super::ImageExtent) -> bool {
-    let inside = |x: f64, size: u32| x >= -0.5 && x <= f64::from(size) - 0.5;
-    (image.turn.is_some() || inside(p.x, image.width)) && inside(p.y, image.height)
-}
-
-/// Writes positions into the shape; columns of one turn.
-fn place(track: &mut Track, turn: Option<f64>) {
-    let Track { shape, motions, .. } = track;
-    if let Some(turn) = turn {
-        let shift = -turn * ((motions[0].position.x + 0.5) / turn).floor();
-        motions.iter_mut().for_each(|m| m.position.x += shift);
-    }
-    for (p, motion) in shape.points_mut().iter_mut().zip(motions) {
-        *p = motion.position;
-    }
-}
-
-/// Whether a track is still in the image. A segment that leaves it goes on with the part that is inside: its end slides along the
-/// border.
-fn stay_within(track: &mut Track, image: &super::ImageExtent) -> bool {
-    let Shape::Segment { .. } = &track.shape else { return is_within(track.shape.centre(), image) };
-    let ends = [track.motions[0].position, track.motions[1].position];
-    if ends.iter().all(|p| is_within(*p, image)) {
-        return true;
-    }
-    let Some([from, to]) = part_within(ends, image) else { return false };
-    let both = [track.motions[0], track.motions[1]];
-    for (i, t) in [(0, from), (1, to)] {
-        let is_moved = if i == 0 { t > 0.0 } else { t < 1.0 };
-        if is_moved {
-            let near = both[if t < 0.5 { 0 } else { 1 }];
-            let mix = |a: DVec2, b: DVec2| a.lerp(b, t);
-            track.motions[i] = PointMotion {
-                position: mix(both[0].position, both[1].position),
-                speed: mix(both[0].speed, both[1].speed),
-                acceleration: mix(both[0].acceleration, both[1].acceleration),
-                ..near
-            };
-            // What was known of that end's place is of another point of the segment.
-            track.flow = Default::default();
-            if let Shape::Segment { corners, .. } = &mut track.shape {
-                corners[i] = false;
-            }
-        }
-    }
-    place(track, image.turn);
-    let Shape::Segment { ends, .. } = &track.shape else { return true };
-    ends[0].distance(ends[1]) >= SHORTEST_PART
-}
-
-/// Shortest part of a segment at the border that is followed on, pixels.
-const SHORTEST_PART: f64 = 4.0;
-
-/// The part of a segment inside the image, by shares of it.
-fn part_within(ends: [DVec2; 2], image: &super::ImageExtent) -> Option<[f64; 2]> {
-    let (mut from, mut to) = (0.0f64, 1.0f64);
-    let d = ends[1] - ends[0];
-    let sizes = [image.width, image.height];
-    for axis in 0..2 {
-        if axis == 0 && image.turn.is_some() {
-            continue;
-        }
-        let (low, high) = (-0.5, f64::from(sizes[axis]) - 0.5);
-        let at = |x: f64| (x - ends[0][axis]) / d[axis];
-        if d[axis] == 0.0 {
-            if !(low..=high).contains(&ends[0][axis]) {
-                return None;
-            }
-            continue;
-        }
-        let (enter, leave) = if d[axis] > 0.0 { (at(low), at(high)) } else { (at(high), at(low)) };
-        (from, to) = (from.max(enter), to.min(leave));
-    }
-    (from < to).then_some([from, to])
 }

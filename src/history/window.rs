@@ -5,6 +5,8 @@ use glam::{DMat2, DVec2};
 
 /// Events that a box of one point may be left by: four sides.
 const SIDES: f64 = 4.0;
+/// Right, left, bottom, top: which way a side lies.
+const SIGNS: [f64; 4] = [1.0, -1.0, 1.0, -1.0];
 /// Largest sum of events that is tabulated; beyond, boxes stay as they are there.
 const MOST: usize = 40;
 /// Table rows an event.
@@ -58,7 +60,7 @@ impl BoxLevel {
         let k = self.deviations_for(events);
         let reach = |side: usize| {
             let axis = side / 2;
-            let sign = if side.is_multiple_of(2) { 1.0 } else { -1.0 };
+            let sign = SIGNS[side];
             let of = |i: usize| sign * points[i][axis] + k * sigma(i)[axis];
             sign * (0..points.len()).map(of).fold(f64::NEG_INFINITY, f64::max)
         };
@@ -76,7 +78,7 @@ impl BoxLevel {
     fn others(&self, points: &[DVec2], sigma: &impl Fn(usize) -> DVec2, makers: &[usize; 4], limits: &[f64; 4]) -> f64 {
         let mut count = 0;
         for side in 0..4 {
-            let (axis, sign) = (side / 2, if side % 2 == 0 { 1.0 } else { -1.0 });
+            let (axis, sign) = (side / 2, SIGNS[side]);
             let near = |i: &usize| limits[side] - sign * points[*i][axis] < (self.first + MARGIN) * sigma(*i)[axis];
             count += (0..points.len()).filter(|i| *i != makers[side]).filter(near).count();
         }

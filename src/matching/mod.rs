@@ -24,7 +24,7 @@ mod detection;
 mod matcher;
 
 pub use assign::{Assignment, Candidate, MAX_GROUP_WORK, assign};
-pub(crate) use compare::{Aligned, align, turn_apart, unwrap};
+pub(crate) use compare::{Aligned, align, floored, turn_apart, unwrap};
 pub use compare::{Distance, chi_squared_quantile};
 pub use detection::{Detection, Estimate, ExpectedProperties, Marker, Properties, Rejection, Shape};
 pub use matcher::{Candidates, Expected, MAX_CANDIDATES, Matcher, PropertyNoise};

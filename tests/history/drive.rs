@@ -1,8 +1,8 @@
 //! Points, seen from a robot that drives straight, turns, stops and starts.
 
-use crate::simulator::{self, Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
+use crate::simulator::{Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
 use crate::told::Told;
-use presight::history::{Alternating, End, ImageExtent, Source, Tracker, TrackerOptions};
+use presight::history::{Alternating, End, ImageExtent, Source, Tracker, TrackerOptions, View};
 use std::collections::BTreeMap;
 
 /// A long straight, a curve, a straight, a curve the other way, a stop, standing, and off again.
@@ -65,7 +65,6 @@ impl Tally {
         sum
     }
 
-    #[expect(clippy::print_stdout, reason = "figures for docs/history.md")]
     fn print(&self, name: &str) {
         let all = self.over(|_, _| true);
         let mut ratios: Vec<f64> = self.windows.values().map(Windows::ratio).collect();
@@ -110,10 +109,9 @@ fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, kno
     let (mut leg, mut in_leg) = (0, 0);
     for frame in &frames {
         (leg, in_leg) = if frame.leg == leg { (leg, in_leg + 1) } else { (frame.leg, 0) };
-        if knows_motion {
-            alternating.set_view(|p| frame.robot.project(p));
-        }
-        let step = alternating.predict(frame.time, || Ok(simulator.predict_fully(frame, 150))).unwrap();
+        let view = |p| frame.robot.project(p);
+        let view: Option<View<'_>> = if knows_motion { Some(&view) } else { None };
+        let step = alternating.predict(frame.time, view, || Ok(simulator.predict_fully(frame, 150))).unwrap();
         tally.frames += 1.0;
         match &step.source {
             Source::History => tally.history += 1.0,
@@ -155,24 +153,65 @@ fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, kno
     }
 }
 
+/// Frames after a change of the robot's motion until windows hold as many features as they say.
+const RECOVERY: usize = 3;
+
+/// Frames after a leg's start when the robot moves as evenly as it ever does.
+const SETTLED: usize = 20;
+
 #[test]
-fn points_are_followed_on_drives() {
-    for (name, disturbance, options, knows) in [
-        ("all", Disturbance::default(), options(), false),
-        ("clean", Disturbance { jitter: 0.0, misses: 0.0, clutter: 0, ..Disturbance::default() }, options(), false),
-        ("jitter 0.5", Disturbance { jitter: 0.5, ..Disturbance::default() }, options(), false),
-        ("without properties", Disturbance { properties: false, ..Disturbance::default() }, options(), false),
-        ("known motion", Disturbance::default(), options(), true),
-        ("memory 4", Disturbance::default(), TrackerOptions { memory: 4.0, ..options() }, false),
-        ("memory 8", Disturbance::default(), TrackerOptions { memory: 8.0, ..options() }, false),
+fn a_drive_with_misses_clutter_and_shaking() {
+    let tally = drive(Disturbance::default(), &options(), false);
+    tally.print("drive");
+    let all = tally.over(|_, _| true);
+    let curve = tally.over(|leg, frame| leg == 1 && (RECOVERY..5).contains(&frame));
+    let settled = tally.over(|_, frame| frame >= SETTLED);
+    println!("after the curve's start: {:.2} %", 100.0 * curve.coverage());
+    println!("settled: coverage {:.2} %, area {:.2}", 100.0 * settled.coverage(), settled.ratio());
+    // The oracle is one: it holds what it says.
+    assert!((all.told_held / all.count - 0.99).abs() < 0.002);
+    assert!(tally.wrong < 0.01 * tally.matched, "{} of {}", tally.wrong, tally.matched);
+    assert!(all.coverage() >= 0.98, "{}", all.coverage());
+    assert!(curve.coverage() >= 0.98, "{}", curve.coverage());
+    // The aim is 2 (docs/history.md tells what is missed): this holds what was reached.
+    assert!(settled.ratio() <= 3.0, "{}", settled.ratio());
+    assert!(tally.history >= 0.8 * tally.frames, "{} of {}", tally.history, tally.frames);
+}
+
+/// The window grows within two frames of a curve's start, and shrinks again.
+#[test]
+fn windows_grow_in_a_curve_and_shrink_again() {
+    let tally = drive(Disturbance { misses: 0.0, clutter: 0, ..Disturbance::default() }, &options(), false);
+    let area = |frames: std::ops::Range<usize>| {
+        let w = tally.over(|leg, frame| leg == 1 && frames.contains(&frame));
+        w.ratio()
+    };
+    let before = tally.over(|leg, frame| leg == 0 && frame >= 60).ratio();
+    assert!(area(1..3) > 1.5 * before, "{} {before}", area(1..3));
+    assert!(area(30..50) < 0.5 * area(2..8), "{} {}", area(30..50), area(2..8));
+}
+
+/// A turn that features seen ahead would be lost in: known, it is taken out.
+#[test]
+fn a_known_motion_is_taken_out() {
+    let known = drive(Disturbance::default(), &options(), true);
+    known.print("known motion");
+    let all = known.over(|_, _| true);
+    assert!(all.coverage() >= 0.98, "{}", all.coverage());
+    // The aim is 2.
+    assert!(all.ratio() <= 2.6, "{}", all.ratio());
+    assert!(known.wrong < 0.01 * known.matched);
+}
+
+/// Not asked of, but told: what other disturbances do.
+#[test]
+fn other_disturbances_are_told() {
+    let usual = Disturbance::default();
+    for (name, disturbance) in [
+        ("nothing disturbs", Disturbance { jitter: 0.0, misses: 0.0, clutter: 0, ..usual }),
+        ("shaking by half a pixel", Disturbance { jitter: 0.5, ..usual }),
+        ("no properties", Disturbance { properties: false, ..usual }),
     ] {
-        let tally = drive(disturbance, &options, knows);
-        tally.print(name);
-        // The others are measured only: docs/history.md says where they miss.
-        if matches!(name, "all" | "clean") {
-            assert!(tally.wrong < 0.01 * tally.matched, "{name}: {} of {}", tally.wrong, tally.matched);
-            assert!(tally.over(|_, _| true).coverage() >= 0.98, "{name}");
-        }
+        drive(disturbance, &options(), false).print(name);
     }
-    let _ = simulator::TOLD;
 }

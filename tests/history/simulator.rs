@@ -246,12 +246,14 @@ pub struct Edges {
     pub ends: Vec<[DVec3; 2]>,
     /// Whether a corner is at each end.
     pub corners: Vec<[bool; 2]>,
+    /// Strength and contrast.
+    pub told: Vec<[f64; 2]>,
 }
 
 impl Edges {
     /// Door frames and shelves: upright and level edges of half a metre to two.
     pub fn new(random: &mut Random, count: usize) -> Self {
-        let mut edges = Self { ends: Vec::new(), corners: Vec::new() };
+        let mut edges = Self { ends: Vec::new(), corners: Vec::new(), told: Vec::new() };
         for _ in 0..count {
             let at = DVec3::new(random.between(-20.0, 60.0), random.between(-30.0, 30.0), random.between(0.0, 3.0));
             let length = random.between(0.5, 2.0);
@@ -259,6 +261,7 @@ impl Edges {
             let level = DVec3::new(heading.cos(), heading.sin(), 0.0);
             let along = if random.unit() < 0.5 { DVec3::Z } else { level };
             edges.ends.push([at, at + length * along]);
+            edges.told.push([random.unit(), random.unit()]);
             edges.corners.push([random.unit() < 0.5, random.unit() < 0.5]);
         }
         edges
@@ -284,6 +287,9 @@ impl Edges {
         // In any order.
         let (found, corners) =
             if random.unit() < 0.5 { (found, corners) } else { ([found[1], found[0]], [corners[1], corners[0]]) };
-        Detection::new(Shape::Segment { ends: found, corners }, sigma)
+        let noise = random.normal();
+        let [strength, contrast] = [0, 1].map(|k| Some(self.told[id as usize][k] + TOLD[k] * noise[k]));
+        let properties = Properties { strength, contrast, ..Properties::default() };
+        Detection { properties, ..Detection::new(Shape::Segment { ends: found, corners }, sigma) }
     }
 }

@@ -5,8 +5,7 @@
 //! where `CI` is set and 10^5 elsewhere.
 #![expect(clippy::print_stdout, reason = "what was drawn and held is worth reading")]
 
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 mod draws;
 
 use common::{Random, env_number, scenes};

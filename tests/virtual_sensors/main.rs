@@ -1,9 +1,7 @@
 //! The virtual sensors: known answers on small scenes, properties on generated ones, and faults that must be noticed.
 
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 
-mod command;
 mod docking;
 mod free_floor;
 mod laser;

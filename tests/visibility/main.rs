@@ -7,8 +7,7 @@
 
 #![allow(clippy::print_stderr)] // What agrees is worth reading.
 
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 mod occluders;
 mod patches;
 

@@ -1,0 +1,66 @@
+//! The engines under test, each as a function from a plan to images.
+
+use super::skip::no_adapter;
+use presight::compare::Precision;
+use presight::engine::{Engine, EngineKind};
+use presight::{FramePlan, Images, Stats};
+
+/// Images that held something else before: an engine must write every pixel.
+fn used(plan: &FramePlan) -> Images {
+    let mut images = Images::default();
+    images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
+    images.range.fill(-7.0);
+    images.depth_z.fill(-7.0);
+    images.cos_incidence.fill(-7.0);
+    images.echo.fill(-7.0);
+    images.polygon_id.fill(0x7777_7777);
+    images.object_id.fill(0x7777_7777);
+    images
+}
+
+/// A function from a plan to the images that an engine makes of it.
+pub type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
+
+/// Every engine that there is here, on two threads: the kind, its arithmetic, and how it renders.
+pub fn all() -> Vec<(EngineKind, Precision, Renderer)> {
+    let engines = EngineKind::ALL.into_iter().filter_map(|kind| Some((kind, open(kind, 2)?)));
+    engines.map(|(kind, engine)| (kind, engine.precision(), renderer(engine))).collect()
+}
+
+/// The CPU engine on so many threads.
+pub fn cpu(threads: usize) -> Renderer {
+    renderer(EngineKind::Cpu.open(&threads.into()).expect("threads"))
+}
+
+/// The GPU engine on whatever adapter there is; `None` where there is none and none is required.
+#[expect(clippy::print_stderr, reason = "it says which adapter is tested")]
+pub fn gpu() -> Option<Renderer> {
+    let engine = open(EngineKind::Gpu, 0)?;
+    eprintln!("{}", engine.name());
+    Some(renderer(engine))
+}
+
+/// `None` where there is no adapter and none is required (also by `PRESIGHT_REQUIRE_GPU`).
+fn open(kind: EngineKind, threads: usize) -> Option<Box<dyn Engine>> {
+    match kind.open(&threads.into()) {
+        Ok(engine) => Some(engine),
+        Err(e) if kind.needs_device() => {
+            assert!(std::env::var_os("PRESIGHT_REQUIRE_GPU").is_none(), "an adapter is required here: {e}");
+            if cfg!(feature = "gpu") {
+                no_adapter(e);
+            }
+            None
+        }
+        Err(e) => panic!("{}: {e}", kind.name()),
+    }
+}
+
+fn renderer(mut engine: Box<dyn Engine>) -> Renderer {
+    Box::new(move |plan| {
+        let (mut images, mut stats) = (used(plan), Stats::default());
+        engine.render(plan, &mut images, &mut stats).expect("the engine renders");
+        let lost = stats.counts.iter().find(|(name, _)| name.contains("internal")).map_or(0, |(_, n)| *n);
+        assert_eq!(lost, 0, "hits without id");
+        images
+    })
+}
