@@ -6,23 +6,28 @@ pub mod camera_info;
 pub mod corridor;
 pub mod costs;
 pub mod exr;
+mod faults;
 pub(crate) mod file;
 pub mod gltf;
 pub(crate) mod inputs;
 pub mod layer;
 mod load;
 pub mod materials;
+pub mod npy;
 pub mod pcd;
 pub mod ply;
 pub mod png;
+mod point_fields;
 mod points;
 pub mod prediction_json;
 pub mod robot_toml;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;
+pub mod series;
 #[cfg(feature = "store")]
 pub mod store;
+pub mod templates;
 pub(crate) mod temporary;
 pub(crate) mod text;
 pub mod tum;
