@@ -3,10 +3,10 @@
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::{Verdict, print};
+use presight::acquire::lost_features;
 use presight::environment::{Appearance, Environment, Material, Object};
 use presight::geometry::{Aabb, Pose};
 use presight::index::Scheme;
-use presight::placement;
 use presight::{Error, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut options = args.frame.options()?;
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
     let mut scene = open_scene(&args.scene, &options, Scheme::None)?;
-    scene.report.problems.extend(placement::problem(scene.world.environment())?);
+    scene.report.problems.extend(lost_features(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);
         let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);

@@ -102,7 +102,7 @@ impl OutputFiles {
     /// # Errors
     /// As [`OutputFiles::check_named`].
     pub fn check_read(self) -> Result<()> {
-        if self.files.is_empty() {
+        if self.by_file.is_empty() && self.by_place.is_empty() {
             return Ok(());
         }
         // No store is open now: whoever closes one, even a second time, gives up this process's locks on it.

@@ -1,6 +1,6 @@
 //! What a broken extractor, a jumping clock and a wild scene may hand to a tracker.
 
-use crate::simulator::Random;
+use super::simulator::Random;
 use glam::{DMat2, DVec2};
 use presight::ErrorKind;
 use presight::history::{End, ImageExtent, Seed, Tracker, TrackerOptions, Want};

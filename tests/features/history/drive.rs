@@ -1,7 +1,7 @@
 //! Points, seen from a robot that drives straight, turns, stops and starts.
 
-use crate::simulator::{Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
-use crate::told::Told;
+use super::simulator::{Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
+use super::told::Told;
 use presight::history::{Alternating, End, ImageExtent, Source, Tracker, TrackerOptions, View};
 use std::collections::BTreeMap;
 

@@ -56,5 +56,5 @@ fn a_test_without_its_data_says_so() {
 #[test]
 #[ignore = "run by the test above, in a process of its own"]
 fn lacks_data() {
-    assert_eq!(crate::common::data::file("env/hospital.glb"), None);
+    assert_eq!(presight_testkit::data::file("env/hospital.glb"), None);
 }

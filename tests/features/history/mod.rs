@@ -1,4 +1,4 @@
-//! The tracker against a simulator of its own and a filter that is told the motion. `cargo test --test history -- --nocapture` prints
+//! The tracker against a simulator of its own and a filter that is told the motion. `cargo test --test features history -- --nocapture` prints
 //! its figures.
 
 #![allow(clippy::print_stdout, reason = "figures are told where they are measured")]

@@ -1,10 +1,10 @@
 //! The real scenes: counts, bounds and source numbers against what their makers wrote down.
 
 use crate::build::SOURCE;
-use crate::common::data;
 use glam::DVec3;
 use presight::acquire::ProblemKind;
 use presight::io::gltf::{ImportOptions, import};
+use presight_testkit::data;
 use std::path::{Path, PathBuf};
 
 fn scenes(data: &Path) -> Vec<PathBuf> {

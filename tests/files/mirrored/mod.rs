@@ -5,9 +5,6 @@
 //! origin that looks along +x sees its near wall at 2 m if the fronts are outside, and its far wall at 3 m if they are
 //! inside. From its middle the wall ahead is 0.5 m off, if its front is inside.
 
-#[path = "../import/build.rs"]
-#[allow(dead_code, reason = "made for more than this")]
-mod build;
 use presight_testkit as common;
 mod doors;
 mod features;

@@ -1,7 +1,7 @@
 //! Every way by which a mirrored cube comes into an environment.
 
-use super::build::{Folder, Gltf, U16};
 use super::{BOX, FACES, INSIDE, ROOM, check_on_cpu, corners, cube, one_sided};
+use crate::build::{Folder, Gltf, U16};
 use glam::{DAffine3, DVec3};
 use presight::io::gltf::{ImportOptions, import, write_glb};
 use presight::{Change, Environment, NewObject, Pose, World};

@@ -1,5 +1,4 @@
 //! Scene scripts: every function, every limit, the scenes of this repository, and the command.
-#![cfg(feature = "script")]
 
 mod bad;
 mod functions;

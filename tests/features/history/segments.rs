@@ -1,6 +1,6 @@
 //! Edges whose ends slide, seen from a robot that drives and turns.
 
-use crate::simulator::{Disturbance, Edges, HEIGHT, Random, Simulator, TOLD, WIDTH, leg};
+use super::simulator::{Disturbance, Edges, HEIGHT, Random, Simulator, TOLD, WIDTH, leg};
 use glam::{DMat2, DVec2};
 use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
 use presight::matching::{Detection, Estimate, ExpectedProperties, Shape};
@@ -10,7 +10,7 @@ const SIGMA: f64 = 0.5;
 
 /// Of an edge at `ends`, what a window must hold: the middle, and corners.
 fn held(window: &[f64; 4], ends: &[DVec2; 2], corners: &[bool; 2], noise: DVec2) -> bool {
-    let inside = |p: DVec2| crate::simulator::holds(window, p + noise);
+    let inside = |p: DVec2| super::simulator::holds(window, p + noise);
     let ends_inside = (0..2).all(|k| !corners[k] || inside(ends[k]));
     inside(0.5 * (ends[0] + ends[1])) && ends_inside
 }

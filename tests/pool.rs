@@ -1,6 +1,6 @@
 //! Nothing runs on rayon's global pool, which panics where the system has no more threads.
+#![cfg(feature = "script")]
 
-use crate::common::{self, forbid_global_pool};
 use glam::DVec3;
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::compare::{Precision, candidates};
@@ -8,6 +8,7 @@ use presight::features::{BoxOptions, FeatureOptions, FeatureSettings, Visibility
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{self, ImportOptions};
 use presight::{Backend, FramePlan, Options, Output, Outputs, Pose, Predictor, Request, Threads, World, preset};
+use presight_testkit::{self as common, forbid_global_pool};
 use std::path::{Path, PathBuf};
 
 /// Balls with so many polygons that the sorting of meshes and indexes goes parallel.

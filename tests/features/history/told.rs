@@ -1,6 +1,6 @@
 //! A plain Kalman filter that is told how each feature truly moves.
 
-use crate::simulator::Disturbance;
+use super::simulator::Disturbance;
 use glam::DVec2;
 
 /// One feature: its place is moved on as the true one moves, so that only noise is left to filter.
