@@ -7,6 +7,7 @@ pub mod corridor;
 pub mod costs;
 pub mod exr;
 pub(crate) mod file;
+pub mod forms;
 pub mod gltf;
 pub(crate) mod inputs;
 pub mod layer;

@@ -146,7 +146,7 @@ fn a_mirrored_wall_a_micrometre_ahead_is_seen_from_its_front() {
             let pose = Pose { translation: DVec3::new(wall - AHEAD, 0.0, 0.0), ..Pose::IDENTITY };
             for (sensor, pixel) in sensors() {
                 let plan = common::plan(&world, &sensor, &pose);
-                for (name, engine) in &mut engines {
+                for (name, _, engine) in &mut engines {
                     let seen = f64::from(engine(&plan).range[pixel]);
                     let sensor = &sensor.spec().name;
                     assert!((seen / AHEAD - 1.0).abs() < 1e-3, "{what}, {name}, {sensor}, wall {wall}: {seen} m");
