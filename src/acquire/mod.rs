@@ -3,6 +3,7 @@
 
 mod edges;
 pub mod features;
+mod frame;
 mod merge;
 pub mod primitives;
 mod quality;
@@ -10,6 +11,8 @@ mod report;
 mod triangles;
 
 pub(crate) use edges::Edges;
+pub(crate) use frame::Z_UP_FROM_Y_UP;
+pub use frame::{SceneFrame, Up};
 pub use merge::MERGED_CORNERS;
 pub(crate) use merge::{merge, unmerged};
 pub use report::{ImportReport, Imported, Problem, ProblemKind};

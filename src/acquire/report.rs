@@ -1,5 +1,6 @@
 //! What an import found: counts, and every kind of problem with its first places.
 
+use super::SceneFrame;
 use crate::environment::Environment;
 use crate::limits;
 use glam::Vec3;
@@ -13,6 +14,8 @@ pub struct Imported {
     pub environment: Environment,
     /// Counts and problems.
     pub report: ImportReport,
+    /// How the file lies in the world; `None` for a script, which is in the world's frame.
+    pub frame: Option<SceneFrame>,
 }
 
 /// Counts and problems of an import. "Stored" counts each mesh once, "scene" each of its instances.

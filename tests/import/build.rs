@@ -14,7 +14,8 @@ pub const U16: u32 = 5123;
 pub const U32: u32 = 5125;
 
 /// Every triangle by itself, in source order.
-pub const SOURCE: ImportOptions = ImportOptions { merge: false, merge_tolerance: 1e-6, threads: Threads::SHARED };
+pub const SOURCE: ImportOptions =
+    ImportOptions { merge: false, merge_tolerance: 1e-6, up: None, scale: None, threads: Threads::SHARED };
 
 /// The four corners of a unit square and a fifth point off it.
 pub const SQUARE: [[f32; 3]; 5] =

@@ -149,7 +149,7 @@ fn a_mirrored_wall_a_micrometre_ahead_is_seen_from_its_front() {
                 for (name, _, engine) in &mut engines {
                     let seen = f64::from(engine(&plan).range[pixel]);
                     let sensor = &sensor.spec().name;
-                    assert!((seen / AHEAD - 1.0).abs() < 1e-3, "{what}, {name}, {sensor}, wall {wall}: {seen} m");
+                    assert!((seen / AHEAD - 1.0).abs() < 1e-3, "{what}, {name:?}, {sensor}, wall {wall}: {seen} m");
                 }
             }
         }
