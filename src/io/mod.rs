@@ -8,6 +8,7 @@ pub mod costs;
 pub mod exr;
 mod faults;
 pub(crate) mod file;
+pub mod forms;
 pub mod gltf;
 pub(crate) mod inputs;
 pub mod layer;

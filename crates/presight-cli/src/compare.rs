@@ -196,7 +196,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
     };
     let world = open_scene(scene, &options, Scheme::default())?.world;
     let request = ImageRequest { outputs: reference.images.outputs(), ids };
-    let plan = FramePlan::new(&world, &sensor, &world_from_sensor, &request)?;
+    let plan = FramePlan::new(&world, &sensor, &world_from_sensor, request)?;
     compare(&reference.images, other, &plan, args.precision.into())
 }
 
