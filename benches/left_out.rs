@@ -43,7 +43,7 @@ enum After<'a> {
 impl Side<'_> {
     fn run(&mut self, pose: &Pose, images: &mut Images) -> (f64, Stats) {
         let Self { predictor, world, sensor, outputs, after } = self;
-        let request = Request { outputs: *outputs, ids: IdScheme::Model };
+        let request = Request { outputs: *outputs, ids: IdScheme::Model, ..Request::default() };
         let start = Instant::now();
         let mut stats = predictor.predict_into(world, sensor, pose, &request, images).expect("a prediction");
         let placed = match *after {

@@ -57,7 +57,7 @@ fn measure(scene: &str, world: &World, pose: &Pose) {
         let sensor = Sensor::new(spec).expect("a sensor");
         let placed = if task.needs_features() { wanted(task, world) } else { Vec::new() };
         let outputs = if task.needs_features() { task.outputs().with(Output::PolygonId) } else { task.outputs() };
-        let request = Request { outputs, ids: IdScheme::Model };
+        let request = Request { outputs, ids: IdScheme::Model, ..Request::default() };
         let image_ms = fastest(|| {
             predictor.predict(world, &sensor, pose, &request).expect("it predicts");
         });

@@ -62,6 +62,7 @@ pub mod cli;
 pub mod compare;
 pub mod cost;
 pub mod cpu;
+pub mod deadline;
 pub mod environment;
 mod error;
 pub mod features;

@@ -44,7 +44,7 @@ fn pose() -> Pose {
 }
 
 fn plan(world: &World, sensor: &Sensor, outputs: Outputs, ids: IdScheme) -> FramePlan {
-    FramePlan::new(world, sensor, &pose(), &Request { outputs, ids }).unwrap()
+    FramePlan::new(world, sensor, &pose(), &Request { outputs, ids, ..Request::default() }).unwrap()
 }
 
 /// What the materials say, polygon by polygon, without the step under test.
@@ -125,7 +125,7 @@ fn unasked_it_is_neither_there_nor_needs_anything() {
         &plain,
         &sensor,
         &Pose::IDENTITY,
-        &Request { outputs: Outputs::of(&[Output::Echo]), ids: IdScheme::Model },
+        &Request { outputs: Outputs::of(&[Output::Echo]), ids: IdScheme::Model, ..Request::default() },
     )
     .unwrap();
     assert_eq!(asked.drawn(), Outputs::of(&[Output::CosIncidence]));

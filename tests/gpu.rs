@@ -261,7 +261,7 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
             if output == Output::DepthZ && !sensor.is_camera() {
                 continue;
             }
-            let request = Request { outputs: Outputs::of(&[output]), ids: IdScheme::Model };
+            let request = Request { outputs: Outputs::of(&[output]), ids: IdScheme::Model, ..Request::default() };
             let plan = presight::FramePlan::new(&world, sensor, &pose, &request).unwrap();
             let mut images = poisoned(sensor);
             engine.render(&plan, &mut images, &mut Stats::default()).unwrap();

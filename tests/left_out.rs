@@ -84,7 +84,7 @@ impl Case<'_> {
     fn run_once(&self, predictor: &mut Predictor, placed: &[PlacedFeature]) -> Did {
         let (world, sensor, pose) = (self.world, self.sensor, pose());
         let mut images = Images::default();
-        let request = Request { outputs: self.outputs, ids: self.ids };
+        let request = Request { outputs: self.outputs, ids: self.ids, ..Request::default() };
         let mut stats = predictor.predict_into(world, sensor, &pose, &request, &mut images).unwrap();
         let mut feature_id = Vec::new();
         if self.features != Features::No {
@@ -448,7 +448,7 @@ mod device {
     fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, Engine)> {
         let mut engine = there(Engine::new(DeviceOptions { all_on_device, ..Default::default() }))?;
         let (before, sensor) = (engine.made().bytes, scenes::camera(256, 128));
-        let plan = FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model }).unwrap();
+        let plan = FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model, ..Request::default() }).unwrap();
         let mut stats = Stats::default();
         engine.render(&plan, &mut Images::default(), &mut stats).unwrap();
         assert_eq!(stats.work.gpu_bytes_made, engine.made().bytes - before);

@@ -191,7 +191,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
         ..default
     };
     let world = load::scene(scene, &options, Scheme::default())?.world;
-    let request = Request { outputs: reference.images.outputs(), ids };
+    let request = Request { outputs: reference.images.outputs(), ids, ..Request::default() };
     let plan = FramePlan::new(&world, &sensor, &world_from_sensor, &request)?;
     compare(&reference.images, other, &plan, args.precision.into())
 }

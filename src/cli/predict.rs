@@ -242,7 +242,7 @@ impl Args {
         if self.depth_png.is_some() {
             wanted.push(png::depth_output(sensor));
         }
-        Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme() })
+        Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme(), ..Request::default() })
     }
 
     /// What the prediction and its files take of memory.

@@ -2,6 +2,7 @@
 
 use crate::environment::Object;
 use crate::error::{Error, Result};
+use std::time::Duration;
 
 /// An image that a prediction can deliver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -140,4 +141,7 @@ pub struct Request {
     pub outputs: Outputs,
     /// Which number `polygon_id` holds.
     pub ids: IdScheme,
+    /// The time that the prediction may take, from the call on; what cannot be made in it is given up (see [`crate::deadline`]).
+    /// `None` means as long as it takes, and reads no clock to decide anything.
+    pub deadline: Option<Duration>,
 }

@@ -236,7 +236,7 @@ impl VirtualSensor {
     /// let world = World::new(environment);
     ///
     /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
-    /// let request = Request { outputs: task.outputs(), ids: IdScheme::Model };
+    /// let request = Request { outputs: task.outputs(), ids: IdScheme::Model, ..Request::default() };
     /// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
     /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &request)?;
     /// let environment = world.environment();

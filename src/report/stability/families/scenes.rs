@@ -145,7 +145,7 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Resu
     let mut verdicts = vec![(Verdict::default(), 0); subjects.len()];
     for case in cases {
         let outputs = if case.sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
-        let request = Request { outputs, ids: IdScheme::Model };
+        let request = Request { outputs, ids: IdScheme::Model, ..Request::default() };
         let plan = FramePlan::new(&case.world, &case.sensor, &case.pose, &request)?;
         let picture = Picture::new(&plan);
         for (subject, (all, edge_on)) in subjects.iter_mut().zip(&mut verdicts) {
