@@ -4,11 +4,11 @@
 //! hospital where `PRESIGHT_DATA` (default `../shared/data`) holds them, else `scenes/room.glb`.
 #![expect(clippy::print_stdout, reason = "the table is the result")]
 
-#[cfg(feature = "gpu")]
-use presight::Opening;
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::features::{BoxOptions, FeatureOptions, PlacedFeature, place};
 use presight::free_poses::free_poses;
+#[cfg(feature = "gpu")]
+use presight::gpu::testing::{self, Setup};
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{
@@ -213,14 +213,16 @@ fn stages(side: &mut Side<'_>, pose: &Pose) {
 #[cfg(feature = "gpu")]
 fn device(scene: &Scene) {
     use presight::FramePlan;
-    use presight::gpu::{DeviceOptions, Engine};
+    use presight::gpu::DeviceOptions;
     let sensor = preset("video-camera").expect("a preset");
     let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default()).expect("a sound pose");
-    let engine = |options| Engine::new(options).unwrap_or_else(|e| panic!("{e}"));
-    let all = DeviceOptions { all_on_device: true, ..DeviceOptions::default() };
+    let engine = |(without_int64, all_on_device)| {
+        let options = DeviceOptions { without_int64, ..DeviceOptions::default() };
+        testing::open(options, Setup { all_on_device, ..Setup::default() }).unwrap_or_else(|e| panic!("{e}"))
+    };
     let pairs = [
-        ("resolve on the device", "software adapters", all, DeviceOptions::default()),
-        ("second raster pass", "64-bit atomics", DeviceOptions { without_int64: true, ..all }, all),
+        ("resolve on the device", "software adapters", (false, true), (false, false)),
+        ("second raster pass", "64-bit atomics", (true, true), (false, true)),
     ];
     for (what, left_out_by, with, without) in pairs {
         let mut engines = [engine(with), engine(without)];
@@ -247,9 +249,9 @@ fn main() {
         table(&scene, &cpu);
         #[cfg(feature = "gpu")]
         if Predictor::new(Options { backend: Backend::Gpu, threads: 0.into() }).is_ok() {
-            let opening = Opening { all_on_device: true, ..Opening::default() };
             let gpu = || {
-                Predictor::opened(Options { backend: Backend::Gpu, threads: 0.into() }, opening).expect("an adapter")
+                let engine = testing::open(Default::default(), Setup::ALL_ON_DEVICE).expect("an adapter");
+                Predictor::with_engine(Options { backend: Backend::Gpu, threads: 0.into() }, Box::new(engine))
             };
             table(&scene, &gpu);
             device(&scene);

@@ -63,6 +63,7 @@ pub mod compare;
 pub mod cost;
 pub mod cpu;
 pub mod deadline;
+pub mod engine;
 pub mod environment;
 mod error;
 pub mod features;
@@ -98,8 +99,6 @@ pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
 pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, StageRow, Stats, Work};
-#[doc(hidden)]
-pub use predict::Opening;
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;

@@ -1,19 +1,20 @@
 //! The predictor: from a world, a sensor and a pose to images and features.
 
+use crate::cost::{Controller, CostModel};
 use crate::cpu;
+use crate::deadline::{Clock, GivenUp};
+use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
-#[cfg(feature = "gpu")]
-use crate::features::Visibility;
-use crate::features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, Prepared, add_boxes};
+use crate::features::{
+    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature, Prepared, Visibility,
+};
 use crate::geometry::Pose;
-#[cfg(feature = "gpu")]
-use crate::gpu;
 use crate::plan::{FramePlan, Images, Output, PlanBuffers, Request, Stats};
-#[cfg(feature = "gpu")]
 use crate::probe::{Probe, Task, Told};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The engine that predicts.
@@ -64,56 +65,60 @@ pub struct Prediction {
 /// # Ok::<(), presight::Error>(())
 /// ```
 pub struct Predictor {
-    #[cfg(feature = "gpu")]
-    options: Options,
-    #[cfg(feature = "gpu")]
-    opening: Opening,
-    engine: Engine,
+    backend: Backend,
+    /// Work that no engine does runs here.
+    threads: Threads,
+    engine: Box<dyn Engine>,
+    /// What the engine's device was found able to do.
+    proven: Proven,
     /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
     buffers: PlanBuffers,
-    #[cfg(feature = "gpu")]
     last: Option<LastFrame>,
-    /// What befell the GPU, once something did.
+    /// Keeps deadlines.
+    controller: Controller,
+    /// What happened to the GPU, if something did.
     notice: Option<String>,
 }
 
-/// How a predictor opens the GPU; tests of its recovery open it otherwise.
-#[doc(hidden)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Opening {
-    /// [`Backend::Auto`] takes any adapter, too.
-    pub any_adapter: bool,
-    /// No more than so many bytes go into one buffer.
-    pub largest_binding: Option<u64>,
-    /// Nothing is found, as after a driver's crash.
-    pub nothing: bool,
-    /// Every stage runs on the device, even on a software adapter.
-    pub all_on_device: bool,
-    /// The device draws wrong, as with a driver at fault.
-    pub wrong: bool,
-}
-
-enum Engine {
-    Cpu(cpu::Engine),
-    #[cfg(feature = "gpu")]
-    Gpu(Box<gpu::Engine>, Proven),
-}
-
 /// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
-#[cfg(feature = "gpu")]
 #[derive(Default)]
 struct Proven {
     images: Vec<Task>,
     regions: Vec<(Task, Told)>,
 }
 
-/// What the device drew last.
-#[cfg(feature = "gpu")]
+/// What the engine drew last.
 struct LastFrame {
     /// [`World::stamp`].
     world: u64,
     sensor: Sensor,
     world_from_sensor: Pose,
+}
+
+impl Prediction {
+    /// What was given up for the deadline; `None` if everything is there.
+    pub fn given_up(&self) -> Option<&GivenUp> {
+        self.stats.given_up()
+    }
+}
+
+/// Deadlines.
+impl Predictor {
+    /// What predictions with a deadline cost so far: to be saved with [`crate::io::costs::write`].
+    pub fn costs(&self) -> &CostModel {
+        &self.controller.costs
+    }
+
+    /// Goes on from what was learnt before.
+    pub fn set_costs(&mut self, costs: CostModel) {
+        self.controller.costs = costs;
+    }
+
+    /// Takes another clock than the system's: for tests.
+    #[doc(hidden)]
+    pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
+        self.controller.set_clock(clock);
+    }
 }
 
 impl Predictor {
@@ -123,43 +128,35 @@ impl Predictor {
     /// [`ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
     /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
     pub fn new(options: Options) -> Result<Self> {
-        Self::opened(options, Opening::default())
+        let (engine, notice) = choose_engine(options.backend, &options.threads, engine::open_gpu)?;
+        Ok(Self { notice, ..Self::with_engine(options, engine) })
     }
 
-    /// [`Predictor::new`] with the GPU opened in a way of one's own.
+    /// Makes a predictor of an engine that is open already. With [`Backend::Auto`] the CPU engine takes over if that one's
+    /// device fails.
     #[doc(hidden)]
-    pub fn opened(options: Options, opening: Opening) -> Result<Self> {
-        let on_cpu = || Ok(Engine::Cpu(cpu::Engine::new(options.threads.clone())?));
-        let (engine, notice) = match options.backend {
-            Backend::Cpu => (on_cpu()?, None),
-            Backend::Gpu => (open_gpu(&options, opening)?, None),
-            Backend::Auto => match open_gpu(&options, opening) {
-                Ok(engine) => (engine, None),
-                // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
-                Err(e) if e.kind() == ErrorKind::NoDevice => (on_cpu()?, None),
-                Err(e) => (on_cpu()?, Some(format!("the CPU engine is used: {e}"))),
-            },
-        };
-        Ok(Self {
-            #[cfg(feature = "gpu")]
-            options,
-            #[cfg(feature = "gpu")]
-            opening,
+    pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
+        Self {
+            backend: options.backend,
+            threads: options.threads,
             engine,
+            proven: Proven::default(),
             buffers: PlanBuffers::default(),
-            #[cfg(feature = "gpu")]
             last: None,
-            notice,
-        })
+            controller: Controller::default(),
+            notice: None,
+        }
+    }
+
+    /// The engine.
+    #[doc(hidden)]
+    pub fn engine(&self) -> &dyn Engine {
+        &*self.engine
     }
 
     /// Name of the engine: `cpu`, or `gpu` with its adapter.
     pub fn engine_name(&self) -> String {
-        match &self.engine {
-            Engine::Cpu(_) => "cpu".into(),
-            #[cfg(feature = "gpu")]
-            Engine::Gpu(engine, _) => format!("gpu ({})", engine.adapter()),
-        }
+        self.engine.name()
     }
 
     /// Predicts the images of a sensor at a pose: the sensor's pose in the world, body axes.
@@ -191,7 +188,8 @@ impl Predictor {
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera, and those of [`Pose::check`];
-    /// [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`].
+    /// [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if nothing can be
+    /// made within [`Request::deadline`], and [`ErrorKind::Usage`] for a deadline of 0 or of an engine that cannot stop.
     pub fn predict_into(
         &mut self,
         world: &World,
@@ -207,23 +205,29 @@ impl Predictor {
             ));
         }
         world_from_sensor.check()?;
+        let threads = self.engine.threads_with_deadline();
+        let mut timed = self.controller.begin(request, threads, sensor)?;
         let start = Instant::now();
         let buffers = std::mem::take(&mut self.buffers);
-        let plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
         let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         stats.stage("selection", start);
+        if let Some(timed) = &mut timed {
+            self.controller.plan(timed, &mut plan)?;
+        }
         let rendered = self.render(&plan, images, &mut stats);
         let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
         stats.left_out.extend(by_engine);
         plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
         stats.notices.extend(self.notice.clone());
-        #[cfg(feature = "gpu")]
-        {
-            self.last =
-                Some(LastFrame { world: world.stamp(), sensor: sensor.clone(), world_from_sensor: *world_from_sensor });
-        }
+        self.last =
+            Some(LastFrame { world: world.stamp(), sensor: sensor.clone(), world_from_sensor: *world_from_sensor });
         self.buffers = plan.into_buffers();
-        rendered.map(|()| stats)
+        rendered?;
+        if let Some(timed) = &timed {
+            self.controller.end(timed, &mut stats);
+        }
+        Ok(stats)
     }
 
     /// Predicts how much the sensor sees of features, from the images of a prediction of the same world, sensor and pose. It does
@@ -248,27 +252,22 @@ impl Predictor {
         if placed.is_empty() {
             stats.leave_out("features", "there is none for this class");
         }
-        #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "the device's part is told apart"))]
         let mut start = Instant::now();
         let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
-        #[cfg(feature = "gpu")]
-        let told = if placed.is_empty() || options.visibility == Visibility::Rays {
+        let hints = if placed.is_empty() || options.visibility == Visibility::Rays {
             None
         } else {
-            self.told(&prepared, world, sensor, world_from_sensor, placed, stats)?
+            self.query_occlusion(&prepared, world, sensor, world_from_sensor, placed, stats)?
         };
-        #[cfg(feature = "gpu")]
-        if told.is_some() {
+        if hints.is_some() {
             stats.stage("features on the device", start);
             start = Instant::now();
         }
-        #[cfg(not(feature = "gpu"))]
-        let told: Option<Vec<Vec<Option<u32>>>> = None;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
         self.tell_of_software("features on the device", stats);
-        let prediction = self.on_threads(|| prepared.finish(told.as_deref()))?;
+        let prediction = self.on_threads(|| prepared.finish(hints.as_deref()))?;
         stats.stage("features", start);
         for (name, n) in prediction.stats.counts() {
             stats.count(name, n);
@@ -299,38 +298,48 @@ impl Predictor {
             return options.check();
         }
         let start = Instant::now();
-        #[cfg(feature = "gpu")]
-        if let Engine::Gpu(engine, proven) = &mut self.engine
-            && engine.proposes()
-        {
-            let sound = prove_regions(engine, proven, sensor);
-            let before = engine.work();
-            let made =
-                sound.and_then(|()| engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options));
-            match made {
-                Ok(made) => {
-                    stats.work.add(engine.work().since(before));
-                    stats.count("regions of interest made on the device", made);
-                    stats.stage("regions of interest", start);
-                    return Ok(());
-                }
-                // The CPU finds the same; the next prediction opens the device again.
-                Err(e) if self.options.backend == Backend::Auto && e.kind() != ErrorKind::Usage => {}
-                Err(e) => return Err(e),
-            }
+        match self.boxes(prediction, placed, (world, sensor, world_from_sensor), options, stats)? {
+            Some(made) => stats.count("regions of interest made on the device", made),
+            None => self.tell_of_software("regions of interest on the device", stats),
         }
-        self.tell_of_software("regions of interest on the device", stats);
-        self.on_threads(|| add_boxes(prediction, placed, world, sensor, world_from_sensor, options))??;
         stats.stage("regions of interest", start);
         Ok(())
     }
 
+    /// [`engine::add_boxes`], on the CPU where a device that was ours to choose fails. Returns how many boxes the device made.
+    fn boxes(
+        &mut self,
+        prediction: &mut FeaturePrediction,
+        placed: &[PlacedFeature],
+        seen_from: (&World, &Sensor, &Pose),
+        options: &BoxOptions,
+        stats: &mut Stats,
+    ) -> Result<Option<usize>> {
+        self.threads = self.threads.started()?;
+        let before = self.engine.device().map(|device| device.work());
+        let proven = self.prove_regions(seen_from.1);
+        let engine = &mut *self.engine;
+        let made =
+            proven.and_then(|()| engine::add_boxes(engine, &self.threads, prediction, placed, seen_from, options));
+        match (made, before) {
+            (Ok(Some(made)), Some(before)) => {
+                stats.work.add(self.engine.device().map(|device| device.work().since(before)).unwrap_or_default());
+                Ok(Some(made))
+            }
+            // The CPU finds the same; the next prediction opens the device again.
+            (Err(e), Some(_)) if self.backend == Backend::Auto && e.kind() != ErrorKind::Usage => {
+                let (world, sensor, world_from_sensor) = seen_from;
+                let add = || crate::features::add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
+                self.threads.run(add)??;
+                Ok(None)
+            }
+            (made, _) => made,
+        }
+    }
+
     /// Records that a stage stays on the CPU because the adapter is software.
-    fn tell_of_software(&self, stage: &str, stats: &mut Stats) {
-        #[cfg(not(feature = "gpu"))]
-        let _ = (stage, stats);
-        #[cfg(feature = "gpu")]
-        if matches!(&self.engine, Engine::Gpu(engine, _) if !engine.proposes()) {
+    fn tell_of_software(&mut self, stage: &str, stats: &mut Stats) {
+        if self.engine.device().is_some_and(|device| !device.takes_features()) {
             stats.leave_out(stage, "done on the CPU: the adapter is a program on its own cores");
         }
     }
@@ -340,16 +349,13 @@ impl Predictor {
     /// # Errors
     /// [`ErrorKind::System`] if threads cannot be started.
     pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
-        match &mut self.engine {
-            Engine::Cpu(engine) => Ok(engine.on_threads(work)),
-            #[cfg(feature = "gpu")]
-            Engine::Gpu(engine, _) => engine.on_threads(work),
-        }
+        self.threads = self.threads.started()?;
+        self.threads.run(work)
     }
 
-    /// What the images on the device say of the samples of features; `None` if they are not there.
-    #[cfg(feature = "gpu")]
-    fn told(
+    /// What the images on the device say of the samples of features: slots of what may hide them; `None` if the images are
+    /// not there.
+    fn query_occlusion(
         &mut self,
         prepared: &Prepared<'_>,
         world: &World,
@@ -363,186 +369,147 @@ impl Predictor {
                 && std::ptr::eq(last.sensor.grid(), sensor.grid())
                 && last.world_from_sensor == *world_from_sensor
         };
-        let there = matches!(&self.engine, Engine::Gpu(engine, _) if engine.proposes() && engine.holds_prediction());
+        let there = self.engine.device().is_some_and(|device| device.takes_features() && device.holds_images());
         if !there || !self.last.as_ref().is_some_and(same) {
             return Ok(None);
         }
-        let asking = self.on_threads(|| prepared.asking())?;
-        if asking.iter().all(Vec::is_empty) {
+        let samples = self.on_threads(|| prepared.asking())?;
+        if samples.iter().all(Vec::is_empty) {
             stats.leave_out("features on the device", "no sample is where only what is in between decides");
             return Ok(None);
         }
-        let mut asked = gpu::Asked::new(asking.iter().map(Vec::len).sum(), sensor);
-        for (samples, placed) in asking.iter().zip(placed) {
-            asked.begin(&placed.slots);
-            samples.iter().for_each(|(at, pixel)| asked.push(*at, *pixel));
-        }
-        let Engine::Gpu(engine, _) = &mut self.engine else { return Ok(None) };
-        let before = engine.work();
-        let proposals = match engine.propose(&asked) {
-            Ok(proposals) => proposals,
+        let Some(device) = self.engine.device() else { return Ok(None) };
+        let before = device.work();
+        let hints = match device.query_occlusion(&FeatureSamples { samples: &samples, placed, sensor }) {
+            Ok(hints) => hints,
             // The images at hand say the same; the next prediction opens the device again.
-            Err(_) if self.options.backend == Backend::Auto => return Ok(None),
+            Err(_) if self.backend == Backend::Auto => return Ok(None),
             Err(e) => return Err(e),
         };
-        stats.work.add(engine.work().since(before));
-        let seen = proposals.iter().filter(|p| **p == gpu::Proposal::Seen).count();
-        let mut slots = proposals.iter().map(|p| match p {
-            gpu::Proposal::Hidden(slot) => Some(*slot),
+        stats.work.add(device.work().since(before));
+        let doubtful = hints.iter().filter(|hint| **hint == OcclusionHint::Doubt).count();
+        stats.count("feature samples in doubt on the device", doubtful);
+        let mut slots = hints.iter().map(|hint| match hint {
+            OcclusionHint::Hidden(slot) => Some(*slot),
             _ => None,
         });
-        let told: Vec<Vec<Option<u32>>> =
-            asking.iter().map(|samples| slots.by_ref().take(samples.len()).collect()).collect();
-        stats.count(
-            "feature samples in doubt on the device",
-            told.iter().flatten().filter(|t| t.is_none()).count() - seen,
-        );
-        Ok(Some(told))
+        Ok(Some(samples.iter().map(|samples| slots.by_ref().take(samples.len()).collect()).collect()))
     }
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
-        match &mut self.engine {
-            Engine::Cpu(engine) => engine.render(plan, images, stats),
-            #[cfg(feature = "gpu")]
-            Engine::Gpu(..) => self.render_on_gpu(plan, images, stats),
+        if self.engine.device().is_none() {
+            return self.engine.render(plan, images, stats);
         }
-    }
-
-    #[cfg(feature = "gpu")]
-    fn render_on_gpu(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let selection = stats.clone();
         let mut again = true;
-        while let Engine::Gpu(engine, proven) = &mut self.engine {
-            // Where nothing is drawn nothing has to be proven.
-            let drawn = if plan.polygon_count == 0 { Ok(()) } else { prove(engine, proven, plan, self.opening.wrong) };
-            let Err(fault) = drawn.and_then(|()| engine.render(plan, images, stats)) else { return Ok(()) };
+        loop {
+            let drawn = self.prove(plan).and_then(|()| self.engine.render(plan, images, stats));
+            let Err(fault) = drawn else { return Ok(()) };
             self.recover(fault, again)?;
             again = false;
             // Nothing of the attempt that failed is told.
             stats.clone_from(&selection);
         }
-        self.render(plan, images, stats)
     }
 
     /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine.
-    #[cfg(feature = "gpu")]
     fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
-        if again
-            && fault.kind() == ErrorKind::DeviceLost
-            && let Ok(engine) = open_gpu(&self.options, self.opening)
-        {
-            self.engine = engine;
+        let Some(device) = self.engine.device() else { return Err(fault) };
+        if again && fault.kind() == ErrorKind::DeviceLost && device.reopen().is_ok() {
+            self.proven = Proven::default();
             self.notice = Some(format!("the GPU was opened again after this: {fault}"));
             return Ok(());
         }
-        if self.options.backend != Backend::Auto {
+        if self.backend != Backend::Auto {
             return Err(fault);
         }
-        self.engine = Engine::Cpu(cpu::Engine::new(self.options.threads.clone())?);
+        self.engine = Box::new(cpu::Engine::new(self.threads.clone())?);
         self.notice = Some(format!("the CPU engine took over: {fault}"));
         Ok(())
     }
 
-    /// What the GPU engine has made on its device so far; `None` of the CPU engine.
-    #[cfg(feature = "gpu")]
-    pub fn made(&self) -> Option<gpu::Made> {
-        match &self.engine {
-            Engine::Cpu(_) => None,
-            Engine::Gpu(engine, _) => Some(engine.made()),
+    /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
+    /// that this makes are those of the prediction to come, so that it costs little besides.
+    fn prove(&mut self, plan: &FramePlan) -> Result<()> {
+        let task = Task::of(&plan.sensor);
+        // Where nothing is drawn nothing has to be proven.
+        if plan.polygon_count == 0 || self.engine.device().is_none() || self.proven.images.contains(&task) {
+            return Ok(());
         }
-    }
-
-    /// Changes how the GPU is opened when it has to be again.
-    #[cfg(feature = "gpu")]
-    #[doc(hidden)]
-    pub fn set_opening(&mut self, opening: Opening) {
-        self.opening = opening;
-    }
-
-    /// Takes the present device away when it is called, as a driver's reset would, from any thread and in the midst of a
-    /// prediction, too: for tests of what comes after. Does nothing to the CPU engine.
-    #[cfg(feature = "gpu")]
-    #[doc(hidden)]
-    pub fn device_loss(&self) -> impl Fn() + Send + use<> {
-        let device = match &self.engine {
-            Engine::Cpu(_) => None,
-            Engine::Gpu(engine, _) => Some(engine.device_loss()),
-        };
-        move || device.iter().for_each(|lose| lose())
-    }
-}
-
-/// No GPU engine was built.
-#[cfg(not(feature = "gpu"))]
-fn open_gpu(_: &Options, _: Opening) -> Result<Engine> {
-    Err(Error::new(
-        ErrorKind::NoDevice,
-        "this presight was built without the GPU engine",
-        "build it with the cargo feature `gpu`, or use --backend cpu",
-    ))
-}
-
-/// The GPU engine: on hardware only, unless it was asked for by name.
-#[cfg(feature = "gpu")]
-fn open_gpu(options: &Options, opening: Opening) -> Result<Engine> {
-    if opening.nothing {
-        return Err(Error::new(ErrorKind::NoDevice, "no adapter was found", "use --backend cpu"));
-    }
-    let engine = gpu::Engine::new(gpu::DeviceOptions {
-        hardware_only: options.backend == Backend::Auto && !opening.any_adapter,
-        largest_binding: opening.largest_binding,
-        all_on_device: opening.all_on_device,
-        ..Default::default()
-    })?;
-    Ok(Engine::Gpu(Box::new(engine.with_threads(options.threads.clone())), Proven::default()))
-}
-
-/// Holds a device to the CPU before it makes regions of interest for a kind of sensor for the first time. What it says of
-/// visibility needs no such proof: each answer is tested on the CPU.
-#[cfg(feature = "gpu")]
-fn prove_regions(engine: &mut gpu::Engine, proven: &mut Proven, sensor: &Sensor) -> Result<()> {
-    let task = Task::of(sensor);
-    let known = proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
-    let told = match known {
-        Some(told) => told,
-        None => {
-            let told = Probe::new()?.regions(task, engine)?;
-            proven.regions.push((task, told));
-            told
+        let engine = &mut *self.engine;
+        let draw = |plan: &FramePlan, images: &mut Images| engine.render(plan, images, &mut Stats::default());
+        let report = Probe::new()?.run(task, plan.drawn(), draw)?;
+        if let (Some(first), Some(device)) = (report.faults.first(), self.engine.device()) {
+            let (n, all) = (report.fault, report.pixels);
+            return Err(faulty(device, format!("draws {n} of {all} pixels of a probe wrong: {}", first.why)));
         }
-    };
-    if told.wrong > 0 {
-        let what = format!("{} makes {} of {} regions of a probe wrong", engine.adapter(), told.wrong, told.all);
-        let remedy = "update its driver, or use --backend cpu; see presight doctor";
-        return Err(Error::new(ErrorKind::NoDevice, what, remedy));
-    }
-    Ok(())
-}
-
-/// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
-/// that this makes are those of the prediction to come, so that it costs little besides.
-#[cfg(feature = "gpu")]
-fn prove(engine: &mut gpu::Engine, proven: &mut Proven, plan: &FramePlan, wrong: bool) -> Result<()> {
-    let task = Task::of(&plan.sensor);
-    if proven.images.contains(&task) {
-        return Ok(());
-    }
-    let report = Probe::new()?.run(task, plan.drawn(), |plan, images| {
-        engine.render(plan, images, &mut Stats::default())?;
-        if wrong {
-            images.range.iter_mut().for_each(|range| *range *= 1.01);
-        }
+        self.proven.images.push(task);
         Ok(())
-    })?;
-    if let Some(first) = report.faults.first() {
-        let (n, all) = (report.fault, report.pixels);
-        let what = format!("{} draws {n} of {all} pixels of a probe wrong: {}", engine.adapter(), first.why);
-        return Err(Error::new(
-            ErrorKind::NoDevice,
-            what,
-            "update its driver, or use --backend cpu; see presight doctor",
-        ));
     }
-    proven.images.push(task);
-    Ok(())
+
+    /// Holds a device to the CPU before it makes regions of interest for a kind of sensor for the first time. What it says of
+    /// visibility needs no such proof: each answer is tested on the CPU.
+    fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
+        let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
+        let task = Task::of(sensor);
+        let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
+        let told = match known {
+            Some(told) => told,
+            None => {
+                let told = Probe::new()?.regions(task, device)?;
+                self.proven.regions.push((task, told));
+                told
+            }
+        };
+        match told.wrong {
+            0 => Ok(()),
+            wrong => Err(faulty(device, format!("makes {wrong} of {} regions of a probe wrong", told.all))),
+        }
+    }
+}
+
+/// A device does something wrong.
+fn faulty(device: &dyn Device, what: String) -> Error {
+    let remedy = "update its driver, or use --backend cpu; see presight doctor";
+    Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
+}
+
+/// The engine of a backend, and what is to be said of it. `open_gpu` opens a GPU, on hardware or none if its second argument
+/// says so.
+fn choose_engine(
+    backend: Backend,
+    threads: &Threads,
+    open_gpu: impl Fn(&Threads, bool) -> Result<Box<dyn Engine>>,
+) -> Result<(Box<dyn Engine>, Option<String>)> {
+    let on_cpu = || Ok::<_, Error>(Box::new(cpu::Engine::new(threads.clone())?));
+    match backend {
+        Backend::Cpu => Ok((on_cpu()?, None)),
+        Backend::Gpu => Ok((open_gpu(threads, false)?, None)),
+        Backend::Auto => match open_gpu(threads, true) {
+            Ok(engine) => Ok((engine, None)),
+            // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
+            Err(e) if e.kind() == ErrorKind::NoDevice => Ok((on_cpu()?, None)),
+            Err(e) => Ok((on_cpu()?, Some(format!("the CPU engine is used: {e}")))),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
+        let fails =
+            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use --backend cpu"));
+        let threads = Threads::from(1);
+        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
+        assert_eq!((engine.name().as_str(), notice), ("cpu", None));
+        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::System)).unwrap();
+        assert_eq!(engine.name(), "cpu");
+        assert!(notice.is_some_and(|n| n.starts_with("the CPU engine is used: no adapter")));
+        let refused = choose_engine(Backend::Gpu, &threads, fails(ErrorKind::NoDevice)).err();
+        assert_eq!(refused.map(|e| e.kind()), Some(ErrorKind::NoDevice));
+        assert!(choose_engine(Backend::Cpu, &threads, fails(ErrorKind::System)).is_ok());
+    }
 }

@@ -85,7 +85,6 @@ impl World {
     }
 
     /// Tells this version from every other one of this process, those of other worlds included.
-    #[cfg(feature = "gpu")]
     pub(crate) fn stamp(&self) -> u64 {
         self.stamp
     }

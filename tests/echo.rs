@@ -6,7 +6,7 @@ mod common;
 
 use common::{engines, reference, scenes, summary};
 use glam::{DVec3, Vec3};
-use presight::compare::{Precision, compare};
+use presight::compare::compare;
 use presight::{
     Environment, FramePlan, IdScheme, Images, Material, Mesh, NewObject, Output, Outputs, Polygon, PolygonOrder, Pose,
     Request, Sensor, World,
@@ -83,15 +83,11 @@ fn bits(image: &[f32]) -> Vec<u32> {
     image.iter().map(|v| v.to_bits()).collect()
 }
 
-type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
-
 #[test]
 fn engines_agree_and_a_planted_fault_is_caught() {
     let world = world();
-    let mut renderers: Vec<(Precision, Renderer)> = vec![(Precision::F64, Box::new(engines::cpu(2)))];
-    #[cfg(feature = "gpu")]
-    renderers.extend(engines::gpu().map(|gpu| (Precision::F32, Box::new(gpu) as Renderer)));
-    for (precision, render) in &mut renderers {
+    let mut engines = engines::all();
+    for (_, precision, render) in &mut engines {
         for sensor in [scenes::camera(97, 61), scenes::scanner(120, 31), scenes::all_round(40, 21)] {
             for outputs in [Outputs::ALL, Outputs::of(&[Output::Echo])] {
                 let outputs = if sensor.is_camera() { outputs } else { outputs.without(Output::DepthZ) };

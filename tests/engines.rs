@@ -83,7 +83,6 @@ fn cpu_in_real_scenes() {
     check_scenes(engines::cpu(2), Precision::F64, poses(), share());
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_in_rooms() {
     if let Some(gpu) = engines::gpu() {
@@ -91,7 +90,6 @@ fn gpu_in_rooms() {
     }
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_in_real_scenes() {
     if let Some(gpu) = engines::gpu() {

@@ -13,14 +13,18 @@ use presight::features::{
     FeatureOptions, FeaturePrediction, FeatureStats, PlacedFeature, SeenFeature, predict_features,
 };
 
-use presight::{Backend, Images, Opening, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
+use presight::gpu::DeviceOptions;
+use presight::gpu::testing::{self, Setup};
+use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 
 fn predictor() -> Option<Predictor> {
-    let opening = Opening { all_on_device: true, ..Opening::default() };
-    match Predictor::opened(Options { backend: Backend::Gpu, threads: 2.into() }, opening) {
-        Ok(predictor) => Some(predictor),
+    match testing::open(DeviceOptions::default(), Setup::ALL_ON_DEVICE) {
+        Ok(engine) => {
+            let options = Options { backend: Backend::Gpu, threads: 2.into() };
+            Some(Predictor::with_engine(options, Box::new(engine.with_threads(2))))
+        }
         Err(e) => {
             no_adapter(e);
             None
@@ -190,7 +194,7 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
         assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")));
     };
     plain(&mut predictor);
-    let before = predictor.made().unwrap();
+    let before = testing::made(predictor.engine()).unwrap();
     plain(&mut predictor);
     let mut stats = Stats::default();
     let images = predictor.predict(&world, &sensors[0], &pose(0), &request()).unwrap().images;
@@ -198,12 +202,12 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
         .predict_features(&world, &sensors[0], &pose(0), &images, &[], &FeatureOptions::default(), &mut stats)
         .unwrap();
     assert!(none.features.is_empty() && none.stats == FeatureStats::default());
-    assert_eq!(predictor.made().unwrap(), before, "without features");
+    assert_eq!(testing::made(predictor.engine()).unwrap(), before, "without features");
     let round = |predictor: &mut Predictor| {
         for i in 0..4 {
             on_device(predictor, &world, &sensors[i % 2], &pose(i), &placed);
         }
-        predictor.made().unwrap()
+        testing::made(predictor.engine()).unwrap()
     };
     let first = round(&mut predictor);
     assert!(first.pipelines > before.pipelines && first.buffers > before.buffers);

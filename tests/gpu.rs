@@ -8,6 +8,7 @@ use common::skip::no_adapter;
 use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use presight::compare::{Precision, Report, compare};
+use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, Engine};
 use presight::{
     Angles, Camera, Distortion, Environment, ErrorKind, Geometry, IdScheme, Images, Material, Mesh, NewObject, Output,
@@ -16,8 +17,8 @@ use presight::{
 use std::sync::Arc;
 
 /// The engine, or `None` where there is no adapter and the machine may lack one.
-fn engine(options: DeviceOptions) -> Option<Engine> {
-    match Engine::new(options) {
+fn engine(options: DeviceOptions, setup: Setup) -> Option<Engine> {
+    match testing::open(options, setup) {
         Ok(engine) => Some(engine),
         Err(e) => {
             no_adapter(e);
@@ -28,7 +29,10 @@ fn engine(options: DeviceOptions) -> Option<Engine> {
 
 /// Both ways of keeping the nearest; the second resolves images on the device even where that is a program.
 fn engines() -> Vec<(&'static str, Engine)> {
-    let with = |other| engine(DeviceOptions { without_int64: other, all_on_device: other, ..Default::default() });
+    let with = |other| {
+        let options = DeviceOptions { without_int64: other, ..Default::default() };
+        engine(options, Setup { all_on_device: other, ..Setup::default() })
+    };
     [("64-bit", with(false)), ("32-bit", with(true))].into_iter().filter_map(|(n, e)| Some((n, e?))).collect()
 }
 
@@ -317,7 +321,7 @@ fn in_steady_state_nothing_is_made() {
 
 #[test]
 fn an_empty_world_and_changing_worlds_are_right() {
-    let Some(mut engine) = engine(DeviceOptions::default()) else { return };
+    let Some(mut engine) = engine(DeviceOptions::default(), Setup::default()) else { return };
     let empty = World::new(Environment::new());
     for sensor in sensors() {
         let (images, _) = check("empty", &mut engine, &empty, &sensor, &Pose::IDENTITY);
@@ -331,11 +335,11 @@ fn an_empty_world_and_changing_worlds_are_right() {
 
 #[test]
 fn a_lost_device_is_a_typed_error_and_a_new_engine_works() {
-    let Some(mut engine) = engine(DeviceOptions::default()) else { return };
+    let Some(mut engine) = engine(DeviceOptions::default(), Setup::default()) else { return };
     let (world, sensor) = (scene(5, 5, DVec3::ZERO), &sensors()[0]);
     let pose = poses(DVec3::ZERO)[0];
     check("before", &mut engine, &world, sensor, &pose);
-    engine.device_loss()();
+    testing::device_loss(&engine)();
     let mut images = Images::default();
     for _ in 0..2 {
         let lost = engine.render(&plan(&world, sensor, &pose), &mut images, &mut Stats::default()).unwrap_err();
@@ -348,7 +352,9 @@ fn a_lost_device_is_a_typed_error_and_a_new_engine_works() {
 
 #[test]
 fn too_much_for_the_device_is_a_typed_error_and_the_engine_goes_on() {
-    let Some(mut engine) = engine(DeviceOptions { largest_binding: Some(1 << 20), ..Default::default() }) else {
+    let Some(mut engine) =
+        engine(DeviceOptions::default(), Setup { largest_binding: Some(1 << 20), ..Setup::default() })
+    else {
         return;
     };
     let (world, pose) = (scene(6, 5, DVec3::ZERO), poses(DVec3::ZERO)[0]);

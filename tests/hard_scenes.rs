@@ -86,7 +86,6 @@ fn cpu_is_right_at_grazing_angles() {
     check_all(grazing(), |case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_is_right_at_grazing_angles() {
     if let Some(gpu) = engines::gpu() {
@@ -96,7 +95,6 @@ fn gpu_is_right_at_grazing_angles() {
 }
 
 /// One sliver before the GPU engine: where, along what, how long, its aspect; turn, scale and shear of its mesh.
-#[cfg(feature = "gpu")]
 fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, f64), mesh: ([f64; 3], [f64; 3], f64)) {
     use common::hard::{Placing, Shape};
     let placing = Placing { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
@@ -108,7 +106,6 @@ fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, 
 }
 
 /// A sliver whose long sides run towards a ray of the table, which no edge plane tells from a ray inside.
-#[cfg(feature = "gpu")]
 #[test]
 fn a_sliver_is_not_seen_at_its_vanishing_point() {
     let mesh = (
@@ -120,7 +117,6 @@ fn a_sliver_is_not_seen_at_its_vanishing_point() {
     check_sliver(1e-3, [0.0, 7.313833593351606, 7.313833593351606], along, mesh);
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn a_sliver_is_not_seen_beyond_its_end_on_lines() {
     let mesh = (
@@ -131,7 +127,6 @@ fn a_sliver_is_not_seen_beyond_its_end_on_lines() {
     check_sliver(1.0, [0.0, 0.0, 3.047230977134758], ([0.0, 1.0, 1.0], 3.1200004157051215, 21887.168291616068), mesh);
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
     let mesh = (
@@ -143,7 +138,6 @@ fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
 }
 
 /// Cells of 0.2 mrad seen at 0.1 mrad: only the cap tells a cell from the next but one.
-#[cfg(feature = "gpu")]
 #[test]
 fn a_cell_of_a_carpet_ends_at_its_corners_on_a_ray_table() {
     use common::hard::{Placing, Shape};
@@ -161,7 +155,6 @@ fn a_cell_of_a_carpet_ends_at_its_corners_on_a_ray_table() {
     }
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_is_right() {
     if let Some(gpu) = engines::gpu() {

@@ -96,7 +96,6 @@ fn cpu_images_are_equal_after_changes() {
     }
 }
 
-#[cfg(feature = "gpu")]
 #[test]
 fn gpu_images_are_equal() {
     if let Some(mut gpu) = engines::gpu() {

@@ -417,8 +417,9 @@ fn one_stage_pass_group_byte_or_image_too_many_is_found() {
 #[cfg(feature = "gpu")]
 mod device {
     use super::*;
+    use presight::FramePlan;
+    use presight::gpu::testing::{self, Setup};
     use presight::gpu::{DeviceOptions, Engine};
-    use presight::{FramePlan, Opening};
 
     /// `None` where there is no adapter and the machine may lack one.
     fn there<T>(made: presight::Result<T>) -> Option<T> {
@@ -426,8 +427,12 @@ mod device {
     }
 
     fn predictor(all_on_device: bool) -> Option<Predictor> {
-        let opening = Opening { all_on_device, ..Opening::default() };
-        there(Predictor::opened(Options { backend: Backend::Gpu, threads: 2.into() }, opening))
+        let engine = there(engine(all_on_device))?.with_threads(2);
+        Some(Predictor::with_engine(Options { backend: Backend::Gpu, threads: 2.into() }, Box::new(engine)))
+    }
+
+    fn engine(all_on_device: bool) -> presight::Result<Engine> {
+        testing::open(DeviceOptions::default(), Setup { all_on_device, ..Setup::default() })
     }
 
     #[test]
@@ -446,9 +451,11 @@ mod device {
 
     /// Bytes of the buffers that a fresh engine makes for one frame.
     fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, Engine)> {
-        let mut engine = there(Engine::new(DeviceOptions { all_on_device, ..Default::default() }))?;
+        let mut engine = there(engine(all_on_device))?;
         let (before, sensor) = (engine.made().bytes, scenes::camera(256, 128));
-        let plan = FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model, ..Request::default() }).unwrap();
+        let plan =
+            FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model, ..Request::default() })
+                .unwrap();
         let mut stats = Stats::default();
         engine.render(&plan, &mut Images::default(), &mut stats).unwrap();
         assert_eq!(stats.work.gpu_bytes_made, engine.made().bytes - before);
@@ -484,7 +491,7 @@ mod device {
             let outputs = of(&[Output::PolygonId]);
             let case = Case { on: On::Device, world, sensor, outputs, ids: IdScheme::Model, features };
             case.run(&mut predictor, &placed);
-            let made = predictor.made().unwrap();
+            let made = testing::made(predictor.engine()).unwrap();
             let growth = made.buffers - before.unwrap_or(made.buffers);
             assert!(growth >= more && (growth == 0) == (more == 0), "{features:?}: {growth} buffers");
             before = Some(made.buffers);

@@ -4,6 +4,7 @@ mod common;
 
 use common::scenes;
 use glam::{DMat3, DQuat, DVec3};
+use presight::engine::EngineKind;
 use presight::environment::FeatureShape;
 use presight::features::roi::{Uncertain, Viewpoint};
 use presight::features::{
@@ -138,19 +139,15 @@ fn functions_of_images_refuse_it() {
 #[test]
 fn engines_and_virtual_sensors_look_again() {
     let s = scene();
-    let mut cpu = presight::cpu::Engine::new(1).unwrap();
-    #[cfg(feature = "gpu")]
-    let mut gpu = presight::gpu::Engine::new(presight::gpu::DeviceOptions::default()).ok();
+    let mut engines: Vec<_> = EngineKind::ALL.iter().filter_map(|kind| kind.open(&1.into()).ok()).collect();
+    assert!(engines.len() >= 2);
     let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
     for (what, pose, said) in bad() {
         let mut plan = common::plan(&s.world, &s.sensor, &Pose::IDENTITY);
         plan.world_from_sensor = pose;
         let mut images = Images::default();
-        refused("the reference", what, said, presight::reference::render(&plan, &mut images));
-        refused("the CPU engine", what, said, cpu.render(&plan, &mut images, &mut Stats::default()));
-        #[cfg(feature = "gpu")]
-        if let Some(gpu) = &mut gpu {
-            refused("the GPU engine", what, said, gpu.render(&plan, &mut images, &mut Stats::default()));
+        for engine in &mut engines {
+            refused(&engine.name(), what, said, engine.render(&plan, &mut images, &mut Stats::default()));
         }
         for task in VirtualSensor::ALL {
             let name = match task.class() {

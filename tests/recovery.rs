@@ -3,15 +3,19 @@
 #![cfg(feature = "gpu")]
 
 mod common;
+#[path = "common/faulty.rs"]
+mod faulty;
 
 use common::scenes;
 use common::skip::no_adapter;
+use faulty::{Faulty, Switches};
 use glam::DVec3;
 use presight::compare::{Precision, compare};
+use presight::gpu::testing::Setup;
 use presight::gpu::{DeviceOptions, Engine};
 use presight::{
-    Backend, ErrorKind, FramePlan, Images, Opening, Options, Output, Outputs, Pose, Prediction, Predictor, Request,
-    Sensor, World,
+    Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Sensor,
+    World,
 };
 use std::time::Duration;
 
@@ -55,24 +59,30 @@ fn bits(images: &Images) -> Vec<u32> {
     floats.chain(ids).collect()
 }
 
-fn on(backend: Backend, opening: Opening) -> Predictor {
-    Predictor::opened(Options { backend, threads: 1.into() }, opening).unwrap()
+fn options(backend: Backend) -> Options {
+    Options { backend, threads: 1.into() }
 }
 
-const ANY: Opening =
-    Opening { any_adapter: true, largest_binding: None, nothing: false, all_on_device: false, wrong: false };
-const NOTHING: Opening = Opening { nothing: true, ..ANY };
+/// A predictor on any adapter, and the hand on its device.
+fn on(backend: Backend) -> (Predictor, Switches) {
+    with(backend, Setup::default(), false)
+}
+
+fn with(backend: Backend, setup: Setup, wrong: bool) -> (Predictor, Switches) {
+    let (engine, switches) = Faulty::new(setup, wrong).unwrap();
+    (Predictor::with_engine(options(backend), Box::new(engine)), switches)
+}
 
 #[test]
 fn a_lost_gpu_is_opened_again_and_shows_the_same() {
     let Some(task) = Task::new() else { return };
     for backend in [Backend::Gpu, Backend::Auto] {
-        let mut predictor = on(backend, ANY);
+        let (mut predictor, switches) = on(backend);
         let before = task.predict(&mut predictor).unwrap();
         assert_eq!(before.stats.notices, Vec::<String>::new());
         task.check(&before);
         for _ in 0..2 {
-            predictor.device_loss()();
+            switches.lose();
             let after = task.predict(&mut predictor).unwrap();
             assert_eq!(after.stats.engine, "gpu");
             assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
@@ -87,15 +97,15 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
 #[test]
 fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
     let Some(task) = Task::new() else { return };
-    let mut predictor = on(Backend::Auto, ANY);
+    let (mut predictor, switches) = on(Backend::Auto);
     assert!(predictor.engine_name().starts_with("gpu"), "{}", predictor.engine_name());
     let before = task.predict(&mut predictor).unwrap();
-    predictor.set_opening(NOTHING);
-    predictor.device_loss()();
-    let expected = task.predict(&mut on(Backend::Cpu, ANY)).unwrap();
+    switches.set_gone(true);
+    switches.lose();
+    let expected = task.predict(&mut Predictor::new(options(Backend::Cpu)).unwrap()).unwrap();
     // It stays there: the device would not come back between two predictions.
-    for opening in [NOTHING, ANY] {
-        predictor.set_opening(opening);
+    for gone in [true, false] {
+        switches.set_gone(gone);
         let after = task.predict(&mut predictor).unwrap();
         assert_eq!((after.stats.engine.as_str(), predictor.engine_name().as_str()), ("cpu", "cpu"));
         assert!(after.stats.adapter.is_none());
@@ -111,16 +121,16 @@ fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
 #[test]
 fn asked_for_by_name_a_lost_gpu_is_an_error_until_it_can_be_opened() {
     let Some(task) = Task::new() else { return };
-    let mut predictor = on(Backend::Gpu, ANY);
+    let (mut predictor, switches) = on(Backend::Gpu);
     let before = task.predict(&mut predictor).unwrap();
-    predictor.set_opening(NOTHING);
-    predictor.device_loss()();
+    switches.set_gone(true);
+    switches.lose();
     for _ in 0..2 {
         let lost = task.predict(&mut predictor).unwrap_err();
         assert_eq!((lost.kind(), lost.kind().exit_status()), (ErrorKind::DeviceLost, 3), "{lost}");
         assert!(predictor.engine_name().starts_with("gpu"));
     }
-    predictor.set_opening(ANY);
+    switches.set_gone(false);
     let after = task.predict(&mut predictor).unwrap();
     assert_eq!(bits(&after.images), bits(&before.images));
     assert_eq!(after.stats.notices.len(), 1);
@@ -129,8 +139,8 @@ fn asked_for_by_name_a_lost_gpu_is_an_error_until_it_can_be_opened() {
 #[test]
 fn too_little_memory_is_an_error_by_name_and_the_cpu_with_auto() {
     let Some(mut task) = Task::new() else { return };
-    let small = Opening { largest_binding: Some(1 << 19), ..ANY };
-    let (mut named, mut auto) = (on(Backend::Gpu, small), on(Backend::Auto, small));
+    let small = Setup { largest_binding: Some(1 << 19), ..Setup::default() };
+    let [mut named, mut auto] = [Backend::Gpu, Backend::Auto].map(|backend| with(backend, small, false).0);
     let fits = task.predict(&mut named).unwrap();
     let smaller = std::mem::replace(&mut task.sensor, scenes::camera(400, 300));
     let full = task.predict(&mut named).unwrap_err();
@@ -149,38 +159,30 @@ fn too_little_memory_is_an_error_by_name_and_the_cpu_with_auto() {
 #[test]
 fn a_driver_that_draws_wrong_is_an_error_by_name_and_the_cpu_with_auto() {
     let Some(task) = Task::new() else { return };
-    let wrong = Opening { wrong: true, ..ANY };
-    let refused = task.predict(&mut on(Backend::Gpu, wrong)).unwrap_err();
+    let wrong = |backend| with(backend, Setup::default(), true).0;
+    let refused = task.predict(&mut wrong(Backend::Gpu)).unwrap_err();
     assert_eq!((refused.kind(), refused.kind().exit_status()), (ErrorKind::NoDevice, 3), "{refused}");
     assert!(refused.to_string().contains("pixels of a probe wrong"), "{refused}");
-    let instead = task.predict(&mut on(Backend::Auto, wrong)).unwrap();
+    let instead = task.predict(&mut wrong(Backend::Auto)).unwrap();
     assert_eq!(instead.stats.engine, "cpu");
     let [notice] = &instead.stats.notices[..] else { panic!("{:?}", instead.stats.notices) };
     assert!(notice.starts_with("the CPU engine took over: ") && notice.contains("wrong"), "{notice}");
     task.check(&instead);
 }
 
-#[test]
-fn no_adapter_at_the_start_is_the_cpu_or_an_error() {
-    let predictor = on(Backend::Auto, NOTHING);
-    assert_eq!(predictor.engine_name(), "cpu");
-    let refused = Predictor::opened(Options { backend: Backend::Gpu, threads: 1.into() }, NOTHING);
-    assert_eq!(refused.err().map(|e| e.kind()), Some(ErrorKind::NoDevice));
-}
-
 /// As `predict --repeat N` does it, while another thread takes the device away at any point of a prediction.
 #[test]
 fn lost_in_the_midst_of_predictions_every_answer_is_right_or_an_error() {
     let Some(task) = Task::new() else { return };
-    let mut predictor = on(Backend::Gpu, ANY);
+    let (mut predictor, switches) = on(Backend::Gpu);
     let before = task.predict(&mut predictor).unwrap();
     let (mut random, mut recovered) = (common::Random(1), 0);
     for n in 0..40 {
-        let lose = predictor.device_loss();
+        let thiefs = switches.clone();
         let wait = Duration::from_micros(random.below(4000) as u64);
         let thief = std::thread::spawn(move || {
             std::thread::sleep(wait);
-            lose();
+            thiefs.lose();
         });
         let answer = task.predict(&mut predictor);
         thief.join().unwrap();

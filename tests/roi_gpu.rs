@@ -12,14 +12,14 @@ use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes, place, predict_features,
 };
-use presight::gpu::{DeviceOptions, Engine};
+use presight::gpu::{DeviceOptions, Engine, testing};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Pose, Sensor, World, preset};
 
 const TOLERANCE: f64 = 1.0 / 16.0;
 
 fn engine() -> Option<Engine> {
-    match Engine::new(DeviceOptions { all_on_device: true, ..Default::default() }) {
+    match testing::open(DeviceOptions::default(), testing::Setup::ALL_ON_DEVICE) {
         Ok(engine) => Some(engine),
         Err(e) => {
             no_adapter(e);

@@ -4,11 +4,12 @@
 mod skip;
 
 use presight::compare::Precision;
-use presight::features::FeaturePrediction;
+use presight::engine::{Device, Engine, EngineKind};
+use presight::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature, add_boxes};
 use presight::report::stability::{
-    About, BoxSetting, Cpu, Outcome, Row, Study, Subject, all, faults, subjects, to_csv, to_html, to_json,
+    About, Outcome, Row, Study, Subject, all, faults, subjects, to_csv, to_html, to_json,
 };
-use presight::{FramePlan, Images, Result};
+use presight::{FramePlan, Images, Pose, Result, Sensor, Stats, Work, World};
 
 fn described(rows: &[Row]) -> Vec<String> {
     let of = |r: &Row| format!("{} at {:e}, {}: {}", r.family, r.difficulty, r.finding.engine, r.finding.note);
@@ -71,38 +72,78 @@ fn check_left_out(rows: &[Row], html: &str, json: &serde_json::Value) {
     assert!(rows.iter().filter(exact).all(|r| r.finding.other == 0 && r.finding.edge_on == 0));
 }
 
-/// The CPU engine with something wrong.
+/// The CPU engine with something wrong. It calls itself a device, so that it is asked for boxes.
 struct Spoiled {
-    cpu: Cpu,
+    cpu: Box<dyn Engine>,
     images: fn(&mut Images),
     covariances: fn(&mut FeaturePrediction),
 }
 
-impl Subject for Spoiled {
+impl Engine for Spoiled {
     fn name(&self) -> String {
         "spoiled".into()
     }
 
     fn precision(&self) -> Precision {
-        Precision::F64
+        self.cpu.precision()
     }
 
-    fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
-        let edge_on = self.cpu.draw(plan, images)?;
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        self.cpu.render(plan, images, stats)?;
         (self.images)(images);
-        Ok(edge_on)
+        Ok(())
     }
 
-    fn boxes(&mut self, setting: &BoxSetting) -> Result<Option<FeaturePrediction>> {
-        let mut found = self.cpu.boxes(setting)?;
-        found.iter_mut().for_each(self.covariances);
-        Ok(found)
+    fn device(&mut self) -> Option<&mut dyn Device> {
+        Some(self)
+    }
+}
+
+impl Device for Spoiled {
+    fn adapter(&self) -> String {
+        self.name()
+    }
+
+    fn reopen(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn takes_features(&self) -> bool {
+        true
+    }
+
+    fn holds_images(&self) -> bool {
+        false
+    }
+
+    fn query_occlusion(&mut self, _: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>> {
+        Ok(Vec::new())
+    }
+
+    fn add_boxes(
+        &mut self,
+        prediction: &mut FeaturePrediction,
+        placed: &[PlacedFeature],
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        options: &BoxOptions,
+    ) -> Result<usize> {
+        add_boxes(prediction, placed, world, sensor, world_from_sensor, options)?;
+        (self.covariances)(prediction);
+        Ok(0)
+    }
+
+    fn work(&self) -> Work {
+        Work::default()
     }
 }
 
 /// The faults that the study finds in some families with a spoiled engine, at their first difficulty.
 fn found(families: &[&str], images: fn(&mut Images), covariances: fn(&mut FeaturePrediction)) -> usize {
-    let mut spoiled: Vec<Box<dyn Subject>> = vec![Box::new(Spoiled { cpu: Cpu::new(1).unwrap(), images, covariances })];
+    let cpu = EngineKind::Cpu.open(&1.into()).unwrap();
+    let engine = Box::new(Spoiled { cpu, images, covariances });
+    let mut spoiled = [Subject { name: "spoiled".into(), engine, threads: 1.into() }];
     let families: Vec<_> = all().into_iter().filter(|f| families.contains(&f.name())).collect();
     let first = |f: &dyn presight::report::stability::Family| {
         let findings = f.measure(f.difficulties(true)[0], true, &mut spoiled).unwrap();

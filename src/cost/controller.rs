@@ -7,7 +7,7 @@
 use super::{CostModel, Counts, Estimate, Forecast, Key};
 use crate::deadline::{Clock, Means, MeansTaken, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Outputs, Run, Stats};
+use crate::plan::{FramePlan, Request, Run, Stats};
 use crate::sensor::Sensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -58,37 +58,37 @@ impl Controller {
         self.clock = clock;
     }
 
-    /// Begins a prediction that may take `limit`, by an engine with so many threads.
+    /// Begins a prediction; `None` without a deadline. `threads` are those of an engine that can stop.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for no time at all; [`ErrorKind::Deadline`] if not even an image of nothing can be made.
-    pub fn begin(&mut self, limit: Duration, engine: (&str, usize), sensor: &Sensor, outputs: Outputs) -> Result<Timed> {
+    /// [`ErrorKind::Usage`] for no time at all, and for an engine that cannot stop; [`ErrorKind::Deadline`] if not even an image
+    /// of nothing can be made.
+    pub fn begin(&mut self, request: &Request, threads: Option<usize>, sensor: &Sensor) -> Result<Option<Timed>> {
+        let Some(limit) = request.deadline else { return Ok(None) };
         let watch = Watch::start(self.clock.clone(), limit);
         if limit.is_zero() {
             return Err(Error::usage("a deadline of 0 ms", "give a time above 0, or no deadline"));
         }
-        let key = Key::new(engine.0, None, engine.1, sensor, outputs, Forecast::Images);
+        let Some(threads) = threads else {
+            let what = "this engine cannot stop when its time is up, and keeps no deadline";
+            return Err(Error::usage(what, "take the CPU engine (--backend cpu), or give no deadline"));
+        };
+        let outputs = request.outputs;
+        let key = Key::new("cpu", None, threads, sensor, outputs, Forecast::Images);
         let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
         let images = outputs.iter().count() as u64;
-        let timed = Timed {
-            limit,
-            watch,
-            key,
-            pixels,
-            images,
-            selected: Duration::ZERO,
-            counts: Counts::default(),
-            cut: None,
-        };
+        let timed =
+            Timed { limit, watch, key, pixels, images, selected: Duration::ZERO, counts: Counts::default(), cut: None };
         let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
         let doubt = self.doubts.get(&timed.key).copied().unwrap_or(1.0);
-        let believed = |e: &Estimate| if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(2.0 * e.mean) * doubt };
+        let believed =
+            |e: &Estimate| if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(2.0 * e.mean) * doubt };
         let least = floor.iter().map(believed).sum::<f64>();
         if limit.as_secs_f64() < least {
             self.doubts.insert(timed.key, (doubt * DOUBT).max(MOST_DOUBT));
             return Err(impossible(limit, floor.iter().map(|e| e.upper).sum::<f64>() + MARGIN.as_secs_f64()));
         }
-        Ok(timed)
+        Ok(Some(timed))
     }
 
     /// After selection: when drawing has to stop, and which runs need not be begun.

@@ -61,9 +61,9 @@ impl Engine {
         Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
     }
 
-    /// Does something else on its threads.
-    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        self.pool.install(work)
+    /// How many threads it has.
+    pub fn threads(&self) -> usize {
+        self.pool.current_num_threads()
     }
 
     /// Fills the asked images.

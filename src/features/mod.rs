@@ -25,7 +25,7 @@ pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, 
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
 pub(crate) use visible::Prepared;
-pub use visible::{FeatureOptions, Visibility, predict_features};
+pub use visible::{FeatureOptions, FeatureSamples, OcclusionHint, Visibility, predict_features};
 
 use crate::environment::Feature;
 

@@ -44,10 +44,6 @@ pub struct DeviceOptions {
     pub adapter: Option<usize>,
     /// Do without 64-bit atomics even where there are some: two passes of 32 bits.
     pub without_int64: bool,
-    /// Take no more than so many bytes in one buffer, even where the adapter could.
-    pub largest_binding: Option<u64>,
-    /// Run every stage on the device, even on a software adapter, where some are faster on the CPU directly.
-    pub all_on_device: bool,
 }
 
 /// What an engine has made on its device since it was opened. In steady state nothing is made any more: a frame that
@@ -133,7 +129,7 @@ pub(super) struct Gpu {
 }
 
 impl Gpu {
-    pub fn open(options: DeviceOptions) -> Result<Self> {
+    pub fn open(options: DeviceOptions, largest_binding: Option<u64>) -> Result<Self> {
         let adapter = choose(options)?;
         let described = describe(&adapter);
         let has = adapter.features();
@@ -148,7 +144,7 @@ impl Gpu {
             // Everything else stays at what WebGPU promises everywhere.
             max_storage_buffer_binding_size: theirs
                 .max_storage_buffer_binding_size
-                .min(options.largest_binding.unwrap_or(u64::MAX)),
+                .min(largest_binding.unwrap_or(u64::MAX)),
             max_buffer_size: theirs.max_buffer_size,
             ..wgpu::Limits::downlevel_defaults()
         };

@@ -16,12 +16,15 @@ mod shaders;
 mod stage;
 mod stages;
 mod store;
+#[doc(hidden)]
+pub mod testing;
 mod visible;
 
 pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters, preferred};
-pub use visible::{Asked, Proposal};
+pub use visible::OcclusionQuery;
 
 use crate::error::{ErrorKind, Result};
+use crate::features::OcclusionHint;
 use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
@@ -68,6 +71,8 @@ pub struct Engine {
     roi: Option<roi::RoiStage>,
     /// What is left to the CPU is done there.
     threads: Threads,
+    /// How it was opened.
+    opened: (DeviceOptions, testing::Setup),
 }
 
 impl Engine {
@@ -76,10 +81,14 @@ impl Engine {
     /// # Errors
     /// [`ErrorKind::NoDevice`] if there is none that will do.
     pub fn new(options: DeviceOptions) -> Result<Self> {
-        let gpu = Gpu::open(options)?;
+        Self::open(options, testing::Setup::default())
+    }
+
+    fn open(options: DeviceOptions, setup: testing::Setup) -> Result<Self> {
+        let gpu = Gpu::open(options, setup.largest_binding)?;
         let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
         gpu.check()?;
-        let software = !gpu.adapter.hardware && !options.all_on_device;
+        let software = !gpu.adapter.hardware && !setup.all_on_device;
         Ok(Self {
             gpu,
             stages,
@@ -94,22 +103,24 @@ impl Engine {
             software,
             roi: None,
             threads: Threads::SHARED,
+            opened: (options, setup),
         })
+    }
+
+    /// Opens the device again, as it was opened first; nothing of the old one is used any more.
+    ///
+    /// # Errors
+    /// As [`Engine::new`]; the engine is then as it was.
+    pub fn reopen(&mut self) -> Result<()> {
+        let (options, setup) = self.opened;
+        *self = Self::open(options, setup)?.with_threads(self.threads.clone());
+        Ok(())
     }
 
     /// The same engine; what it leaves to the CPU is done on these threads, or on so many, and not on the shared ones.
     #[must_use]
     pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
         Self { threads: threads.into(), ..self }
-    }
-
-    /// Does something on the threads that help it, which start when they are first needed.
-    ///
-    /// # Errors
-    /// As [`Threads::new`].
-    pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
-        self.threads = self.threads.started()?;
-        self.threads.run(work)
     }
 
     /// The adapter it works on.
@@ -129,13 +140,6 @@ impl Engine {
     /// What it has made on the device so far.
     pub fn made(&self) -> Made {
         self.gpu.made.so_far()
-    }
-
-    /// Destroys the device when it is called, as a driver's reset would: for tests of what comes after.
-    #[doc(hidden)]
-    pub fn device_loss(&self) -> impl Fn() + Send + use<> {
-        let device = self.gpu.device.clone();
-        move || device.destroy()
     }
 
     /// Fills the asked images; `depth_z` only for cameras.
@@ -191,7 +195,7 @@ impl Engine {
     }
 
     /// True if features are asked for on the device; a software adapter's cores find them sooner without it.
-    pub fn proposes(&self) -> bool {
+    pub fn takes_features(&self) -> bool {
         !self.software
     }
 
@@ -199,16 +203,16 @@ impl Engine {
     ///
     /// # Errors
     /// As [`Engine::render`].
-    pub fn propose(&mut self, asked: &Asked) -> Result<Vec<Proposal>> {
-        let Some((_, tables)) = self.sensors.first().filter(|_| asked.count() > 0) else { return Ok(Vec::new()) };
+    pub fn query_occlusion(&mut self, query: &OcclusionQuery) -> Result<Vec<OcclusionHint>> {
+        let Some((_, tables)) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;
         let visible = self.visible.get_or_insert_with(|| Visible::new(&self.gpu));
         self.store.uploads.clear();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        visible.encode(&self.gpu, &mut encoder, &mut self.store, tables.kind, asked)?;
+        visible.encode(&self.gpu, &mut encoder, &mut self.store, tables.kind, query)?;
         self.gpu.queue.submit([encoder.finish()]);
         self.store.uploads.recall();
-        visible.read(&self.gpu, asked.count())
+        visible.read(&self.gpu, query.count())
     }
 
     fn upload(&mut self, plan: &FramePlan) -> Result<()> {

@@ -159,8 +159,8 @@ mod tests {
         let seen = parse("visible", VISIBLE);
         assert_eq!(value(&seen, "SAMPLES_AT"), visible::SAMPLES_AT as u32);
         assert_eq!(value(&seen, "SAMPLE_WORDS"), visible::SAMPLE_WORDS as u32);
-        assert_eq!(visible::Proposal::of_word(value(&seen, "DOUBT")), visible::Proposal::Doubt);
-        assert_eq!(visible::Proposal::of_word(value(&seen, "SEEN")), visible::Proposal::Seen);
+        assert_eq!(visible::hint_of_word(value(&seen, "DOUBT")), crate::features::OcclusionHint::Doubt);
+        assert_eq!(visible::hint_of_word(value(&seen, "SEEN")), crate::features::OcclusionHint::Seen);
         assert_eq!(value(&seen, "STAMPED"), super::super::near::STAMPED);
     }
 }

@@ -13,6 +13,7 @@ use super::shaders;
 use super::stage::{Binding, Stage};
 use super::store::Store;
 use crate::error::{ErrorKind, Result};
+use crate::features::{FeatureSamples, OcclusionHint};
 use crate::sensor::{PixelGrid, Sensor};
 use glam::{DMat3, DVec3};
 
@@ -21,35 +22,23 @@ pub(super) const SAMPLES_AT: usize = 4;
 /// Words of a sample.
 pub(super) const SAMPLE_WORDS: usize = 5;
 
-/// What the nine pixels around a sample say.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Proposal {
-    /// Hidden by the polygon of a slot.
-    Hidden(u32),
-    /// A polygon covers its ray and is not nearer, and none beside it could be.
-    Seen,
-    /// Neither.
-    Doubt,
-}
-
 /// Neither hidden nor seen, as a word.
 const DOUBT: u32 = u32::MAX;
 /// Seen, as a word.
 const SEEN: u32 = u32::MAX - 1;
 
-impl Proposal {
-    pub(super) fn of_word(word: u32) -> Self {
-        match word {
-            DOUBT => Self::Doubt,
-            SEEN => Self::Seen,
-            slot => Self::Hidden(slot),
-        }
+/// A hint from its word.
+pub(super) fn hint_of_word(word: u32) -> OcclusionHint {
+    match word {
+        DOUBT => OcclusionHint::Doubt,
+        SEEN => OcclusionHint::Seen,
+        slot => OcclusionHint::Hidden(slot),
     }
 }
 
 /// Samples of features, as the stage takes them.
 #[derive(Clone, Debug)]
-pub struct Asked {
+pub struct OcclusionQuery {
     words: Vec<u32>,
     /// The records' planes are in that frame.
     line_from_image: DMat3,
@@ -57,9 +46,19 @@ pub struct Asked {
     own_at: u32,
 }
 
-impl Asked {
+impl OcclusionQuery {
+    /// Of samples of features.
+    pub fn new(of: &FeatureSamples<'_>) -> Self {
+        let mut query = Self::with_room(of.samples.iter().map(Vec::len).sum(), of.sensor);
+        for (samples, placed) in of.samples.iter().zip(of.placed) {
+            query.begin(&placed.slots);
+            samples.iter().for_each(|(at, pixel)| query.push(*at, *pixel));
+        }
+        query
+    }
+
     /// For `count` samples on the image of a sensor.
-    pub fn new(count: usize, sensor: &Sensor) -> Self {
+    pub(super) fn with_room(count: usize, sensor: &Sensor) -> Self {
         let mut words = vec![0; SAMPLES_AT + count * SAMPLE_WORDS];
         words[1] = u32::from(sensor.columns_of_a_turn().is_some());
         let line_from_image = match sensor.grid() {
@@ -70,14 +69,14 @@ impl Asked {
     }
 
     /// The samples that follow are of a feature on these slots.
-    pub fn begin(&mut self, slots: &[u32]) {
+    pub(super) fn begin(&mut self, slots: &[u32]) {
         self.own_at = self.words.len() as u32;
         self.words.push(slots.len() as u32);
         self.words.extend_from_slice(slots);
     }
 
     /// A sample at a place of the image frame, in the middle one of nine pixels (row-major number).
-    pub fn push(&mut self, at: DVec3, pixel: u32) {
+    pub(super) fn push(&mut self, at: DVec3, pixel: u32) {
         let place = (self.line_from_image * at).as_vec3().to_array().map(f32::to_bits);
         let first = SAMPLES_AT + self.count as usize * SAMPLE_WORDS;
         let words = [place[0], place[1], place[2], pixel, self.own_at];
@@ -131,7 +130,7 @@ impl Visible {
         encoder: &mut wgpu::CommandEncoder,
         store: &mut Store,
         kind: GridKind,
-        asked: &Asked,
+        asked: &OcclusionQuery,
     ) -> Result<()> {
         let bytes = u64::from(asked.count) * 4;
         self.rebind |= self.asked.reserve(gpu, asked.words.len() as u64 * 4)?;
@@ -159,7 +158,7 @@ impl Visible {
     ///
     /// # Errors
     /// [`ErrorKind::DeviceLost`].
-    pub fn read(&self, gpu: &Gpu, count: u32) -> Result<Vec<Proposal>> {
+    pub fn read(&self, gpu: &Gpu, count: u32) -> Result<Vec<OcclusionHint>> {
         let (buffer, bytes) = (self.readback.buffer(), u64::from(count) * 4);
         self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
         gpu.wait()?;
@@ -168,7 +167,7 @@ impl Visible {
         let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
         gpu.done.bytes_read.add_many(bytes);
         let words: &[u32] = bytemuck::cast_slice(&view);
-        let proposals = words.iter().map(|word| Proposal::of_word(*word)).collect();
+        let proposals = words.iter().map(|word| hint_of_word(*word)).collect();
         drop(view);
         buffer.unmap();
         Ok(proposals)

@@ -13,8 +13,8 @@ pub use request::{IdScheme, Output, Outputs, Request};
 pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
-use crate::environment::{Appearance, Environment, Material};
 use crate::deadline::Watch;
+use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::{Found, ObjectRun};

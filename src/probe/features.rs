@@ -1,13 +1,14 @@
 //! What a device says of features: which samples other polygons hide, and boxes around regions of interest.
 
 use super::{Probe, Task};
+use crate::engine::{Device, Engine};
 use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, Prepared, Visibility, add_boxes, predict_features,
+    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature, Prepared, Visibility,
+    add_boxes, predict_features,
 };
 use crate::geometry::Pose;
-use crate::gpu::{Asked, Engine, Proposal};
 use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
 use crate::sensor::Sensor;
 use glam::{DMat3, DVec3};
@@ -42,31 +43,26 @@ impl Probe {
     ///
     /// # Errors
     /// Those of the engine.
-    pub fn proposals(&self, task: Task, engine: &mut Engine) -> Result<Told> {
+    pub fn occlusion(&self, task: Task, engine: &mut dyn Engine) -> Result<Told> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
         let plan = FramePlan::new(&self.world, &sensor, &pose, &request)?;
         let mut images = Images::default();
         engine.render(&plan, &mut images, &mut Stats::default())?;
+        let Some(device) = engine.device() else { return Ok(Told::default()) };
         let right = self.seen(&sensor, &pose, &placed)?;
         let options = FeatureOptions::default();
-        let asking = Prepared::new(&self.world, &sensor, &pose, &images, &placed, &options)?.asking();
-        let mut asked = Asked::new(asking.iter().map(Vec::len).sum(), &sensor);
-        let mut of = Vec::new();
-        for ((samples, placed), seen) in asking.iter().zip(&placed).zip(&right.features) {
-            asked.begin(&placed.slots);
-            for (at, pixel) in samples {
-                asked.push(*at, *pixel);
-                of.push(seen.visible_fraction > 0.0);
-            }
-        }
-        let mut told = Told { all: of.len(), ..Told::default() };
-        for (proposal, visible) in engine.propose(&asked)?.into_iter().zip(of) {
-            told.answered += usize::from(proposal != Proposal::Doubt);
-            told.wrong += match proposal {
-                Proposal::Hidden(_) => usize::from(visible),
-                Proposal::Seen => usize::from(!visible),
-                Proposal::Doubt => 0,
+        let samples = Prepared::new(&self.world, &sensor, &pose, &images, &placed, &options)?.asking();
+        let of = samples.iter().zip(&right.features);
+        let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
+        let hints = device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor: &sensor })?;
+        let mut told = Told { all: hints.len(), ..Told::default() };
+        for (hint, visible) in hints.into_iter().zip(of) {
+            told.answered += usize::from(hint != OcclusionHint::Doubt);
+            told.wrong += match hint {
+                OcclusionHint::Hidden(_) => usize::from(visible),
+                OcclusionHint::Seen => usize::from(!visible),
+                OcclusionHint::Doubt => 0,
             };
         }
         Ok(told)
@@ -76,7 +72,7 @@ impl Probe {
     ///
     /// # Errors
     /// Those of the engine.
-    pub fn regions(&self, task: Task, engine: &mut Engine) -> Result<Told> {
+    pub fn regions(&self, task: Task, device: &mut dyn Device) -> Result<Told> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let mut options = BoxOptions::default();
         // 1 cm and half a degree.
@@ -84,7 +80,7 @@ impl Probe {
         let mut right = self.seen(&sensor, &pose, &placed)?;
         let mut made = right.clone();
         add_boxes(&mut right, &placed, &self.world, &sensor, &pose, &options)?;
-        let answered = engine.add_boxes(&mut made, &placed, &self.world, &sensor, &pose, &options)?;
+        let answered = device.add_boxes(&mut made, &placed, &self.world, &sensor, &pose, &options)?;
         let differs = |i: &usize| {
             let (a, b) = (&right.features[*i], &made.features[*i]);
             let near = |a: [f64; 4], b: [f64; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= OFF);
@@ -147,13 +143,13 @@ impl Probe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::DeviceOptions;
-    use crate::skip::no_adapter;
 
+    #[cfg(feature = "gpu")]
     #[test]
     fn a_device_that_is_right_is_found_sound() {
+        use crate::{gpu, skip::no_adapter};
         let probe = Probe::new().unwrap();
-        let mut engine = match Engine::new(DeviceOptions { all_on_device: true, ..Default::default() }) {
+        let mut engine = match gpu::testing::open(gpu::DeviceOptions::default(), gpu::testing::Setup::ALL_ON_DEVICE) {
             Ok(engine) => engine,
             Err(e) => {
                 no_adapter(e);
@@ -161,7 +157,7 @@ mod tests {
             }
         };
         for task in Task::ALL {
-            let seen = probe.proposals(task, &mut engine).unwrap();
+            let seen = probe.occlusion(task, &mut engine).unwrap();
             assert!(seen.is_sound() && seen.answered > 20, "{}: {seen:?}", task.name());
             let regions = probe.regions(task, &mut engine).unwrap();
             assert!(regions.wrong == 0 && regions.all > 5, "{}: {regions:?}", task.name());

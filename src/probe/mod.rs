@@ -4,10 +4,8 @@
 //! A tiny scene, seen by a tiny sensor of each kind for which engines have a path of their own, is held to the reference
 //! by the same comparison that judges engines in every test ([`crate::compare`]).
 
-#[cfg(feature = "gpu")]
 mod features;
 
-#[cfg(feature = "gpu")]
 pub use features::Told;
 
 use crate::compare::{Precision, Report, compare};

@@ -1,8 +1,9 @@
 //! The engines under test, each as a function from a plan to images.
 
-#[cfg(feature = "gpu")]
 use super::skip::no_adapter;
-use presight::{FramePlan, Images, Stats, cpu};
+use presight::compare::Precision;
+use presight::engine::{Engine, EngineKind};
+use presight::{FramePlan, Images, Stats};
 
 /// Images that held something else before: an engine must write every pixel.
 fn used(plan: &FramePlan) -> Images {
@@ -17,31 +18,45 @@ fn used(plan: &FramePlan) -> Images {
     images
 }
 
+/// A function from a plan to the images that an engine makes of it.
+pub type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
+
+/// Every engine that there is here, on two threads: the kind, its arithmetic, and how it renders.
+pub fn all() -> Vec<(EngineKind, Precision, Renderer)> {
+    let engines = EngineKind::ALL.into_iter().filter_map(|kind| Some((kind, open(kind, 2)?)));
+    engines.map(|(kind, engine)| (kind, engine.precision(), renderer(engine))).collect()
+}
+
 /// The CPU engine on so many threads.
-pub fn cpu(threads: usize) -> impl FnMut(&FramePlan) -> Images {
-    let mut engine = cpu::Engine::new(threads).expect("threads");
-    move |plan| {
-        let mut images = used(plan);
-        engine.render(plan, &mut images, &mut Stats::default()).expect("the engine renders");
-        images
+pub fn cpu(threads: usize) -> Renderer {
+    renderer(EngineKind::Cpu.open(&threads.into()).expect("threads"))
+}
+
+/// The GPU engine on whatever adapter there is; `None` where there is none and none is required.
+#[expect(clippy::print_stderr, reason = "it says which adapter is tested")]
+pub fn gpu() -> Option<Renderer> {
+    let engine = open(EngineKind::Gpu, 0)?;
+    eprintln!("{}", engine.name());
+    Some(renderer(engine))
+}
+
+/// `None` where there is no adapter and none is required (also by `PRESIGHT_REQUIRE_GPU`).
+fn open(kind: EngineKind, threads: usize) -> Option<Box<dyn Engine>> {
+    match kind.open(&threads.into()) {
+        Ok(engine) => Some(engine),
+        Err(e) if kind.needs_device() => {
+            assert!(std::env::var_os("PRESIGHT_REQUIRE_GPU").is_none(), "an adapter is required here: {e}");
+            if cfg!(feature = "gpu") {
+                no_adapter(e);
+            }
+            None
+        }
+        Err(e) => panic!("{}: {e}", kind.name()),
     }
 }
 
-/// The GPU engine on whatever adapter there is; `None` where there is none and none is required (also by
-/// `PRESIGHT_REQUIRE_GPU`).
-#[cfg(feature = "gpu")]
-#[expect(clippy::print_stderr, reason = "it says which adapter is tested")]
-pub fn gpu() -> Option<impl FnMut(&FramePlan) -> Images> {
-    let mut engine = match presight::gpu::Engine::new(presight::gpu::DeviceOptions::default()) {
-        Ok(engine) => engine,
-        Err(e) => {
-            assert!(std::env::var_os("PRESIGHT_REQUIRE_GPU").is_none(), "an adapter is required here: {e}");
-            no_adapter(e);
-            return None;
-        }
-    };
-    eprintln!("GPU engine on {}", engine.adapter());
-    Some(move |plan: &FramePlan| {
+fn renderer(mut engine: Box<dyn Engine>) -> Renderer {
+    Box::new(move |plan| {
         let (mut images, mut stats) = (used(plan), Stats::default());
         engine.render(plan, &mut images, &mut stats).expect("the engine renders");
         let lost = stats.counts.iter().find(|(name, _)| name.contains("internal")).map_or(0, |(_, n)| *n);

@@ -14,7 +14,8 @@ use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, Worl
 pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
     let all = Outputs::ALL;
     let outputs = if sensor.is_camera() { all } else { all.without(presight::Output::DepthZ) };
-    FramePlan::new(world, sensor, world_from_sensor, &Request { outputs, ids: IdScheme::Model, ..Request::default() }).expect("a sound pose")
+    FramePlan::new(world, sensor, world_from_sensor, &Request { outputs, ids: IdScheme::Model, ..Request::default() })
+        .expect("a sound pose")
 }
 
 /// The reference's images.

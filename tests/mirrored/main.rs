@@ -5,8 +5,6 @@
 //! origin that looks along +x sees its near wall at 2 m if the fronts are outside, and its far wall at 3 m if they are
 //! inside. From its middle the wall ahead is 0.5 m off, if its front is inside.
 
-#![cfg_attr(feature = "gpu", expect(clippy::print_stderr, reason = "a skipped engine says so"))]
-
 #[path = "../import/build.rs"]
 #[allow(dead_code, reason = "made for more than this")]
 mod build;
@@ -15,10 +13,13 @@ mod common;
 mod doors;
 mod features;
 
+use common::engines::{self, Renderer};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
+use presight::compare::Precision;
+use presight::engine::EngineKind;
 use presight::{
-    Angles, Camera, Distortion, Environment, FramePlan, Geometry, Images, Material, Mesh, NewObject, Polygon,
-    PolygonOrder, Pose, RayTable, Scanner, Sensor, SensorSpec, World,
+    Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
+    RayTable, Scanner, Sensor, SensorSpec, World,
 };
 use std::sync::Arc;
 
@@ -101,55 +102,18 @@ fn sensors() -> Vec<(Sensor, usize)> {
     ]
 }
 
-type Engine = Box<dyn FnMut(&FramePlan) -> Images>;
-
-/// Every engine; the GPU's with either kind of atomics, and with its stages on the device.
-fn engines() -> Vec<(&'static str, Engine)> {
-    let reference: Engine = Box::new(|plan: &FramePlan| common::reference(plan));
-    let on_cpu: Vec<(&str, Engine)> = vec![("reference", reference), ("cpu", Box::new(common::engines::cpu(2)))];
-    on_cpu.into_iter().chain(gpu_engines()).collect()
-}
-
-#[cfg(not(feature = "gpu"))]
-fn gpu_engines() -> Vec<(&'static str, Engine)> {
-    Vec::new()
-}
-
-#[cfg(feature = "gpu")]
-fn gpu_engines() -> Vec<(&'static str, Engine)> {
-    let mut all: Vec<(&str, Engine)> = Vec::new();
-    for (name, without_int64, all_on_device) in
-        [("gpu", false, false), ("gpu, 64-bit", false, true), ("gpu, 32-bit", true, true)]
-    {
-        use presight::gpu::{DeviceOptions, Engine};
-        match Engine::new(DeviceOptions { without_int64, all_on_device, ..Default::default() }) {
-            Ok(mut engine) => all.push((
-                name,
-                Box::new(move |plan: &FramePlan| {
-                    let mut images = Images::default();
-                    engine.render(plan, &mut images, &mut presight::Stats::default()).unwrap();
-                    images
-                }),
-            )),
-            Err(e) => {
-                assert!(std::env::var_os("CI").is_none(), "CI needs an adapter: {e}");
-                eprintln!("SKIPPED: no adapter: {e}");
-            }
-        }
-    }
-    all
-}
+type Engine = (EngineKind, Precision, Renderer);
 
 /// Every engine and every sensor sees these ranges from outside and from inside.
-fn check(what: &str, world: &World, expected: [f32; 2], engines: &mut [(&str, Engine)]) {
+fn check(what: &str, world: &World, expected: [f32; 2], engines: &mut [Engine]) {
     for (sensor, pixel) in sensors() {
         for (from, range) in [OUTSIDE, INSIDE].into_iter().zip(expected) {
             let pose = Pose { translation: from, ..Pose::IDENTITY };
             let plan = common::plan(world, &sensor, &pose);
-            for (name, engine) in engines.iter_mut() {
+            for (kind, _, engine) in engines.iter_mut() {
                 let seen = engine(&plan).range[pixel];
                 let same = seen == range || (seen - range).abs() <= 1e-5;
-                assert!(same, "{what}, {name}, {}, from {from}: {seen} m is not {range} m", sensor.spec().name);
+                assert!(same, "{what}, {kind:?}, {}, from {from}: {seen} m is not {range} m", sensor.spec().name);
             }
         }
     }
@@ -157,12 +121,12 @@ fn check(what: &str, world: &World, expected: [f32; 2], engines: &mut [(&str, En
 
 /// [`check`] with the CPU engine only, for what differs before the engines.
 fn check_on_cpu(what: &str, environment: &Environment, expected: [f32; 2]) {
-    check(what, &World::new(environment.clone()), expected, &mut [("cpu", Box::new(common::engines::cpu(1)))]);
+    check(what, &World::new(environment.clone()), expected, &mut [(EngineKind::Cpu, Precision::F64, engines::cpu(1))]);
 }
 
 #[test]
 fn the_front_of_a_mirrored_polygon_is_its_front_in_every_engine() {
-    let mut engines = engines();
+    let mut engines = engines::all();
     for (what, world_from_mesh) in ways() {
         for (outside, expected) in [(true, BOX), (false, ROOM)] {
             let object = NewObject::from_affine("cube", world_from_mesh, cube(outside)).unwrap();
@@ -177,10 +141,10 @@ fn the_incidence_and_the_depth_of_a_mirrored_wall_are_those_of_the_wall() {
     for (what, world_from_mesh) in ways() {
         let world = world(NewObject::from_affine("cube", world_from_mesh, cube(true)).unwrap());
         let (camera, pixel) = sensors().swap_remove(0);
-        for (name, engine) in &mut engines() {
+        for (name, _, engine) in &mut engines::all() {
             let images = engine(&common::plan(&world, &camera, &Pose::IDENTITY));
-            assert!((images.depth_z[pixel] - 2.0).abs() < 1e-5, "{what}, {name}");
-            assert!((images.cos_incidence[pixel] - 1.0).abs() < 1e-5, "{what}, {name}");
+            assert!((images.depth_z[pixel] - 2.0).abs() < 1e-5, "{what}, {name:?}");
+            assert!((images.cos_incidence[pixel] - 1.0).abs() < 1e-5, "{what}, {name:?}");
         }
     }
 }

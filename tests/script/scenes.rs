@@ -27,9 +27,7 @@ fn seen(world: &World, sensor: &Sensor) -> Vec<(&'static str, Images)> {
     let render = |engine: &mut dyn FnMut(&FramePlan) -> Images| engine(&plan);
     let cpu = render(&mut engines::cpu(1));
     held("cpu", &cpu, Precision::F64);
-    #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "only a GPU adds to it"))]
     let mut all = vec![("reference", expected.clone()), ("cpu", cpu)];
-    #[cfg(feature = "gpu")]
     if let Some(mut gpu) = engines::gpu() {
         let gpu = render(&mut gpu);
         held("gpu", &gpu, Precision::F32);

@@ -53,7 +53,14 @@ fn camera(class: &str, width: u32, height: u32, f: f64) -> SensorSpec {
 
 fn predict(world: &World, sensor: &Sensor, pose: &Pose) -> Prediction {
     let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
-    predictor.predict(world, sensor, pose, &Request { outputs: Outputs::default(), ids: IdScheme::Model, ..Request::default() }).unwrap()
+    predictor
+        .predict(
+            world,
+            sensor,
+            pose,
+            &Request { outputs: Outputs::default(), ids: IdScheme::Model, ..Request::default() },
+        )
+        .unwrap()
 }
 
 /// Predicts and reduces.

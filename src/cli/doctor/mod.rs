@@ -4,12 +4,13 @@
 mod advice;
 
 use super::{Verdict, print};
-use crate::cpu;
+use crate::engine::{Engine, EngineKind};
 use crate::error::Result;
 #[cfg(feature = "gpu")]
-use crate::gpu::{DeviceOptions, Engine, adapters, preferred};
-use crate::plan::{FramePlan, Images, Outputs, Stats};
+use crate::gpu::{self, DeviceOptions, adapters, preferred, testing};
+use crate::plan::{Outputs, Stats};
 use crate::probe::{Probe, Task};
+use crate::threads::Threads;
 #[cfg(feature = "gpu")]
 use advice::{Machine, State, Tried};
 use std::fmt::Write;
@@ -36,8 +37,7 @@ pub fn run(_: &Args) -> Result<Verdict> {
     let mut text = format!("presight {}, built with {}\n", env!("CARGO_PKG_VERSION"), features());
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
-    let mut engine = cpu::Engine::new(0)?;
-    let mut sound = check(&probe, &mut text, |plan, images| engine.render(plan, images, &mut Stats::default()));
+    let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?);
     sound &= gpus(&probe, &mut text);
     print::lines(text.lines())?;
     Ok(if sound { Verdict::Done } else { Verdict::Found })
@@ -55,10 +55,11 @@ fn features() -> String {
 }
 
 /// One line a task; true if none shows a fault.
-fn check(probe: &Probe, text: &mut String, mut draw: impl FnMut(&FramePlan, &mut Images) -> Result<()>) -> bool {
+fn check(probe: &Probe, text: &mut String, engine: &mut dyn Engine) -> bool {
     let mut sound = true;
     for task in Task::ALL {
-        let verdict = match probe.run(task, Outputs::ALL, &mut draw) {
+        let drawn = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()));
+        let verdict = match drawn {
             Ok(report) if report.fault == 0 => {
                 format!("right: {} of {} pixels as the reference has them", report.same, report.pixels)
             }
@@ -90,8 +91,8 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
         let kind = if adapter.hardware { "a GPU" } else { "a program that plays a GPU on the CPU" };
         let _ = writeln!(text, "\n{adapter}: {kind}");
         let open = |without_int64| {
-            let all_on_device = true;
-            Engine::new(DeviceOptions { adapter: Some(i), without_int64, all_on_device, ..DeviceOptions::default() })
+            let options = DeviceOptions { adapter: Some(i), without_int64, ..DeviceOptions::default() };
+            testing::open(options, testing::Setup::ALL_ON_DEVICE)
         };
         tried.push(Tried { hardware: adapter.hardware, state: device(probe, text, open) });
     }
@@ -106,7 +107,7 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
 
 /// The paths of one device: with 64-bit atomics, if it has them, and without.
 #[cfg(feature = "gpu")]
-fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine>) -> State {
+fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::Engine>) -> State {
     let mut sound = true;
     for without_int64 in [false, true] {
         let mut engine = match open(without_int64) {
@@ -128,7 +129,7 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine
         }
         let passes = if can.int64_atomics { "by 64-bit atomics" } else { "in two passes of 32 bits" };
         let _ = writeln!(text, "  nearest surface {passes}:");
-        sound &= check(probe, text, |plan, images| engine.render(plan, images, &mut Stats::default()));
+        sound &= check(probe, text, &mut engine);
         if !without_int64 {
             let _ = writeln!(text, "  features:");
             sound &= features_of(probe, text, &mut engine);
@@ -142,10 +143,10 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<Engine
 
 /// One line a task: what the device says of features, which no image shows.
 #[cfg(feature = "gpu")]
-fn features_of(probe: &Probe, text: &mut String, engine: &mut Engine) -> bool {
+fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::Engine) -> bool {
     let mut sound = true;
     for task in Task::ALL {
-        let told = probe.proposals(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
+        let told = probe.occlusion(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
         let verdict = match told {
             Ok((seen, regions)) => {
                 // No region may be wrong: the first that a device makes are held to the same.
@@ -180,25 +181,44 @@ fn yes(able: bool) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::compare::Precision;
     use crate::error::Error;
+    use crate::plan::{FramePlan, Images};
+
+    /// The CPU engine, with images spoiled or none.
+    struct Faulty(Box<dyn Engine>, fn(&mut Images) -> Result<()>);
+
+    impl Engine for Faulty {
+        fn name(&self) -> String {
+            "faulty".into()
+        }
+
+        fn precision(&self) -> Precision {
+            self.0.precision()
+        }
+
+        fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+            self.0.render(plan, images, stats)?;
+            self.1(images)
+        }
+    }
 
     #[test]
     fn an_engine_that_draws_wrong_is_named() {
         let probe = Probe::new().unwrap();
-        let mut engine = cpu::Engine::new(1).unwrap();
-        let mut text = String::new();
-        assert!(check(&probe, &mut text, |plan, images| engine.render(plan, images, &mut Stats::default())));
-        assert_eq!(text.matches("right: ").count(), 4, "{text}");
-        text.clear();
-        let spoiled = |plan: &FramePlan, images: &mut Images| {
-            engine.render(plan, images, &mut Stats::default())?;
+        let told = |spoil: fn(&mut Images) -> Result<()>| {
+            let mut text = String::new();
+            let engine = EngineKind::Cpu.open(&1.into()).unwrap();
+            (check(&probe, &mut text, &mut Faulty(engine, spoil)), text)
+        };
+        let (sound, text) = told(|_| Ok(()));
+        assert!(sound && text.matches("right: ").count() == 4, "{text}");
+        let (sound, text) = told(|images| {
             images.range.iter_mut().for_each(|r| *r += 0.01);
             Ok(())
-        };
-        assert!(!check(&probe, &mut text, spoiled));
-        assert_eq!(text.matches("WRONG: ").count(), 4, "{text}");
-        text.clear();
-        assert!(!check(&probe, &mut text, |_, _| Err(Error::invalid("no", "none"))));
-        assert_eq!(text.matches("FAILED: no").count(), 4, "{text}");
+        });
+        assert!(!sound && text.matches("WRONG: ").count() == 4, "{text}");
+        let (sound, text) = told(|_| Err(Error::invalid("no", "none")));
+        assert!(!sound && text.matches("FAILED: no").count() == 4, "{text}");
     }
 }

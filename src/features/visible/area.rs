@@ -73,7 +73,6 @@ impl Judge<'_> {
     }
 
     /// True if the image decides about a patch.
-    #[cfg(feature = "gpu")]
     pub(super) fn decides_area(&mut self, points: &[DVec3]) -> bool {
         self.take_spans(points).is_some()
     }

@@ -103,7 +103,6 @@ impl<'a> Judge<'a> {
     }
 
     /// The samples that only what is in between decides.
-    #[cfg(feature = "gpu")]
     pub fn asking(&mut self, placed: &PlacedFeature) -> super::Asking {
         let (own, points) = self.prepare(placed);
         if placed.feature.shape.is_area() && self.decides_area(&points) {

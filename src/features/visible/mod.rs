@@ -36,7 +36,6 @@ use crate::sensor::Sensor;
 use crate::threads::parallel;
 use crate::world::World;
 use frame::Frame;
-#[cfg(feature = "gpu")]
 use glam::DVec3;
 use judge::{Judge, Judged};
 use rayon::prelude::*;
@@ -127,8 +126,29 @@ pub(crate) struct Prepared<'a> {
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
-#[cfg(feature = "gpu")]
 pub(crate) type Asking = Vec<(DVec3, u32)>;
+
+/// Samples of features on the image of a sensor, feature by feature.
+#[derive(Clone, Copy, Debug)]
+pub struct FeatureSamples<'a> {
+    /// Of each feature: where, image frame, and the nearest pixel, row-major.
+    pub samples: &'a [Vec<(DVec3, u32)>],
+    /// The features.
+    pub placed: &'a [PlacedFeature],
+    /// The sensor.
+    pub sensor: &'a Sensor,
+}
+
+/// What the nine pixels around a sample say of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OcclusionHint {
+    /// Hidden by the polygon of a slot.
+    Hidden(u32),
+    /// A polygon covers its ray and is not nearer, and none beside it could be.
+    Seen,
+    /// Neither.
+    Doubt,
+}
 
 impl<'a> Prepared<'a> {
     /// # Errors
@@ -150,7 +170,6 @@ impl<'a> Prepared<'a> {
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
-    #[cfg(feature = "gpu")]
     pub fn asking(&self) -> Vec<Asking> {
         let Some(frame) = &self.frame else { return Vec::new() };
         let judges = Judges::new(frame);

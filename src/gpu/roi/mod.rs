@@ -15,7 +15,7 @@ use super::shaders;
 use super::stage::{Binding, Stage};
 use crate::error::{ErrorKind, Result};
 use crate::features::roi::{Roi, RoiFlag};
-use crate::features::{BoxFrame, BoxOptions, FeaturePrediction, PlacedFeature, Tails, add_boxes};
+use crate::features::{BoxFrame, BoxOptions, FeaturePrediction, PlacedFeature, Tails};
 use crate::geometry::Pose;
 use crate::sensor::Sensor;
 use crate::world::World;
@@ -136,8 +136,8 @@ impl RoiStage {
 
 impl Engine {
     /// [`crate::features::add_boxes`] on the device: features whose projection bends over their errors are finished on the CPU,
-    /// and all of them for lenses, ray tables and uneven beams. On a software adapter the CPU does it all, unless
-    /// [`super::DeviceOptions::all_on_device`] asks otherwise. The answer is how many boxes the device made.
+    /// and all of them for lenses, ray tables and uneven beams.
+    /// Returns how many boxes the device made.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] as
@@ -151,10 +151,6 @@ impl Engine {
         world_from_sensor: &Pose,
         options: &BoxOptions,
     ) -> Result<usize> {
-        if self.software {
-            let add = || add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
-            return self.on_threads(add)?.map(|()| 0);
-        }
         let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));
         let kind = stage.plan.fill(&frame, prediction, placed);

@@ -3,7 +3,7 @@
 use super::*;
 use crate::gpu::layout::{Params, RECORD_WORDS, SLOT_WORDS};
 use crate::gpu::near::STAMPED;
-use crate::gpu::{DeviceOptions, Engine};
+use crate::gpu::{DeviceOptions, Engine, testing};
 use crate::plan::{FramePlan, Images, Request, Stats};
 use crate::random::SplitMix64;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, SensorSpec};
@@ -67,9 +67,9 @@ impl Left {
         if by == DOUBT && covered && !beside { SEEN } else { by }
     }
 
-    fn answers(&self, asked: &Asked) -> Vec<Proposal> {
+    fn answers(&self, asked: &OcclusionQuery) -> Vec<OcclusionHint> {
         let all = (0..asked.count as usize).map(|i| self.answer(&asked.words, SAMPLES_AT + i * SAMPLE_WORDS));
-        all.map(Proposal::of_word).collect()
+        all.map(hint_of_word).collect()
     }
 }
 
@@ -139,8 +139,8 @@ fn sensors() -> [Sensor; 3] {
 #[test]
 fn the_device_answers_as_its_twin() {
     for without_int64 in [false, true] {
-        let options = DeviceOptions { all_on_device: true, without_int64, ..Default::default() };
-        let mut engine = match Engine::new(options) {
+        let options = DeviceOptions { without_int64, ..Default::default() };
+        let mut engine = match testing::open(options, testing::Setup::ALL_ON_DEVICE) {
             Ok(engine) => engine,
             Err(e) => {
                 no_adapter(e);
@@ -153,7 +153,7 @@ fn the_device_answers_as_its_twin() {
             let pose = Pose::from_xyz_rpy(random.place(DVec3::splat(0.3)), 0.1, 0.05, random.uniform(-3.0, 3.0));
             let plan = FramePlan::new(&world, &sensor, &pose, &Request::default()).unwrap();
             engine.render(&plan, &mut Images::default(), &mut Stats::default()).unwrap();
-            let mut asked = Asked::new(4000, &sensor);
+            let mut asked = OcclusionQuery::with_room(4000, &sensor);
             while asked.count() < 4000 {
                 if asked.count().is_multiple_of(50) {
                     let own = random.uniform(0.0, 400.0) as u32;
@@ -167,7 +167,7 @@ fn the_device_answers_as_its_twin() {
                 let pixel = ((v + 0.5) as u32) * sensor.width() + (u + 0.5) as u32;
                 asked.push(ray * 10f64.powf(random.uniform(-0.5, 1.2)), pixel);
             }
-            let answers = engine.propose(&asked).unwrap();
+            let answers = engine.query_occlusion(&asked).unwrap();
             let pairs = |words: Vec<u32>| words.chunks_exact(2).map(|w| [w[0], w[1]]).collect();
             let fours = |words: Vec<u32>| words.chunks_exact(4).map(|w| [w[0], w[1], w[2], w[3]]).collect();
             let mut left = Left {
@@ -178,10 +178,10 @@ fn the_device_answers_as_its_twin() {
                 records: words(&engine, &engine.store.records),
             };
             let twin = left.answers(&asked);
-            let differing = |twin: &[Proposal]| answers.iter().zip(twin).filter(|(a, b)| a != b).count();
-            let count = |what: fn(&Proposal) -> bool| answers.iter().filter(|a| what(a)).count();
-            let hidden = count(|a| matches!(a, Proposal::Hidden(_)));
-            let seen = count(|a| *a == Proposal::Seen);
+            let differing = |twin: &[OcclusionHint]| answers.iter().zip(twin).filter(|(a, b)| a != b).count();
+            let count = |what: fn(&OcclusionHint) -> bool| answers.iter().filter(|a| what(a)).count();
+            let hidden = count(|a| matches!(a, OcclusionHint::Hidden(_)));
+            let seen = count(|a| *a == OcclusionHint::Seen);
             let ties = differing(&twin);
             eprintln!("{hidden} hidden, {seen} seen of {}, {ties} otherwise than the twin", answers.len());
             assert!(hidden > 100 && seen > 100 && hidden + seen < 3990, "{hidden} {seen}");

@@ -17,9 +17,7 @@ mod tests;
 
 pub use families::{Family, Finding, Outcome, all};
 pub use output::{About, faults, to_csv, to_html, to_json};
-#[cfg(feature = "gpu")]
-pub use subjects::Gpu;
-pub use subjects::{BoxSetting, Cpu, Reference, Subject, subjects};
+pub use subjects::{BoxSetting, Subject, subjects};
 
 use crate::error::Result;
 
@@ -57,7 +55,7 @@ impl Study {
     ///
     /// # Errors
     /// Those of an engine that breaks down.
-    pub fn run(&self, subjects: &mut [Box<dyn Subject>], mut progress: impl FnMut(&str)) -> Result<Vec<Row>> {
+    pub fn run(&self, subjects: &mut [Subject], mut progress: impl FnMut(&str)) -> Result<Vec<Row>> {
         let mut rows = Vec::new();
         for family in &self.families {
             for difficulty in family.difficulties(self.quick) {

@@ -29,7 +29,13 @@ fn world(triangles: &[[[f32; 3]; 3]], pose: Pose) -> World {
 
 fn plan(world: &World, geometry: Geometry, pose: &Pose) -> FramePlan {
     let sensor = Sensor::new(SensorSpec::new("s", "study", geometry)).unwrap();
-    FramePlan::new(world, &sensor, pose, &Request { outputs: Outputs::default(), ids: IdScheme::Model, ..Request::default() }).unwrap()
+    FramePlan::new(
+        world,
+        &sensor,
+        pose,
+        &Request { outputs: Outputs::default(), ids: IdScheme::Model, ..Request::default() },
+    )
+    .unwrap()
 }
 
 fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::oracle::Sight {

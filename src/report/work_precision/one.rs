@@ -122,7 +122,8 @@ impl One<'_> {
                 self.compare(one, pose, truth)?;
             }
             let draw = |one: &mut Imaging| {
-                self.engines.drawer(one.path.which)?.draw(&one.world, &one.view.sensor, pose, &mut images)
+                let predictor = self.engines.predictor(one.path.which)?;
+                predictor.predict_into(&one.world, &one.view.sensor, pose, &request(), &mut images)
             };
             by_turns(self.effort, &mut all, draw, |round| progress(&format!("images by turns, {round}: {place}")))?;
         }
@@ -143,8 +144,8 @@ impl One<'_> {
     /// The first run of a path at a pose: its images against the truth.
     fn compare(&mut self, Timed { what, timing }: &mut Timed<Imaging>, pose: &Pose, truth: &Truth) -> Result<()> {
         let (view, mut images) = (&what.view, Images::default());
-        let drawer = self.engines.drawer(what.path.which)?;
-        timing.warm(|| drawer.draw(&what.world, &view.sensor, pose, &mut images))?;
+        let predictor = self.engines.predictor(what.path.which)?;
+        timing.warm(|| predictor.predict_into(&what.world, &view.sensor, pose, &request(), &mut images))?;
         let (truth_images, shown) = view.beside(&truth.images, &images);
         // A part of the image is judged by its own sensor: pixels have their places there.
         let own =

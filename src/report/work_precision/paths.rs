@@ -1,17 +1,14 @@
 //! Every path of the product from a scene to an image.
 
 use super::views::View;
-use super::{how, precision_of, request};
+use super::{how, precision_of};
 use crate::compare::Precision;
+use crate::engine::EngineKind;
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::Pose;
 use crate::index::Scheme;
-use crate::plan::{FramePlan, Images, Stats};
 use crate::predict::{Backend, Options, Predictor};
-use crate::reference;
 use crate::sensor::Sensor;
-use crate::world::World;
-use std::time::Instant;
+use crate::threads::Threads;
 
 /// Who draws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,6 +23,18 @@ pub(super) enum Which {
     Gpu,
     /// The GPU engine with keys of 32 bits, in two passes.
     GpuNarrow,
+}
+
+impl Which {
+    fn engine(self) -> (EngineKind, Threads) {
+        match self {
+            Self::Reference => (EngineKind::Reference, 0.into()),
+            Self::CpuOne => (EngineKind::Cpu, 1.into()),
+            Self::CpuAll => (EngineKind::Cpu, 0.into()),
+            Self::Gpu => (EngineKind::Gpu, 0.into()),
+            Self::GpuNarrow => (EngineKind::GpuNarrow, 0.into()),
+        }
+    }
 }
 
 /// A path as tables, charts and advice name it.
@@ -102,10 +111,7 @@ impl Path {
 
 /// The engines, opened once for a study.
 pub(super) struct Engines {
-    reference: Drawer,
-    cpu_one: Drawer,
-    cpu_all: Drawer,
-    gpu: Option<(Drawer, Drawer)>,
+    all: Vec<(Which, Predictor)>,
     gpu_keys: &'static str,
     /// The adapter is a real GPU.
     hardware: bool,
@@ -116,26 +122,24 @@ pub(super) struct Engines {
 impl Engines {
     /// Opens what there is; a GPU that is not there is no error, lavapipe counts as one.
     pub fn open() -> Result<Self> {
-        let cpu =
-            |threads: usize| Predictor::new(Options { backend: Backend::Cpu, threads: threads.into() }).map(Box::new);
-        let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        let (gpu, gpu_keys, hardware, adapter) = match open_gpu() {
-            Ok(gpu) => (Some(gpu.drawers), gpu.keys, gpu.hardware, gpu.adapter),
-            Err(e) if e.kind() == ErrorKind::NoDevice => {
-                (None, "", false, format!("none: {}; presight doctor says what to install", e.what()))
+        let (mut all, mut missing) = (Vec::new(), None);
+        for which in [Which::Reference, Which::CpuOne, Which::CpuAll, Which::Gpu, Which::GpuNarrow] {
+            let (kind, threads) = which.engine();
+            match kind.open(&threads) {
+                Ok(engine) => {
+                    let backend = if kind.needs_device() { Backend::Gpu } else { Backend::Cpu };
+                    all.push((which, Predictor::with_engine(Options { backend, threads }, engine)));
+                }
+                Err(e) if e.kind() == ErrorKind::NoDevice => missing = Some(e),
+                Err(e) => return Err(e),
             }
-            Err(e) => return Err(e),
+        }
+        let (gpu_keys, hardware, adapter) = match missing {
+            Some(e) => ("", false, format!("none: {}; presight doctor says what to install", e.what())),
+            None => about_gpu(&all),
         };
-        Ok(Self {
-            reference: Drawer::Reference,
-            cpu_one: Drawer::Predictor(cpu(1)?),
-            cpu_all: Drawer::Predictor(cpu(0)?),
-            gpu,
-            gpu_keys,
-            hardware,
-            adapter,
-            threads,
-        })
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        Ok(Self { all, gpu_keys, hardware, adapter, threads })
     }
 
     /// Who draws where a user chooses nothing (`--backend auto`).
@@ -144,7 +148,7 @@ impl Engines {
     }
 
     pub fn has_gpu(&self) -> bool {
-        self.gpu.is_some()
+        self.all.iter().any(|(which, _)| *which == Which::Gpu)
     }
 
     /// Adapter and driver, or why there is none.
@@ -162,88 +166,25 @@ impl Engines {
         }
     }
 
-    pub fn drawer(&mut self, which: Which) -> Result<&mut Drawer> {
-        let no_gpu = || Error::new(ErrorKind::NoDevice, "there is no GPU", "leave it out");
-        Ok(match which {
-            Which::Reference => &mut self.reference,
-            Which::CpuOne => &mut self.cpu_one,
-            Which::CpuAll => &mut self.cpu_all,
-            Which::Gpu => &mut self.gpu.as_mut().ok_or_else(no_gpu)?.0,
-            Which::GpuNarrow => &mut self.gpu.as_mut().ok_or_else(no_gpu)?.1,
-        })
-    }
-
-    /// The predictor of an engine that a user gets: for features.
+    /// The predictor of an engine.
     pub fn predictor(&mut self, which: Which) -> Result<&mut Predictor> {
-        match self.drawer(which)? {
-            Drawer::Predictor(predictor) => Ok(predictor),
-            _ => Err(Error::invalid("only predictors look at features", "take another path")),
-        }
+        let found = self.all.iter_mut().find(|(of, _)| *of == which).map(|(_, predictor)| predictor);
+        found.ok_or_else(|| Error::new(ErrorKind::NoDevice, "there is no GPU", "leave it out"))
     }
 }
 
-/// A GPU, both ways to use it, and how the first keeps its nearest surfaces.
-struct OpenedGpu {
-    drawers: (Drawer, Drawer),
-    keys: &'static str,
-    hardware: bool,
-    adapter: String,
-}
-
+/// How the GPU engine keeps its nearest surfaces, whether its adapter is hardware, and its name.
 #[cfg(feature = "gpu")]
-fn open_gpu() -> Result<OpenedGpu> {
-    use crate::gpu::{DeviceOptions, Engine};
-    let engine = Engine::new(DeviceOptions::default())?;
-    let (wide, hardware) = (engine.abilities().int64_atomics, engine.adapter().hardware);
-    let adapter = engine.adapter().to_string();
-    drop(engine);
-    let predictor = Predictor::new(Options { backend: Backend::Gpu, ..Options::default() })?;
-    let narrow = Engine::new(DeviceOptions { without_int64: true, ..DeviceOptions::default() })?;
-    let keys = if wide { "64-bit keys" } else { "its 32-bit keys" };
-    let drawers = (Drawer::Predictor(Box::new(predictor)), Drawer::Narrow(Box::new(narrow)));
-    Ok(OpenedGpu { drawers, keys, hardware, adapter })
+fn about_gpu(all: &[(Which, Predictor)]) -> (&'static str, bool, String) {
+    let gpu = all.iter().find(|(which, _)| *which == Which::Gpu);
+    let engine = gpu.and_then(|(_, p)| (p.engine() as &dyn std::any::Any).downcast_ref::<crate::gpu::Engine>());
+    engine.map_or_else(Default::default, |engine| {
+        let keys = if engine.abilities().int64_atomics { "64-bit keys" } else { "its 32-bit keys" };
+        (keys, engine.adapter().hardware, engine.adapter().to_string())
+    })
 }
 
 #[cfg(not(feature = "gpu"))]
-fn open_gpu() -> Result<OpenedGpu> {
-    let remedy = "build it with the cargo feature `gpu`";
-    Err(Error::new(ErrorKind::NoDevice, "this presight was built without the GPU engine", remedy))
-}
-
-/// What draws an image.
-pub(super) enum Drawer {
-    Reference,
-    Predictor(Box<Predictor>),
-    #[cfg(feature = "gpu")]
-    Narrow(Box<crate::gpu::Engine>),
-}
-
-impl Drawer {
-    /// A prediction, selection included, with all images in memory at the end.
-    pub fn draw(&mut self, world: &World, sensor: &Sensor, pose: &Pose, images: &mut Images) -> Result<Stats> {
-        let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
-        let start = Instant::now();
-        let plan = |stats: &mut Stats| {
-            let plan = FramePlan::new(world, sensor, pose, &request())?;
-            stats.stage("selection", start);
-            stats.left_out = plan.left_out();
-            Ok::<_, Error>(plan)
-        };
-        match self {
-            Self::Predictor(predictor) => return predictor.predict_into(world, sensor, pose, &request(), images),
-            Self::Reference => {
-                let plan = plan(&mut stats)?;
-                // It looks at everything, whatever was selected.
-                stats.left_out.clear();
-                let start = Instant::now();
-                let counts = reference::render(&plan, images)?;
-                stats.engine = "reference".into();
-                stats.stage("reference", start);
-                stats.count("polygons tested", counts.polygons);
-            }
-            #[cfg(feature = "gpu")]
-            Self::Narrow(engine) => engine.render(&plan(&mut stats)?, images, &mut stats)?,
-        }
-        Ok(stats)
-    }
+fn about_gpu(_: &[(Which, Predictor)]) -> (&'static str, bool, String) {
+    Default::default()
 }

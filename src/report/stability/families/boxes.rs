@@ -119,7 +119,7 @@ impl Family for Boxes {
         (self.difficulties)(quick)
     }
 
-    fn measure(&self, difficulty: f64, quick: bool, subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>> {
+    fn measure(&self, difficulty: f64, quick: bool, subjects: &mut [Subject]) -> Result<Vec<Finding>> {
         let factors = (self.factors)(difficulty);
         let setting = match setting(&factors) {
             Ok(setting) => setting,
@@ -137,7 +137,7 @@ impl Family for Boxes {
                 Measured::Covariance => (covariance_error(&setting, &found), COVARIANCE_BOUND),
                 Measured::Coverage => lack_of_coverage(&setting, &factors, &found, if quick { 1000 } else { 20_000 }),
             };
-            findings.push(Finding::of(subject.name(), error, bound));
+            findings.push(Finding::of(subject.name.clone(), error, bound));
         }
         Ok(findings)
     }

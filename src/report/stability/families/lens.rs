@@ -68,7 +68,7 @@ impl Family for Fold {
         [vec![0.6], powers(-1, -12, quick)].concat()
     }
 
-    fn measure(&self, difficulty: f64, _quick: bool, subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>> {
+    fn measure(&self, difficulty: f64, _quick: bool, subjects: &mut [Subject]) -> Result<Vec<Finding>> {
         let mut findings = vec![rays(1.0 + self.side * difficulty)];
         let mut cases = Vec::new();
         for model in models() {

@@ -97,7 +97,7 @@ pub trait Family {
     ///
     /// # Errors
     /// Those of an engine that breaks down.
-    fn measure(&self, difficulty: f64, quick: bool, subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>>;
+    fn measure(&self, difficulty: f64, quick: bool, subjects: &mut [Subject]) -> Result<Vec<Finding>>;
 }
 
 /// One scene before one sensor.

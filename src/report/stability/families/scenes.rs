@@ -132,7 +132,7 @@ impl Family for SceneFamily {
         (self.difficulties)(quick)
     }
 
-    fn measure(&self, difficulty: f64, _quick: bool, subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>> {
+    fn measure(&self, difficulty: f64, _quick: bool, subjects: &mut [Subject]) -> Result<Vec<Finding>> {
         match (self.cases)(difficulty) {
             Ok(cases) => measure(&cases, subjects),
             Err(e) => Ok(vec![Finding::rejected(&e)]),
@@ -141,7 +141,7 @@ impl Family for SceneFamily {
 }
 
 /// The findings of all engines on some cases together: the first fault, else the greatest error and bound.
-pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Result<Vec<Finding>> {
+pub(super) fn measure(cases: &[Case], subjects: &mut [Subject]) -> Result<Vec<Finding>> {
     let mut verdicts = vec![(Verdict::default(), 0); subjects.len()];
     for case in cases {
         let outputs = if case.sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
@@ -150,8 +150,8 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Resu
         let picture = Picture::new(&plan);
         for (subject, (all, edge_on)) in subjects.iter_mut().zip(&mut verdicts) {
             let mut images = Images::default();
-            *edge_on += subject.draw(&plan, &mut images).map_err(|e| e.at(subject.name()))?;
-            let one = picture.judge(&images, subject.precision());
+            *edge_on += subject.draw(&plan, &mut images).map_err(|e| e.at(subject.name.clone()))?;
+            let one = picture.judge(&images, subject.engine.precision());
             let fault = one.fault.map(|what| format!("{}: {what}", case.sensor.spec().name));
             match (&all.fault, fault) {
                 (Some(_), _) => {}
@@ -163,7 +163,7 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Box<dyn Subject>]) -> Resu
             all.unbounded += one.unbounded;
         }
     }
-    Ok(subjects.iter().zip(verdicts).map(|(subject, (v, edge_on))| finding(subject.name(), v, edge_on)).collect())
+    Ok(subjects.iter().zip(verdicts).map(|(subject, (v, edge_on))| finding(subject.name.clone(), v, edge_on)).collect())
 }
 
 fn finding(engine: String, verdict: Verdict, edge_on: usize) -> Finding {

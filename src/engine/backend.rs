@@ -1,0 +1,110 @@
+//! The GPU engine as this build has it. Outside of `gpu` only this file asks whether there is one.
+
+use super::Engine;
+use crate::error::Result;
+use crate::threads::Threads;
+
+#[cfg(feature = "gpu")]
+pub(crate) use with_gpu::{open_gpu, open_narrow_gpu};
+#[cfg(not(feature = "gpu"))]
+pub(crate) use without_gpu::{open_gpu, open_narrow_gpu};
+
+#[cfg(not(feature = "gpu"))]
+mod without_gpu {
+    use super::*;
+    use crate::error::{Error, ErrorKind};
+
+    pub(crate) fn open_gpu(_: &Threads, _hardware_only: bool) -> Result<Box<dyn Engine>> {
+        Err(Error::new(
+            ErrorKind::NoDevice,
+            "this presight was built without the GPU engine",
+            "build it with the cargo feature `gpu`, or use --backend cpu",
+        ))
+    }
+
+    pub(crate) fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
+        open_gpu(threads, false)
+    }
+}
+
+#[cfg(feature = "gpu")]
+mod with_gpu {
+    use super::*;
+    use crate::compare::Precision;
+    use crate::engine::Device;
+    use crate::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
+    use crate::geometry::Pose;
+    use crate::gpu::{self, DeviceOptions, testing};
+    use crate::plan::{FramePlan, Images, Stats, Work};
+    use crate::sensor::Sensor;
+    use crate::world::World;
+
+    /// On the most capable adapter; on hardware or none, if asked.
+    pub(crate) fn open_gpu(threads: &Threads, hardware_only: bool) -> Result<Box<dyn Engine>> {
+        let engine = gpu::Engine::new(DeviceOptions { hardware_only, ..DeviceOptions::default() })?;
+        Ok(Box::new(engine.with_threads(threads.clone())))
+    }
+
+    /// With 32-bit keys, and every stage on the device.
+    pub(crate) fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
+        let setup = testing::Setup { all_on_device: true, ..testing::Setup::default() };
+        let engine = testing::open(DeviceOptions { without_int64: true, ..DeviceOptions::default() }, setup)?;
+        Ok(Box::new(engine.with_threads(threads.clone())))
+    }
+
+    impl Engine for gpu::Engine {
+        fn name(&self) -> String {
+            format!("gpu ({})", self.adapter())
+        }
+
+        fn precision(&self) -> Precision {
+            Precision::F32
+        }
+
+        fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+            Self::render(self, plan, images, stats)
+        }
+
+        fn device(&mut self) -> Option<&mut dyn Device> {
+            Some(self)
+        }
+    }
+
+    impl Device for gpu::Engine {
+        fn adapter(&self) -> String {
+            Self::adapter(self).to_string()
+        }
+
+        fn reopen(&mut self) -> Result<()> {
+            Self::reopen(self)
+        }
+
+        fn takes_features(&self) -> bool {
+            Self::takes_features(self)
+        }
+
+        fn holds_images(&self) -> bool {
+            self.holds_prediction()
+        }
+
+        fn query_occlusion(&mut self, samples: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>> {
+            Self::query_occlusion(self, &gpu::OcclusionQuery::new(samples))
+        }
+
+        fn add_boxes(
+            &mut self,
+            prediction: &mut FeaturePrediction,
+            placed: &[PlacedFeature],
+            world: &World,
+            sensor: &Sensor,
+            world_from_sensor: &Pose,
+            options: &BoxOptions,
+        ) -> Result<usize> {
+            Self::add_boxes(self, prediction, placed, world, sensor, world_from_sensor, options)
+        }
+
+        fn work(&self) -> Work {
+            Self::work(self)
+        }
+    }
+}

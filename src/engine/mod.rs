@@ -1,0 +1,211 @@
+//! What every engine can do, and the one list of engines.
+
+mod backend;
+
+pub(crate) use backend::open_gpu;
+
+use crate::compare::Precision;
+use crate::cpu;
+use crate::error::Result;
+use crate::features::{self, BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
+use crate::geometry::Pose;
+use crate::plan::{EDGE_ON, FramePlan, Images, Stats, Work};
+use crate::reference;
+use crate::sensor::Sensor;
+use crate::threads::Threads;
+use crate::world::World;
+use std::any::Any;
+use std::time::Instant;
+
+/// An engine: it draws the images that a plan requests.
+///
+/// ```
+/// use presight::engine::EngineKind;
+/// use presight::{Environment, FramePlan, Images, Pose, Request, Stats, World};
+/// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
+/// let plan = FramePlan::new(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+/// for kind in [EngineKind::Reference, EngineKind::Cpu] {
+///     let (mut images, mut stats) = (Images::default(), Stats::default());
+///     kind.open(&1.into())?.render(&plan, &mut images, &mut stats)?;
+///     assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{}", kind.name());
+/// }
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub trait Engine: Any + Send {
+    /// Its name for people: `reference`, `cpu`, or `gpu` with its adapter.
+    fn name(&self) -> String;
+
+    /// Its arithmetic, which fixes its error bounds.
+    fn precision(&self) -> Precision;
+
+    /// Fills the requested images, and counts what that took.
+    ///
+    /// # Errors
+    /// Those of [`Pose::check`]; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] for images or polygons that
+    /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
+
+    /// Its threads if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    fn threads_with_deadline(&self) -> Option<usize> {
+        None
+    }
+
+    /// The device that it works on, if it works on one.
+    fn device(&mut self) -> Option<&mut dyn Device> {
+        None
+    }
+}
+
+/// A device whose driver may be at fault, that can be lost, and that may do a part of the features.
+pub trait Device {
+    /// Its name, for messages.
+    fn adapter(&self) -> String;
+
+    /// Opens it again after it was lost.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NoDevice`] if it is gone.
+    fn reopen(&mut self) -> Result<()>;
+
+    /// False if features are left to the CPU: a software adapter would run them on the same cores, by a detour.
+    fn takes_features(&self) -> bool;
+
+    /// True if it still holds the images that were rendered last.
+    fn holds_images(&self) -> bool;
+
+    /// Finds what hides samples of features, from the images that were rendered last, in the order of the samples.
+    ///
+    /// # Errors
+    /// As [`Engine::render`].
+    fn query_occlusion(&mut self, samples: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>>;
+
+    /// [`features::add_boxes`] on the device. Returns how many boxes the device made; the CPU makes the others.
+    ///
+    /// # Errors
+    /// As [`Engine::render`]; [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    fn add_boxes(
+        &mut self,
+        prediction: &mut FeaturePrediction,
+        placed: &[PlacedFeature],
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        options: &BoxOptions,
+    ) -> Result<usize>;
+
+    /// What it has done since it was opened.
+    fn work(&self) -> Work;
+}
+
+/// The engines of presight, in the order in which studies list them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum EngineKind {
+    /// The plain rasterizer in f64 that the others are compared with.
+    Reference,
+    /// The CPU engine.
+    Cpu,
+    /// The GPU engine as it opens on the most capable adapter, including software adapters.
+    Gpu,
+    /// The GPU engine with 32-bit keys in two passes, every stage on the device.
+    GpuNarrow,
+}
+
+impl EngineKind {
+    /// Every engine.
+    pub const ALL: [Self; 4] = [Self::Reference, Self::Cpu, Self::Gpu, Self::GpuNarrow];
+
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+            Self::GpuNarrow => "gpu-32-bit",
+        }
+    }
+
+    /// True if it needs a graphics adapter.
+    pub fn needs_device(self) -> bool {
+        matches!(self, Self::Gpu | Self::GpuNarrow)
+    }
+
+    /// Opens it; its work on the CPU is done on these threads.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
+    /// [`crate::ErrorKind::System`] if threads cannot be started.
+    pub fn open(self, threads: &Threads) -> Result<Box<dyn Engine>> {
+        match self {
+            Self::Reference => Ok(Box::new(Reference { threads: threads.clone() })),
+            Self::Cpu => Ok(Box::new(cpu::Engine::new(threads.clone())?)),
+            Self::Gpu => open_gpu(threads, false),
+            Self::GpuNarrow => backend::open_narrow_gpu(threads),
+        }
+    }
+}
+
+/// The reference as an engine. It tests every polygon, whatever the plan selected.
+struct Reference {
+    threads: Threads,
+}
+
+impl Engine for Reference {
+    fn name(&self) -> String {
+        "reference".into()
+    }
+
+    fn precision(&self) -> Precision {
+        Precision::F64
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let start = Instant::now();
+        let counts = self.threads.run(|| reference::render(plan, images))??;
+        stats.engine = "reference".into();
+        stats.stage("reference", start);
+        stats.count("polygons tested", counts.polygons);
+        stats.count(EDGE_ON, counts.edge_on);
+        Ok(())
+    }
+}
+
+impl Engine for cpu::Engine {
+    fn name(&self) -> String {
+        "cpu".into()
+    }
+
+    fn precision(&self) -> Precision {
+        Precision::F64
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        Self::render(self, plan, images, stats)
+    }
+
+    fn threads_with_deadline(&self) -> Option<usize> {
+        Some(self.threads())
+    }
+}
+
+/// Adds regions of interest where this engine does them: on its device, otherwise on these threads. Returns how many boxes
+/// the device made; `None` if it took no part.
+///
+/// # Errors
+/// As [`Device::add_boxes`].
+pub(crate) fn add_boxes(
+    engine: &mut dyn Engine,
+    threads: &Threads,
+    prediction: &mut FeaturePrediction,
+    placed: &[PlacedFeature],
+    (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
+    options: &BoxOptions,
+) -> Result<Option<usize>> {
+    match engine.device().filter(|device| device.takes_features()) {
+        Some(device) => device.add_boxes(prediction, placed, world, sensor, world_from_sensor, options).map(Some),
+        None => {
+            let add = || features::add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
+            threads.run(add)??;
+            Ok(None)
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! What tests of the real device need, and `doctor`: a device that has less, does more, or goes away.
+
+use super::{DeviceOptions, Engine, Made};
+use crate::error::Result;
+use std::any::Any;
+
+/// How a device is used in a test.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Setup {
+    /// Take no more bytes than this in one buffer, even where the adapter could.
+    pub largest_binding: Option<u64>,
+    /// Run every stage on the device, even on a software adapter, where some are faster on the CPU directly.
+    pub all_on_device: bool,
+}
+
+impl Setup {
+    /// Every stage on the device.
+    pub const ALL_ON_DEVICE: Self = Self { largest_binding: None, all_on_device: true };
+}
+
+/// [`Engine::new`] with a setup for tests.
+///
+/// # Errors
+/// As [`Engine::new`].
+pub fn open(options: DeviceOptions, setup: Setup) -> Result<Engine> {
+    Engine::open(options, setup)
+}
+
+/// Returns a function that destroys the present device, as a driver's reset would, from any thread and in the midst of a
+/// prediction, too.
+pub fn device_loss(engine: &Engine) -> impl Fn() + Send + use<> {
+    let device = engine.gpu.device.clone();
+    move || device.destroy()
+}
+
+/// What a GPU engine has made on its device so far; `None` of another engine.
+pub fn made(engine: &dyn Any) -> Option<Made> {
+    engine.downcast_ref::<Engine>().map(Engine::made)
+}

@@ -1,0 +1,1 @@
+//! What reads predictions honours what was given up.
