@@ -100,6 +100,22 @@ impl Prediction {
     pub fn given_up(&self) -> Option<&GivenUp> {
         self.stats.given_up()
     }
+
+    /// [`Prediction::is_not_predicted`] of all pixels, row-major; empty if nothing was given up.
+    pub fn not_predicted(&self) -> Vec<bool> {
+        if self.given_up().is_none() {
+            return Vec::new();
+        }
+        let rows = (0..self.images.height).flat_map(|row| (0..self.images.width).map(move |column| (column, row)));
+        rows.map(|(column, row)| self.is_not_predicted(column, row)).collect()
+    }
+
+    /// Whether a pixel was given up: it is NaN with id 0 although the sensor has a ray there. Of a prediction of ids alone that is
+    /// said of pixels that see nothing, too.
+    pub fn is_not_predicted(&self, column: u32, row: u32) -> bool {
+        let at = row as usize * self.images.width as usize + column as usize;
+        self.given_up().is_some() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
+    }
 }
 
 /// Deadlines.
@@ -253,6 +269,7 @@ impl Predictor {
             stats.leave_out("features", "there is none for this class");
         }
         let mut start = Instant::now();
+        let options = &FeatureOptions { is_partial: options.is_partial || stats.given_up().is_some(), ..*options };
         let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
         let hints = if placed.is_empty() || options.visibility == Visibility::Rays {
             None

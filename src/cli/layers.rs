@@ -196,6 +196,7 @@ impl LayerArgs {
             world_from_sensor: prediction.world_from_sensor,
             pose_covariance: features.map(|(layers, _)| layers.boxes.sensor),
             confidence: features.map(|(layers, _)| layers.boxes.confidence),
+            given_up: prediction.given_up().cloned(),
         };
         let none = FeaturePrediction::default();
         let seen = features.map_or(&none, |(_, seen)| seen);
@@ -250,7 +251,10 @@ impl Layers {
         seen: &FeaturePrediction,
     ) -> Result<Vec<SeenFeature>> {
         let sides = sides_seen_in_part(&self.placed, seen);
-        let (world, options) = (&scene.world, FeatureOptions { feature_id: false, ..self.options });
+        let (world, options) = (
+            &scene.world,
+            FeatureOptions { feature_id: false, is_partial: prediction.given_up().is_some(), ..self.options },
+        );
         let Prediction { sensor, world_from_sensor, images, .. } = prediction;
         let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &options);
         Ok(predictor.on_threads(predict)??.features)

@@ -3,6 +3,7 @@
 #[cfg(feature = "report")]
 mod bar;
 mod compare;
+mod deadline;
 mod doctor;
 #[cfg(feature = "store")]
 mod env;

@@ -1,5 +1,6 @@
 //! `presight predict`: what a sensor at a pose sees.
 
+use super::deadline::DeadlineArgs;
 use super::layers::{Asked, LayerArgs, Layers};
 use super::load::{self, Scene};
 use super::outputs::OutputFiles;
@@ -7,6 +8,7 @@ use super::pose::{GivenPose, PoseArgs};
 use super::statistics::{Statistics, Subject};
 use super::virtual_sensor::VirtualArgs;
 use super::{Verdict, print};
+use crate::deadline::GivenUp;
 use crate::error::{Error, Result};
 use crate::features::{FeaturePrediction, SeenFeature};
 use crate::index::Scheme;
@@ -117,6 +119,9 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
 
+    #[command(flatten)]
+    deadline: DeadlineArgs,
+
     /// Print what was done, what it cost, what was left out and why
     #[arg(long)]
     explain: bool,
@@ -174,6 +179,7 @@ impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
         self.virtual_sensor.check()?;
+        self.deadline.check()?;
         let (pose, files, import) = (self.pose.parse()?, self.files()?, self.import_options()?);
         let threads = Threads::from(self.threads).started()?;
         Ok(Job {
@@ -195,6 +201,7 @@ impl Args {
             ("--points", &self.points, &["ply", "pcd"]),
             ("--features", &self.layers.features, &["json"]),
             ("--stats", &self.stats, &["json"]),
+            ("--costs", &self.deadline.costs, &["json"]),
         ] {
             files.add(option, path.as_deref(), endings)?;
         }
@@ -242,7 +249,7 @@ impl Args {
         if self.depth_png.is_some() {
             wanted.push(png::depth_output(sensor));
         }
-        Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme(), ..Request::default() })
+        Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme(), deadline: self.deadline.limit() })
     }
 
     /// What the prediction and its files take of memory.
@@ -300,6 +307,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     args.virtual_sensor.check_sensor(&sensor)?;
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
+    args.deadline.read_costs(&mut predictor)?;
     let frame = args.frame(&sensor, &request, &predictor);
     memory::require(frame.bytes())?;
     let scene = load::scene(&args.scene, &job.import, args.index)?;
@@ -345,6 +353,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     };
     let seen = seen.map(|(layers, features)| Seen { layers, features, sides: &sides });
     job.files.check_read()?;
+    args.deadline.write_costs(&predictor)?;
     write_files(args, &scene, &prediction, seen.as_ref(), reading.as_ref())?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
@@ -402,7 +411,9 @@ fn write_files(
             numbers: args.layers.numbers(),
         });
         let mark = reading.and_then(VirtualReading::mask);
-        png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref(), mark)?;
+        let given_up = prediction.not_predicted();
+        let marks = png::Marks { overlay: overlay.as_ref(), mask: mark, given_up: &given_up };
+        png::write_preview_with(path, images, sensor, args.png_of, &marks)?;
     }
     args.layers.write(scene, prediction, seen.map(|seen| (seen.layers, seen.features)), reading)?;
     args.virtual_sensor.tell(reading, args.layers.writes_something())?;
@@ -431,6 +442,7 @@ fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(load::blake3_of(&args.scene)?),
         ids: Some(args.scheme()),
+        given_up: prediction.given_up().cloned(),
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
 }
@@ -464,6 +476,7 @@ fn summary(
         let seen = features.iter().filter(|f| !f.visible.is_empty()).count();
         parts.push(format!("{seen} of {} features seen", features.len()));
     }
+    parts.extend(prediction.given_up().map(GivenUp::summary));
     parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
     parts.join(", ")
 }
