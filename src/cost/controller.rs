@@ -80,7 +80,7 @@ impl Controller {
         let timed =
             Timed { limit, watch, key, pixels, images, selected: Duration::ZERO, counts: Counts::default(), cut: None };
         let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
-        let doubt = self.doubts.get(&timed.key).copied().unwrap_or(1.0);
+        let doubt = self.doubt(&timed.key);
         let believed =
             |e: &Estimate| if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(2.0 * e.mean) * doubt };
         let least = floor.iter().map(believed).sum::<f64>();
@@ -99,8 +99,10 @@ impl Controller {
         timed.selected = timed.watch.elapsed();
         let images = self.estimate(timed, Forecast::Images);
         let left = timed.limit.saturating_sub(timed.selected);
-        let surely = if images.frames == 0 { images.mean * UNKNOWN_MACHINE } else { images.lower };
+        let doubt = self.doubt(&timed.key);
+        let surely = if images.frames == 0 { images.mean * UNKNOWN_MACHINE } else { images.lower * doubt };
         if left.as_secs_f64() < surely {
+            self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MOST_DOUBT));
             self.learn(timed, Forecast::Access, &Counts::default(), timed.selected);
             return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + images.upper));
         }
@@ -160,6 +162,11 @@ impl Controller {
         stats.deadline = Some(kept);
     }
 
+    /// By what factor estimates of the images are believed.
+    fn doubt(&self, key: &Key) -> f64 {
+        self.doubts.get(key).copied().unwrap_or(1.0)
+    }
+
     fn estimate(&self, timed: &Timed, forecast: Forecast) -> Estimate {
         let counts = if forecast == Forecast::Images { timed.of_images() } else { Counts::default() };
         self.costs.estimate(&timed.key_of(forecast), &counts)
@@ -208,3 +215,6 @@ fn finished(stats: &Stats, timed: &Timed) -> Counts {
         ..Counts::default()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -9,6 +9,8 @@ const FORGETTING: f64 = 0.98;
 pub(crate) const RATIOS: usize = 200;
 /// Share of them that a deadline counts on.
 const QUANTILE: f64 = 0.99;
+/// So many frames teach costs before their ratios are kept.
+const FIRST: u64 = 5;
 /// So many ratios are told before the default is no longer counted on.
 const ENOUGH: usize = 20;
 /// Factor of an estimate from defaults, which were measured on another machine.
@@ -74,7 +76,10 @@ impl UnitCosts {
 
     /// Learns from a frame that took `seconds`, above 0.
     pub fn observe(&mut self, counts: &Counts, seconds: f64) {
-        self.ratios.push_back((seconds / self.mean(counts)).clamp(1e-6, 1e6));
+        // How far the defaults were off says nothing of what was learnt since.
+        if self.frames >= FIRST {
+            self.ratios.push_back((seconds / self.mean(counts)).clamp(1e-6, 1e6));
+        }
         if self.ratios.len() > RATIOS {
             self.ratios.pop_front();
         }
