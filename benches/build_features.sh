@@ -18,7 +18,7 @@ fi
 # Builds with the features named (comma-separated, or nothing) and prints a row.
 row() {
     start=$(date +%s.%N)
-    cargo build --offline --quiet --release --bin presight --no-default-features --features "$2" --target-dir "$folder"
+    cargo build --offline --quiet --release -p presight-cli --no-default-features --features "$2" --target-dir "$folder"
     end=$(date +%s.%N)
     bytes=$(stat -c %s "$folder/release/presight")
     strip -o "$folder/stripped" "$folder/release/presight"
@@ -29,7 +29,7 @@ row() {
 echo "| features | seconds | bytes of the binary | bytes stripped |"
 echo "|---|---|---|---|"
 row "none, from nothing" ""
-touch src/lib.rs
+touch src/lib.rs crates/presight-cli/src/lib.rs crates/presight-studies/src/lib.rs
 row "none, presight alone" ""
 for feature in store script report gpu; do
     row "$feature, on top" "$feature"

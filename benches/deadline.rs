@@ -56,7 +56,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let frames: usize = args.get(2).map_or(Ok(2000), |n| n.parse())?;
     let world = World::new(import(scene, &ImportOptions::default())?.environment);
     let poses = free_poses(&world, POSES, 7)?;
-    let predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 0.into() })?;
+    let predictor = Predictor::new(Options::new(Backend::Cpu))?;
     let mut bench = Bench { world, sensor, predictor, images: Images::default() };
     println!("{scene}, {}, {frames} frames", bench.sensor.spec().name);
 

@@ -95,7 +95,8 @@ impl Change {
     pub const NOTHING: Self = Self::Group(Vec::new());
 
     /// One change of many.
-    pub(crate) fn of(mut changes: Vec<Change>) -> Self {
+    #[doc(hidden)]
+    pub fn of(mut changes: Vec<Change>) -> Self {
         match changes.len() {
             1 => changes.remove(0),
             _ => Self::Group(changes),

@@ -6,7 +6,7 @@ use std::borrow::Cow;
 const QUOTED: usize = 60;
 
 /// The text with what cannot be printed, line breaks included, as escapes: a name cannot break a line, or drive a terminal.
-pub(crate) fn printable(text: &str) -> Cow<'_, str> {
+pub fn printable(text: &str) -> Cow<'_, str> {
     if text.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
         return Cow::Borrowed(text);
     }
@@ -22,7 +22,7 @@ pub(crate) fn printable(text: &str) -> Cow<'_, str> {
 }
 
 /// The first `longest` characters, and a sign that there are more.
-pub(crate) fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
+pub fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
     match text.char_indices().nth(longest) {
         None => Cow::Borrowed(text),
         Some((end, _)) => Cow::Owned(format!("{}..", &text[..end])),
@@ -30,7 +30,7 @@ pub(crate) fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
 }
 
 /// At most about `longest` characters: of a longer text its start and its end, for paths end in what tells them apart.
-pub(crate) fn clipped_inside(text: &str, longest: usize) -> Cow<'_, str> {
+pub fn clipped_inside(text: &str, longest: usize) -> Cow<'_, str> {
     if text.chars().nth(longest).is_none() {
         return Cow::Borrowed(text);
     }
@@ -40,7 +40,7 @@ pub(crate) fn clipped_inside(text: &str, longest: usize) -> Cow<'_, str> {
 }
 
 /// A text in quotation marks for a message; of a long one its start and its length.
-pub(crate) fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     match text.char_indices().nth(QUOTED) {
         None => format!("{text:?}"),
         Some((end, _)) => format!("{:?}.. ({} bytes)", &text[..end], text.len()),

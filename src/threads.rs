@@ -22,8 +22,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// use presight::{Backend, Environment, Options, Predictor, Threads, World};
 /// let threads = Threads::new(2)?;
 /// let world = threads.run(|| World::new(Environment::new()))?;
-/// let predictor = Predictor::new(Options { backend: Backend::Cpu, threads: threads.clone() })?;
-/// let another = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
+/// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
+/// let another = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Default)]
@@ -107,8 +107,8 @@ pub(crate) fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
     if rayon::current_thread_index().is_some() { Ok(work()) } else { Threads::SHARED.run(work) }
 }
 
-/// [`parallel`] for work that cannot fail: where no thread can be started the calling one does it all.
-pub(crate) fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+/// `parallel` for work that cannot fail: where no thread can be started the calling one does it all.
+pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     if rayon::current_thread_index().is_some() {
         return work();
     }

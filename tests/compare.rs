@@ -2,7 +2,7 @@
 
 #![allow(clippy::print_stderr)] // Skips and what was found are said.
 
-mod common;
+use presight_testkit as common;
 
 use common::{plan, reference, scenes};
 use glam::DVec3;

@@ -5,7 +5,7 @@
 
 #![expect(clippy::print_stderr, reason = "what agrees and what does not is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::data;
 use flate2::read::GzDecoder;
@@ -49,7 +49,7 @@ fn vector(v: &Value) -> DVec3 {
 }
 
 fn images(world: &World, sensor: &Sensor, pose: &Pose) -> Images {
-    let request = Request { outputs: Outputs::ALL, ids: IdScheme::Source, ..Request::default() };
+    let request = Request::of(Outputs::ALL).with_ids(IdScheme::Source);
     common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a sound pose"))
 }
 

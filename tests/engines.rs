@@ -6,7 +6,7 @@
 
 #![expect(clippy::print_stderr, reason = "what was compared and where it failed is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::{data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;

@@ -4,7 +4,7 @@
 
 #![allow(clippy::print_stderr)] // Skips and what was found are said.
 
-mod common;
+use presight_testkit as common;
 
 use common::hard::{Case, case, grazing};
 use common::oracle::Oracle;

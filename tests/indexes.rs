@@ -4,7 +4,7 @@
 
 #![expect(clippy::print_stderr, reason = "what was compared is worth reading")]
 
-mod common;
+use presight_testkit as common;
 
 use common::{data, engines, env_number, plan, scenes};
 use glam::DVec3;

@@ -1,6 +1,6 @@
 //! The lens models against OpenCV's own numbers: projectPoints and undistortPoints, 400 points for each of six cameras.
 
-mod common;
+use presight_testkit as common;
 
 use common::data;
 use glam::DVec3;

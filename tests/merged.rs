@@ -5,7 +5,7 @@
 
 #![allow(clippy::print_stderr)] // Skips and what was found are said.
 
-mod common;
+use presight_testkit as common;
 
 use common::{data, env_number, plan, reference, scenes};
 use glam::DVec3;

@@ -6,7 +6,7 @@
 
 #![allow(clippy::print_stderr)] // Skips and what was found are said.
 
-mod common;
+use presight_testkit as common;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, plan};

@@ -8,7 +8,7 @@
 //!
 //! `PRESIGHT_RAY_TABLES=FILE` writes the hashes to a file instead.
 
-mod common;
+use presight_testkit as common;
 
 use common::{Random, engines, plan, scenes};
 use glam::{DAffine3, DVec3, Vec3};

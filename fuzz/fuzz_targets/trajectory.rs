@@ -2,8 +2,7 @@
 #[allow(dead_code, reason = "each target runs one body")]
 #[path = "../../tests/fuzz/bodies.rs"]
 mod bodies;
-#[path = "../../tests/common/mod.rs"]
-mod common;
+use presight_testkit as common;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     bodies::trajectory(bytes);

@@ -120,7 +120,8 @@ pub struct Problem {
 
 impl Problem {
     /// One line for the whole, and one for each place, which are indented by `indent`.
-    pub(crate) fn lines(&self, indent: &str) -> Vec<String> {
+    #[doc(hidden)]
+    pub fn lines(&self, indent: &str) -> Vec<String> {
         let mut lines = vec![format!("{} {}", self.total, self.kind.title())];
         lines.extend(self.places.iter().map(|place| format!("{indent}{place}")));
         let more = self.total - self.places.len() as u64;

@@ -84,7 +84,8 @@ impl Precision {
     }
 
     /// Ranges may be compared with each other and with the limits when they are rounded already: by this factor.
-    pub(crate) fn limit_slack(self) -> f64 {
+    #[doc(hidden)]
+    pub fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }
 }
@@ -140,7 +141,7 @@ impl PlaneBound {
 
 /// The error bounds of one polygon.
 #[derive(Clone, Debug)]
-pub(crate) struct FaceBound {
+pub struct FaceBound {
     /// Radians by edge, for the ray too but without the span's share; infinite where the edge's line meets the centre.
     pub edges: Vec<f64>,
     /// Error of n . u.

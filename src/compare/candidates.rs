@@ -117,7 +117,7 @@ fn face_of(plan: &FramePlan, instances: &[Instance], object: u32, polygon: u32) 
 }
 
 /// The part of the angle to the nearest neighbouring ray that a span's end may be off by, radians.
-pub(crate) fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f64 {
+pub fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f64 {
     let sensor = &plan.sensor;
     let Some(ray) = sensor.ray(column, row) else {
         return 0.0;

@@ -21,8 +21,8 @@ pub(crate) use bound::is_set_up_finely;
 use candidates::OnPlane;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{Allowed, Shares, Values};
-#[cfg(feature = "report")]
-pub(crate) use {bound::FaceBound, candidates::span, pixel::ulp};
+#[doc(hidden)]
+pub use {bound::FaceBound, candidates::span, pixel::ulp};
 
 use crate::error::{Error, Result};
 use crate::plan::{FramePlan, Images, Instance, Output};

@@ -147,7 +147,7 @@ fn echo_error(c: &Candidate, cos_incidence: f32, p: Precision) -> f64 {
 }
 
 /// The distance from |x| to the next f32.
-pub(crate) fn ulp(x: f32) -> f64 {
+pub fn ulp(x: f32) -> f64 {
     let x = x.abs().clamp(f32::MIN_POSITIVE, f32::MAX / 2.0);
     f64::from(x.next_up()) - f64::from(x)
 }

@@ -7,7 +7,7 @@
 use super::{CostModel, Counts, Estimate, Forecast, Key};
 use crate::deadline::{Clock, Means, MeansTaken, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Request, Run, Stats};
+use crate::plan::{FramePlan, Outputs, Run, Stats};
 use crate::sensor::Sensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -63,8 +63,13 @@ impl Controller {
     /// # Errors
     /// [`ErrorKind::Usage`] for no time at all, and for an engine that cannot stop; [`ErrorKind::Deadline`] if not even an image
     /// of nothing can be made.
-    pub fn begin(&mut self, request: &Request, threads: Option<usize>, sensor: &Sensor) -> Result<Option<Timed>> {
-        let Some(limit) = request.deadline else { return Ok(None) };
+    pub fn begin(
+        &mut self,
+        deadline: Option<Duration>,
+        threads: Option<usize>,
+        (sensor, outputs): (&Sensor, Outputs),
+    ) -> Result<Option<Timed>> {
+        let Some(limit) = deadline else { return Ok(None) };
         let watch = Watch::start(self.clock.clone(), limit);
         if limit.is_zero() {
             return Err(Error::usage("a deadline of 0 ms", "give a time above 0, or no deadline"));
@@ -73,7 +78,6 @@ impl Controller {
             let what = "this engine cannot stop when its time is up, and keeps no deadline";
             return Err(Error::usage(what, "take the CPU engine (--backend cpu), or give no deadline"));
         };
-        let outputs = request.outputs;
         let key = Key::new("cpu", None, threads, sensor, outputs, Forecast::Images);
         let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
         let images = outputs.iter().count() as u64;

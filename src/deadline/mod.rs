@@ -18,8 +18,8 @@
 //! use std::time::Duration;
 //! let world = World::new(Environment::new());
 //! let sensor = presight::preset("laser-scanner")?;
-//! let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
-//! let within = |time| Request { deadline: Some(time), ..Request::default() };
+//! let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+//! let within = |time| Request::default().with_deadline(time);
 //! let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10)))?;
 //! assert_eq!(seen.given_up(), None);
 //! let impossible = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1)));

@@ -192,7 +192,8 @@ impl Engine for cpu::Engine {
 ///
 /// # Errors
 /// As [`Device::add_boxes`].
-pub(crate) fn add_boxes(
+#[doc(hidden)]
+pub fn add_boxes(
     engine: &mut dyn Engine,
     threads: &Threads,
     prediction: &mut FeaturePrediction,

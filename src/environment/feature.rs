@@ -157,7 +157,8 @@ impl FeatureShape {
     }
 
     /// True for shapes with an area: patches and fiducials.
-    pub(crate) fn is_area(&self) -> bool {
+    #[doc(hidden)]
+    pub fn is_area(&self) -> bool {
         matches!(self, Self::Patch { .. } | Self::Fiducial { .. })
     }
 

@@ -336,9 +336,9 @@ fn joint(covariances: &[DMat3; 2], cross: &DMat3) -> [[f64; 6]; 6] {
 /// Finite, symmetric and positive semidefinite, as far as numbers written with six digits can be.
 ///
 /// Entries are judged relative to the standard deviations they belong to, so that metres beside radians, or a
-/// nanometre beside a kilometre, lose nothing. Entries wrong by [`WRITTEN`] then move no eigenvalue by more than
-/// 2 n [`WRITTEN`]; with that much added to the diagonal a Cholesky decomposition must succeed.
-pub(crate) fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()> {
+/// nanometre beside a kilometre, lose nothing. Entries wrong by `WRITTEN` then move no eigenvalue by more than
+/// 2 n `WRITTEN`; with that much added to the diagonal a Cholesky decomposition must succeed.
+pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()> {
     let wrong = |what: String| Err(Error::invalid(what, "give a covariance: symmetric, no eigenvalue below 0"));
     let most = limits::MAX_COORDINATE * limits::MAX_COORDINATE;
     if let Some(x) = covariance.as_flattened().iter().find(|x| !(x.abs() <= most)) {

@@ -13,7 +13,8 @@ mod revert;
 
 pub use content_hash::ContentHash;
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-pub(crate) use feature_check::check_covariance;
+#[doc(hidden)]
+pub use feature_check::check_covariance;
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};

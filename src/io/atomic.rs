@@ -60,7 +60,8 @@ fn open_old(path: &Path, old: &Metadata) -> Result<File> {
 }
 
 /// What a path leads to through symbolic links, which may be nothing yet.
-pub(crate) fn target_of(path: &Path) -> io::Result<PathBuf> {
+#[doc(hidden)]
+pub fn target_of(path: &Path) -> io::Result<PathBuf> {
     /// As many as Linux follows.
     const LINKS: usize = 40;
     let mut target = path.to_owned();
@@ -74,7 +75,8 @@ pub(crate) fn target_of(path: &Path) -> io::Result<PathBuf> {
 }
 
 /// True for what this process was given open: it goes on where that is, whatever it is.
-pub(crate) fn is_given(path: &Path) -> bool {
+#[doc(hidden)]
+pub fn is_given(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
 }
 

@@ -12,7 +12,7 @@ use std::io::{Read, Take};
 use std::path::Path;
 
 /// Opens a file to read; folders, devices and pipes are refused.
-pub(crate) fn open(path: &Path) -> Result<Take<File>> {
+pub fn open(path: &Path) -> Result<Take<File>> {
     open_as(path, path)
 }
 
@@ -34,7 +34,7 @@ pub(crate) fn open_or_given(path: &Path) -> Result<Take<File>> {
 }
 
 /// Opens what is read piece by piece: a file, or a pipe or device, which may keep its reader waiting.
-pub(crate) fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
+pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
     inputs::note(path);
     let refused = |e| Error::io(shown, "open it", e);
     let file = File::open(path).map_err(refused)?;
@@ -75,13 +75,13 @@ fn no_memory(bytes: u64) -> Error {
 }
 
 /// True for a file that starts with these bytes; false for what cannot be read.
-pub(crate) fn starts_with<const N: usize>(path: &Path, bytes: &[u8; N]) -> bool {
+pub fn starts_with<const N: usize>(path: &Path, bytes: &[u8; N]) -> bool {
     let mut start = [0; N];
     open(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && start == *bytes
 }
 
 /// A text without the mark that some editors put before UTF-8.
-pub(crate) fn without_mark(mut text: String) -> String {
+pub fn without_mark(mut text: String) -> String {
     const MARK: char = '\u{feff}';
     if text.starts_with(MARK) {
         text.drain(..MARK.len_utf8());

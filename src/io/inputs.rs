@@ -8,25 +8,25 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 static READ: OnceLock<Mutex<BTreeSet<PathBuf>>> = OnceLock::new();
 
 /// From now on it is noted what this process opens to read.
-pub(crate) fn record() {
+pub fn record() {
     READ.get_or_init(Mutex::default);
 }
 
 /// Whoever opens a file to read it calls this.
-pub(crate) fn note(path: &Path) {
+pub fn note(path: &Path) {
     if let Some(read) = READ.get() {
         read.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned());
     }
 }
 
 /// A file that was read to be replaced by what goes on from it.
-pub(crate) fn forget(path: &Path) {
+pub fn forget(path: &Path) {
     if let Some(read) = READ.get() {
         read.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
     }
 }
 
 /// What was opened since [`record`], by the paths that were given.
-pub(crate) fn so_far() -> BTreeSet<PathBuf> {
+pub fn so_far() -> BTreeSet<PathBuf> {
     READ.get().map(|read| read.lock().unwrap_or_else(PoisonError::into_inner).clone()).unwrap_or_default()
 }

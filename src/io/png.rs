@@ -111,7 +111,8 @@ fn is_one_row_scan(sensor: &Sensor) -> bool {
 }
 
 /// Columns and rows of the image in a preview, about: text and a scale stand around it.
-pub(crate) fn preview_size(sensor: &Sensor) -> (u32, u32) {
+#[doc(hidden)]
+pub fn preview_size(sensor: &Sensor) -> (u32, u32) {
     view::drawn_size(sensor)
 }
 

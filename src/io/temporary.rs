@@ -28,7 +28,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// Who may read a new file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Access {
+pub enum Access {
     /// Whoever the user's umask lets.
     Umask,
     /// The user alone.
@@ -36,7 +36,7 @@ pub(crate) enum Access {
 }
 
 /// A temporary file; removed when it is dropped.
-pub(crate) struct Temporary {
+pub struct Temporary {
     // Dropped in this order.
     file: NamedTempFile,
     _listed: Listed,
@@ -120,7 +120,7 @@ fn create(path: &Path, access: Access) -> io::Result<File> {
 /// Removes what this process is writing. While the answer lives, no other file is begun and none gets its final name: it is
 /// for a process that is about to end.
 #[cfg(unix)]
-pub(crate) fn abandon() -> impl Sized {
+pub fn abandon() -> impl Sized {
     /// How long a file system may take to rename a file before the process ends all the same.
     const PATIENCE: Duration = Duration::from_secs(2);
     let start = Instant::now();

@@ -54,8 +54,8 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_FILE_BYTES)
 }
 
-/// As [`read_text`], of a file that is small unless something is wrong.
-pub(crate) fn read_settings(path: &Path) -> Result<String> {
+/// As `read_text`, of a file that is small unless something is wrong.
+pub fn read_settings(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_SETTINGS_BYTES)
 }
 

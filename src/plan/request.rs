@@ -2,7 +2,6 @@
 
 use crate::environment::Object;
 use crate::error::{Error, Result};
-use std::time::Duration;
 
 /// An image that a prediction can deliver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -134,14 +133,23 @@ impl IdScheme {
     }
 }
 
-/// A request for a prediction.
+/// The images that a plan is made for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Request {
+pub struct ImageRequest {
     /// The images to make; others cost nothing.
     pub outputs: Outputs,
     /// Which number `polygon_id` holds.
     pub ids: IdScheme,
-    /// The time that the prediction may take, from the call on; what cannot be made in it is given up (see [`crate::deadline`]).
-    /// `None` means as long as it takes, and reads no clock to decide anything.
-    pub deadline: Option<Duration>,
+}
+
+impl From<Outputs> for ImageRequest {
+    fn from(outputs: Outputs) -> Self {
+        Self { outputs, ..Self::default() }
+    }
+}
+
+impl From<&Self> for ImageRequest {
+    fn from(request: &Self) -> Self {
+        *request
+    }
 }

@@ -42,7 +42,7 @@ pub(crate) struct Cone {
 }
 
 /// All objects as the sensor sees them, selected or not.
-pub(crate) fn instances(plan: &FramePlan) -> Vec<Instance> {
+pub fn instances(plan: &FramePlan) -> Vec<Instance> {
     (0..plan.environment().objects().len() as u32).map(|object| plan.instance_of(object)).collect()
 }
 

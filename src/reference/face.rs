@@ -9,7 +9,7 @@ pub(crate) const UNIT_ROUNDOFF: f64 = f64::EPSILON / 2.0;
 
 /// A polygon in the image frame.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Face {
+pub struct Face {
     /// Corners in the mesh frame, p.
     pub in_mesh: Vec<DVec3>,
     /// Corners less the sensor's centre in the mesh frame, p - c.
@@ -37,7 +37,7 @@ pub(crate) struct Face {
 /// The plane v_a x (v_b - v_a), with a the first of the two in the order of their coordinates, so that neighbours get
 /// exactly opposite planes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Edge {
+pub struct Edge {
     /// Turned so that the cone is where `plane . u >= 0`.
     pub plane: DVec3,
     /// Corner number of a.
@@ -47,6 +47,7 @@ pub(crate) struct Edge {
 }
 
 impl Face {
+    /// Of a polygon of the mesh of an instance.
     pub fn new(instance: &Instance, mesh: &Mesh, polygon: u32) -> Self {
         let mut face = Self::default();
         face.renew(instance, mesh, polygon);

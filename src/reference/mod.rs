@@ -12,8 +12,12 @@ mod bundle;
 mod face;
 
 use bundle::Cone;
-pub(crate) use bundle::{Beam, beams, cones, descend, instances};
-pub(crate) use face::{Edge, Face, UNIT_ROUNDOFF};
+#[doc(hidden)]
+pub use bundle::instances;
+pub(crate) use bundle::{Beam, beams, cones, descend};
+#[doc(hidden)]
+pub use face::Face;
+pub(crate) use face::{Edge, UNIT_ROUNDOFF};
 
 use crate::error::Result;
 use crate::plan::{FramePlan, Images, Output};

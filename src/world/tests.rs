@@ -443,7 +443,7 @@ fn a_group_with_many_features_is_deleted_and_brought_back_in_linear_time() {
 fn a_change_after_a_prediction_copies_nothing() {
     use crate::{Backend, Options, Predictor, Request};
     let (mut world, sensor) = (hall(), crate::preset("laser-scanner").unwrap());
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let place = |world: &World| (Arc::as_ptr(&world.environment), Arc::as_ptr(&world.index));
     let before = place(&world);
     let moved = |name: &str, x| Change::MoveObject { name: name.into(), world_from_object: at(x, 0.2) };

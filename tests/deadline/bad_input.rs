@@ -8,11 +8,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 fn predictor() -> Predictor {
-    Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap()
+    Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap()
 }
 
 fn within(deadline: Duration) -> Request {
-    Request { deadline: Some(deadline), ..Request::default() }
+    Request::default().with_deadline(deadline)
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn a_clock_that_jumps_spoils_nothing() {
 #[test]
 fn an_engine_that_cannot_stop_says_so() {
     let (world, sensor) = (room_world(1, 10), camera(32, 24));
-    let options = Options { backend: Backend::Cpu, threads: 1.into() };
+    let options = Options::new(Backend::Cpu).with_threads(1);
     let engine = EngineKind::Reference.open(&1.into()).unwrap();
     let mut predictor = Predictor::with_engine(options, engine);
     let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1))).unwrap_err();

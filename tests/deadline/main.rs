@@ -2,8 +2,7 @@
 
 #![allow(clippy::print_stdout, reason = "figures are told where they are measured")]
 
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 
 mod bad_input;
 mod partial;

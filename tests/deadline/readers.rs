@@ -4,9 +4,9 @@ use crate::common::scenes::{camera, cuboid, empty, scanner};
 use glam::{DMat3, DVec3, Vec3};
 use presight::deadline::{GivenUp, Kept};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeatureOptions, PlacedFeature, Reason, predict_features};
-use presight::virtual_sensors::{Answer, FreeFloor, Input, Nearest, Settings, VirtualSensor};
-use presight::{Backend, IdScheme, NewObject, Options, Pose, Prediction, Predictor, Request, Sensor, World};
+use presight::features::{FeatureSettings, PlacedFeature, Reason, predict_features};
+use presight::virtual_sensors::{Answer, FreeFloor, Nearest, Settings, View, VirtualSensor};
+use presight::{Backend, NewObject, Options, Pose, Prediction, Predictor, Request, Sensor, World};
 use std::sync::Arc;
 
 /// A pillar from 2 m to 2.4 m ahead in a room with walls at 4 m; the floor at 0, the sensor 1 m above it.
@@ -32,7 +32,7 @@ fn of_class(sensor: &Sensor, class: &str) -> Sensor {
 }
 
 fn full(world: &World, sensor: &Sensor, pose: &Pose) -> Prediction {
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     predictor.predict(world, sensor, pose, &Request::default()).unwrap()
 }
 
@@ -53,8 +53,8 @@ fn given_up_beyond(mut prediction: Prediction, complete_to: f64) -> Prediction {
 }
 
 fn nearest(world: &World, prediction: &Prediction) -> (Nearest, String) {
-    let input = Input { environment: world.environment(), prediction, ids: IdScheme::Model, features: None };
-    let reading = VirtualSensor::RadarNearest.reduce(&input, &Settings::default()).unwrap();
+    let view = View::of(prediction, world.environment());
+    let reading = VirtualSensor::RadarNearest.reduce(&view, &Settings::default()).unwrap();
     let summary = reading.summary();
     match reading.answer {
         Answer::RadarNearest(nearest) => (nearest, summary),
@@ -80,7 +80,8 @@ fn nothing_is_said_to_be_free_beyond_what_is_complete() {
     assert!(seen.directions.range.iter().all(|range| range.is_nan()));
 
     // Without being told that something was given up it says what it must not say.
-    let untold = Prediction { stats: Default::default(), ..partial };
+    let mut untold = partial;
+    untold.stats = Default::default();
     assert_eq!(nearest(&world, &untold).1, "radar-nearest: nothing is seen");
     // A hit beyond what is complete elsewhere is no nearest one: something that was given up may be nearer.
     let mut holes = given_up_beyond(all, 3.0);
@@ -94,9 +95,9 @@ fn floor_that_was_not_predicted_is_not_free() {
     let (world, camera) = (world(), camera(96, 64));
     let all = full(&world, &camera, &pose(0.5));
     let floor = |prediction: &Prediction| -> FreeFloor {
-        let input = Input { environment: world.environment(), prediction, ids: IdScheme::Model, features: None };
+        let view = View::of(prediction, world.environment());
         let settings = Settings { floor_z_world: Some(0.0), ..Settings::default() };
-        match VirtualSensor::FreeFloor.reduce(&input, &settings).unwrap().answer {
+        match VirtualSensor::FreeFloor.reduce(&view, &settings).unwrap().answer {
             Answer::FreeFloor(floor) => floor,
             other => panic!("{other:?}"),
         }
@@ -122,7 +123,7 @@ fn patches_are_not_seen_where_pixels_were_given_up() {
     let placed = [PlacedFeature { feature, object: None, slots: vec![] }];
     let mut prediction = full(&world, &camera, &Pose::IDENTITY);
     let seen = |prediction: &Prediction, is_partial| {
-        let options = FeatureOptions { is_partial, ..FeatureOptions::default() };
+        let options = FeatureSettings { is_partial, ..FeatureSettings::default() };
         let found = predict_features(&world, &camera, &Pose::IDENTITY, &prediction.images, &placed, &options).unwrap();
         found.features.into_iter().next().unwrap()
     };

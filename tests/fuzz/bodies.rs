@@ -10,9 +10,9 @@ mod generate;
 
 use check::{check_world, near_unit, sound_sensor};
 use presight::Pose;
-use presight::cli::pose::parse_pose;
-use presight::cli::pose_cov;
 use presight::io::{camera_info, corridor, exr, layer, materials, sensor_toml, tum};
+use presight_cli::pose::parse_pose;
+use presight_cli::pose_cov;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 

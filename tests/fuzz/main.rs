@@ -7,8 +7,7 @@
 #![expect(clippy::print_stderr, reason = "how much was run is said")]
 
 mod bodies;
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 mod mutate;
 
 use common::env_number;

@@ -2,8 +2,7 @@
 
 #![allow(clippy::print_stderr)] // Skips and what was found are said.
 
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 mod scenes;
 
 use common::{Random, data};

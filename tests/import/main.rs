@@ -2,8 +2,7 @@
 
 mod bad;
 mod build;
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 mod features;
 mod memory;
 mod scenes;

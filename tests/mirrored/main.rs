@@ -8,8 +8,7 @@
 #[path = "../import/build.rs"]
 #[allow(dead_code, reason = "made for more than this")]
 mod build;
-#[path = "../common/mod.rs"]
-mod common;
+use presight_testkit as common;
 mod doors;
 mod features;
 

@@ -2,9 +2,6 @@
 #![cfg(feature = "script")]
 
 mod bad;
-mod command;
-#[path = "../common/mod.rs"]
-mod common;
 mod functions;
 mod same;
 mod scenes;
@@ -12,6 +9,7 @@ mod size;
 
 use presight::acquire::Imported;
 use presight::io::script;
+use presight_testkit as common;
 use std::path::Path;
 
 /// Runs a file; what it prints is the second answer.

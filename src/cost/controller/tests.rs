@@ -63,10 +63,11 @@ impl Replay {
 
     /// A frame of runs of 10 polygons each, a decimetre apart, by an engine that stops between two runs.
     fn frame(&mut self, deadline_us: f64, runs: usize, recorded: Recorded) -> Result<Frame> {
-        let request = Request { deadline: Some(Duration::from_secs_f64(deadline_us * 1e-6)), ..Request::default() };
-        let mut timed = self.controller.begin(&request, Some(1), &self.sensor)?.expect("it has a deadline");
+        let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
+        let mut timed =
+            self.controller.begin(Some(deadline), Some(1), (&self.sensor, outputs))?.expect("it has a deadline");
         self.clock.pass(recorded.selection * recorded.slow);
-        let mut plan = FramePlan::new(&self.world, &self.sensor, &Pose::IDENTITY, &request)?;
+        let mut plan = FramePlan::new(&self.world, &self.sensor, &Pose::IDENTITY, outputs)?;
         plan.runs = (0..runs).map(|i| Run { instance: 0, first: 0, count: 10, nearest: 0.1 * i as f32 }).collect();
         self.controller.plan(&mut timed, &mut plan)?;
         let watch = plan.watch.clone().expect("it has a deadline");

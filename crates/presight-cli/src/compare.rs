@@ -1,0 +1,234 @@
+//! `presight compare`: do two predictions agree?
+
+use super::outputs::OutputFiles;
+use super::{Verdict, open_scene, print};
+use clap::ValueEnum;
+use presight::compare::{Precision, Report, compare, compare_exactly, compare_partial};
+use presight::index::Scheme;
+use presight::io::atomic::write_atomically;
+use presight::io::exr::{self, Attributes, ImageFile};
+use presight::io::gltf::ImportOptions;
+use presight::io::sensor_toml;
+use presight::plan::{FramePlan, IdScheme, Images, Output, Outputs};
+use presight::sensor::Sensor;
+use presight::{Error, ImageRequest, Result, blake3_of};
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight compare reference.exr other.exr
+  presight compare reference.exr other.exr --scene hall.glb --json verdict.json";
+
+/// The version of the comparison JSON.
+const FORMAT: u32 = 1;
+
+/// Compare two predictions pixel by pixel
+///
+/// Every pixel is the same, an accepted edge or tie, or a fault. Edges, ties and rounding can be told from faults only
+/// with the scene; without it every mismatch is a fault. Exit status 0 without a fault, 1 with.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The images to be held to
+    reference: PathBuf,
+
+    /// The images to judge
+    other: PathBuf,
+
+    /// The model that both show; sensor and pose are read from REFERENCE
+    #[arg(long, value_name = "SCENE")]
+    scene: Option<PathBuf>,
+
+    /// The arithmetic that the other images may have been made with
+    #[arg(long, value_enum, default_value_t = PrecisionArg::F32, requires = "scene")]
+    precision: PrecisionArg,
+
+    /// The merging tolerance that both were predicted with [default: 1e-6]
+    #[arg(long, value_name = "X", requires = "scene")]
+    merge_tolerance: Option<f64>,
+
+    /// Write the result as JSON
+    #[arg(long, value_name = "FILE.json")]
+    json: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum PrecisionArg {
+    /// 64-bit floats: the reference and the CPU engine
+    F64,
+    /// 32-bit floats: the GPU engine
+    F32,
+    /// 32-bit floats, and corners snapped to parts of a pixel: a render pipeline
+    Snapped,
+}
+
+impl From<PrecisionArg> for Precision {
+    fn from(precision: PrecisionArg) -> Self {
+        match precision {
+            PrecisionArg::F64 => Self::F64,
+            PrecisionArg::F32 => Self::F32,
+            PrecisionArg::Snapped => Self::Snapped,
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    format: u32,
+    reference: String,
+    other: String,
+    scene: Option<String>,
+    outputs: Vec<&'static str>,
+    #[serde(flatten)]
+    report: &'a Report,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of reading the files; images that cannot be compared.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let mut files = OutputFiles::new();
+    files.add("--json", args.json.as_deref(), &["json"])?;
+    files.check_named([&args.reference, &args.other].into_iter().chain(&args.scene).map(PathBuf::as_path))?;
+    let mut reference = exr::read(&args.reference)?;
+    let mut other = exr::read(&args.other)?;
+    keep_common(&mut reference, &mut other).map_err(|e| e.in_file(&args.other))?;
+    let compare = |a: &Images, b: &Images| match &args.scene {
+        None => compare_exactly(a, b),
+        Some(scene) => compare_by_scene(args, scene, (&reference.attributes, a), b),
+    };
+    let (a, b) = (&reference.images, &other.images);
+    let report = match (&reference.attributes.given_up, &other.attributes.given_up) {
+        (None, None) => compare(a, b),
+        (None, Some(_)) => compare_partial(a, b, compare),
+        (Some(_), None) => compare_partial(b, a, |b, a| compare(a, b)),
+        (Some(_), Some(_)) => {
+            Err(Error::invalid("both gave something up for a deadline", "compare with a full prediction"))
+        }
+    }
+    .map_err(|e| e.in_file(&args.other))?;
+    files.check_read()?;
+    if let Some(path) = &args.json {
+        let name = |p: &Path| p.display().to_string();
+        let document = Document {
+            format: FORMAT,
+            reference: name(&args.reference),
+            other: name(&args.other),
+            scene: args.scene.as_deref().map(name),
+            outputs: reference.images.outputs().iter().map(Output::name).collect(),
+            report: &report,
+        };
+        let json = serde_json::to_string_pretty(&document)
+            .map_err(|e| Error::invalid(format!("the result is no JSON: {e}"), "").in_file(path))?;
+        write_atomically(path, |file| writeln!(file, "{json}"))?;
+    }
+    print::lines(in_words(&report))?;
+    Ok(if report.fault == 0 { Verdict::Done } else { Verdict::Found })
+}
+
+/// Foreign files may lack an image: what one of the two lacks is not compared, and that is said.
+fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
+    let (a, b) = (reference.images.outputs(), other.images.outputs());
+    // Which feature a pixel shows is no engine's answer.
+    let common: Vec<Output> = a.iter().filter(|o| b.has(*o) && *o != Output::FeatureId).collect();
+    if common.is_empty() {
+        return Err(Error::invalid("has no image that the reference has", "predict both with the same --outputs"));
+    }
+    for output in Output::WITH_FEATURES {
+        if a.has(output) != b.has(output) {
+            print::message(&format!("note: {} is in one file only and not compared", output.name()));
+        } else if output == Output::FeatureId && a.has(output) {
+            print::message("note: feature_id is not compared");
+        }
+    }
+    for images in [&mut reference.images, &mut other.images] {
+        keep(images, Outputs::of(&common));
+    }
+    if differ(&reference.attributes, &other.attributes) {
+        print::message("note: the two files say that they were made by different sensors, poses or scenes");
+    }
+    Ok(())
+}
+
+fn keep(images: &mut Images, outputs: Outputs) {
+    for output in Output::WITH_FEATURES.into_iter().filter(|o| !outputs.has(*o)) {
+        match output {
+            Output::Range => images.range.clear(),
+            Output::DepthZ => images.depth_z.clear(),
+            Output::PolygonId => images.polygon_id.clear(),
+            Output::ObjectId => images.object_id.clear(),
+            Output::CosIncidence => images.cos_incidence.clear(),
+            Output::Echo => images.echo.clear(),
+            Output::FeatureId => images.feature_id.clear(),
+        }
+    }
+}
+
+/// True if both files say something and not the same.
+fn differ(a: &Attributes, b: &Attributes) -> bool {
+    fn apart<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
+        a.is_some() && b.is_some() && a != b
+    }
+    apart(&a.world_from_sensor, &b.world_from_sensor)
+        || apart(&a.scene_blake3, &b.scene_blake3)
+        || apart(&a.sensor, &b.sensor)
+        || apart(&a.ids, &b.ids)
+}
+
+fn compare_by_scene(
+    args: &Args,
+    scene: &Path,
+    (attributes, reference): (&Attributes, &Images),
+    other: &Images,
+) -> Result<Report> {
+    let missing = |what: &str| {
+        let remedy = "predict it with presight, or compare without --scene";
+        Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
+    };
+    let text = attributes.sensor.as_deref().ok_or_else(|| missing("sensor"))?;
+    let world_from_sensor = attributes.world_from_sensor.ok_or_else(|| missing("world_from_sensor"))?;
+    let in_sensor = |e: Error| e.at("attribute \"presight:sensor\"").in_file(&args.reference);
+    let sensor = sensor_toml::parse(text, "sensor", None).and_then(Sensor::new).map_err(in_sensor)?;
+    if attributes.scene_blake3.as_ref().is_some_and(|wanted| blake3_of(scene).is_ok_and(|is| is != *wanted)) {
+        let was = attributes.scene.as_deref().unwrap_or("another file");
+        let what = format!("is not the scene that {} was predicted from", args.reference.display());
+        return Err(Error::invalid(what, format!("give {was} as it was then, or predict again")).in_file(scene));
+    }
+    let ids = attributes.ids.unwrap_or_default();
+    let default = ImportOptions::default();
+    let options = ImportOptions {
+        merge: ids == IdScheme::Model,
+        merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
+        ..default
+    };
+    let world = open_scene(scene, &options, Scheme::default())?.world;
+    let request = ImageRequest { outputs: reference.outputs(), ids };
+    let plan = FramePlan::new(&world, &sensor, &world_from_sensor, &request)?;
+    compare(reference, other, &plan, args.precision.into())
+}
+
+fn in_words(report: &Report) -> Vec<String> {
+    let mut lines = vec![format!(
+        "{} pixels: {} same, {} edge, {} coincident, {} faults",
+        report.pixels, report.same, report.edge, report.coincident, report.fault
+    )];
+    if report.not_predicted > 0 {
+        lines.push(format!("{} more were given up for a deadline and not compared", report.not_predicted));
+    }
+    if let Some((column, row)) = report.worst_pixel {
+        let w = &report.worst;
+        lines.push(format!(
+            "largest share of the error bound: range {:.3}, depth_z {:.3}, cos_incidence {:.3}, echo {:.3}; at pixel ({column}, {row})",
+            w.range, w.depth_z, w.cos_incidence, w.echo
+        ));
+    }
+    let fault = |f: &presight::compare::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
+    lines.extend(report.faults.iter().map(fault));
+    let more = report.fault - report.faults.len().min(report.fault);
+    if more > 0 {
+        lines.push(format!("and {more} more"));
+    }
+    lines
+}

@@ -1,0 +1,215 @@
+//! `presight doctor`: which engine will be used here, whether each draws what it should, and what to install.
+
+#[cfg(feature = "gpu")]
+mod advice;
+
+use super::{Verdict, features, print};
+#[cfg(feature = "gpu")]
+use advice::{Machine, State, Tried};
+use presight::Result;
+use presight::Threads;
+use presight::engine::{Engine, EngineKind};
+#[cfg(feature = "gpu")]
+use presight::gpu::{self, DeviceOptions, adapters, preferred, testing};
+use presight::plan::{Outputs, Stats};
+use presight::probe::{Probe, Task};
+use std::fmt::Write;
+
+const EXAMPLES: &str = "Examples:
+  presight doctor
+
+Exit status: 0 every engine draws what it should, 1 one does not, or an adapter that would be used cannot be opened.";
+
+/// Check the engines of this machine
+///
+/// Lists the adapters, lets each draw a tiny scene through every stage, compares with the reference, and says which
+/// engine will be used and what to install.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`presight::ErrorKind::System`] if the CPU engine's threads cannot be started, or stdout cannot be written.
+pub fn run(_: &Args) -> Result<Verdict> {
+    let probe = Probe::new()?;
+    let features = features();
+    let features = if features.is_empty() { "no optional feature".into() } else { features.join(", ") };
+    let mut text = format!("presight {}, built with {features}\n", env!("CARGO_PKG_VERSION"));
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
+    let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?);
+    sound &= gpus(&probe, &mut text);
+    print::lines(text.lines())?;
+    Ok(if sound { Verdict::Done } else { Verdict::Found })
+}
+
+/// One line a task; true if none shows a fault.
+fn check(probe: &Probe, text: &mut String, engine: &mut dyn Engine) -> bool {
+    let mut sound = true;
+    for task in Task::ALL {
+        let drawn = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()));
+        let verdict = match drawn {
+            Ok(report) if report.fault == 0 => {
+                format!("right: {} of {} pixels as the reference has them", report.same, report.pixels)
+            }
+            Ok(report) => {
+                sound = false;
+                let first = report.faults.first().map(|f| f.why.as_str()).unwrap_or_default();
+                format!("WRONG: {} of {} pixels; the first: {first}", report.fault, report.pixels)
+            }
+            Err(e) => {
+                sound = false;
+                format!("FAILED: {e}")
+            }
+        };
+        let _ = writeln!(text, "  {:16}{verdict}", task.name());
+    }
+    sound
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpus(_: &Probe, text: &mut String) -> bool {
+    text.push_str("\n--backend auto takes the CPU engine: this presight was built without the cargo feature gpu\n");
+    true
+}
+
+#[cfg(feature = "gpu")]
+fn gpus(probe: &Probe, text: &mut String) -> bool {
+    let mut tried = Vec::new();
+    for (i, adapter) in adapters().iter().enumerate() {
+        let kind = if adapter.hardware { "a GPU" } else { "a program that plays a GPU on the CPU" };
+        let _ = writeln!(text, "\n{adapter}: {kind}");
+        let open = |without_int64| {
+            let options = DeviceOptions { adapter: Some(i), without_int64, ..DeviceOptions::default() };
+            testing::open(options, testing::Setup::ALL_ON_DEVICE)
+        };
+        tried.push(Tried { hardware: adapter.hardware, state: device(probe, text, open) });
+    }
+    // The loader's own variables; the newer one comes first.
+    let set = |name: &'static str| std::env::var(name).ok().map(|value| format!("{name}={value}"));
+    let drivers = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].into_iter().find_map(set);
+    let disabled = set("VK_LOADER_DRIVERS_DISABLE");
+    let machine = Machine { tried, auto: preferred(true), any: preferred(false), drivers, disabled };
+    let _ = writeln!(text, "\n{}", machine.advice());
+    machine.is_sound()
+}
+
+/// The paths of one device: with 64-bit atomics, if it has them, and without.
+#[cfg(feature = "gpu")]
+fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::Engine>) -> State {
+    let mut sound = true;
+    for without_int64 in [false, true] {
+        let mut engine = match open(without_int64) {
+            Ok(engine) => engine,
+            Err(e) => {
+                let _ = writeln!(text, "  not usable: {e}");
+                return State::Unusable;
+            }
+        };
+        let can = engine.abilities();
+        if !without_int64 {
+            let _ = writeln!(
+                text,
+                "  64-bit atomics {}, time stamps {}, buffers up to {} MiB",
+                yes(can.int64_atomics),
+                yes(can.timestamps),
+                can.largest_binding >> 20
+            );
+        }
+        let passes = if can.int64_atomics { "by 64-bit atomics" } else { "in two passes of 32 bits" };
+        let _ = writeln!(text, "  nearest surface {passes}:");
+        sound &= check(probe, text, &mut engine);
+        if !without_int64 {
+            let _ = writeln!(text, "  features:");
+            sound &= features_of(probe, text, &mut engine);
+        }
+        if !can.int64_atomics {
+            break;
+        }
+    }
+    if sound { State::Right } else { State::Wrong }
+}
+
+/// One line a task: what the device says of features, which no image shows.
+#[cfg(feature = "gpu")]
+fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::Engine) -> bool {
+    let mut sound = true;
+    for task in Task::ALL {
+        let told = probe.occlusion(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
+        let verdict = match told {
+            Ok((seen, regions)) => {
+                // No region may be wrong: the first that a device makes are held to the same.
+                let right = seen.is_sound() && regions.wrong == 0;
+                sound &= right;
+                format!(
+                    "{}: {} of {} points decided, {} wrong; {} of {} regions of interest made, {} wrong",
+                    if right { "right" } else { "WRONG" },
+                    seen.answered,
+                    seen.all,
+                    seen.wrong,
+                    regions.answered,
+                    regions.all,
+                    regions.wrong
+                )
+            }
+            Err(e) => {
+                sound = false;
+                format!("FAILED: {e}")
+            }
+        };
+        let _ = writeln!(text, "  {:16}{verdict}", task.name());
+    }
+    sound
+}
+
+#[cfg(feature = "gpu")]
+fn yes(able: bool) -> &'static str {
+    if able { "yes" } else { "no" }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use presight::Error;
+    use presight::compare::Precision;
+    use presight::plan::{FramePlan, Images};
+
+    /// The CPU engine, with images spoiled or none.
+    struct Faulty(Box<dyn Engine>, fn(&mut Images) -> Result<()>);
+
+    impl Engine for Faulty {
+        fn name(&self) -> String {
+            "faulty".into()
+        }
+
+        fn precision(&self) -> Precision {
+            self.0.precision()
+        }
+
+        fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+            self.0.render(plan, images, stats)?;
+            self.1(images)
+        }
+    }
+
+    #[test]
+    fn an_engine_that_draws_wrong_is_named() {
+        let probe = Probe::new().unwrap();
+        let told = |spoil: fn(&mut Images) -> Result<()>| {
+            let mut text = String::new();
+            let engine = EngineKind::Cpu.open(&1.into()).unwrap();
+            (check(&probe, &mut text, &mut Faulty(engine, spoil)), text)
+        };
+        let (sound, text) = told(|_| Ok(()));
+        assert!(sound && text.matches("right: ").count() == 4, "{text}");
+        let (sound, text) = told(|images| {
+            images.range.iter_mut().for_each(|r| *r += 0.01);
+            Ok(())
+        });
+        assert!(!sound && text.matches("WRONG: ").count() == 4, "{text}");
+        let (sound, text) = told(|_| Err(Error::invalid("no", "none")));
+        assert!(!sound && text.matches("FAILED: no").count() == 4, "{text}");
+    }
+}

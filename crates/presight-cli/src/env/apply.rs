@@ -1,0 +1,145 @@
+//! `presight env apply`: lines of changes, each acknowledged when it is on the disk.
+
+use super::{NoteArgs, unindexed};
+use crate::print;
+use presight::internal::file::{self, without_mark};
+use presight::io::store::Store;
+use presight::limits;
+use presight::{Error, Result};
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+/// Most changes that become durable together.
+const BATCH: usize = 100;
+
+const EXAMPLES: &str = r#"One change a line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
+PATH is an object's; "move", "set_pose" and "delete_object" also take a path above objects, a group:
+  {"op":"move","object":PATH,"pose":[..]}      what is below PATH moves with it
+  {"op":"set_pose","object":PATH,"pose":[..]}  an object moves alone
+  {"op":"delete_object","object":PATH}         its features go with it; of a group all that is below
+  {"op":"set_group","group":PATH,"pose":[..]}  where a group's frame is; nothing else moves
+  {"op":"insert_object","object":PATH,"pose":[..],"from":"press.glb"}
+                                               "from_object" where the file holds several
+  {"op":"insert_object","object":PATH,"pose":[..],"like":PATH}
+  {"op":"insert_object","object":PATH,"vertices":[[x,y,z],..],"polygons":[[0,1,2],..],
+   "material":NAME}
+  {"op":"add_material","name":NAME,"reflection":0.4,"classes":{"radar":"transparent"}}
+  {"op":"insert_feature","class":C,"feature":{..}}  as in a layer file, also "set_feature":
+                                               it must lie on polygons
+  {"op":"delete_feature","class":C,"feature":ID}
+  {"op":"set_tolerance","class":C,"tolerance":M}
+  {"op":"set_pose_covariance","class":C,"object":PATH,"covariance":[36 numbers]}
+  {"op":"group","changes":[..]}                all of them or none
+A line may have a "cause", and an "id": applied again after a crash it is acknowledged and does
+nothing, while another change under the same id is an error."#;
+
+/// Apply changes, one JSON object a line; prints `ack K` when line K is on the disk
+///
+/// Lines are committed together as far as they are there already, at most 100 at a time: a program that waits for each
+/// acknowledgement gets it at once. A wrong line ends it; those before are acknowledged.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The store
+    store: PathBuf,
+
+    /// The changes; - reads standard input
+    changes: PathBuf,
+
+    #[command(flatten)]
+    note: NoteArgs,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the store; of a line with its number.
+pub fn run(args: &Args) -> Result<()> {
+    let from_stdin = args.changes == Path::new("-");
+    let path = if from_stdin { Path::new("stdin") } else { &args.changes };
+    // Refused before the store is touched.
+    args.note.note(String::new)?;
+    let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
+        (Box::new(std::io::stdin()), Path::new("."))
+    } else {
+        (Box::new(file::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
+    };
+    let (mut store, environment) = Store::open(&args.store)?;
+    let mut world = unindexed(environment);
+    let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path };
+    let mut ended = false;
+    while !ended {
+        let mut batch = store.batch(&mut world)?;
+        let mut applied = Vec::with_capacity(BATCH);
+        let mut wrong = None;
+        loop {
+            let (number, line) = match lines.next() {
+                Ok(Some(next)) => next,
+                Ok(None) => {
+                    ended = true;
+                    break;
+                }
+                // Those before it are stored and acknowledged first, as before a wrong change.
+                Err(e) => {
+                    wrong = Some(e);
+                    break;
+                }
+            };
+            if !line.is_empty() {
+                let note = args.note.note(|| format!("{} line {number}", path.display()))?;
+                if let Err(e) = batch.apply_line(&line, folder, &note) {
+                    wrong = Some(e.named_in(path, format!("line {number}")));
+                    break;
+                }
+            }
+            applied.push(number);
+            if applied.len() == BATCH || !lines.has_another() {
+                break;
+            }
+        }
+        // After the store refused, nothing of the batch is left.
+        if wrong.as_ref().is_none_or(|_| batch.is_whole()) {
+            batch.commit()?;
+            let acks: String = applied.iter().map(|number| format!("ack {number}\n")).collect();
+            print::data(&acks)?;
+        }
+        if let Some(e) = wrong {
+            return Err(e);
+        }
+    }
+    Ok(())
+}
+
+struct Lines<'a> {
+    reader: BufReader<Box<dyn Read>>,
+    number: u64,
+    path: &'a Path,
+}
+
+impl Lines<'_> {
+    /// The next line with its number, from 1; waits for it.
+    fn next(&mut self) -> Result<Option<(u64, String)>> {
+        let mut bytes = Vec::new();
+        let limit = limits::MAX_LINE_BYTES;
+        let mut bounded = self.reader.by_ref().take(limit + 1);
+        let read = bounded.read_until(b'\n', &mut bytes).map_err(|e| Error::io(self.path, "read it", e))?;
+        if read == 0 {
+            return Ok(None);
+        }
+        self.number += 1;
+        let place = |e: Error| e.at(format!("line {}", self.number)).in_file(self.path);
+        if bytes.len() as u64 > limit {
+            let what = format!("it is over {limit} bytes long");
+            return Err(place(Error::invalid(what, "give one change a line, large shapes by \"from\"")));
+        }
+        let text = String::from_utf8(bytes)
+            .map_err(|_| place(Error::invalid("it is not UTF-8", "write the changes as UTF-8 text")))?;
+        let text = if self.number == 1 { without_mark(text) } else { text };
+        Ok(Some((self.number, text.trim().to_owned())))
+    }
+
+    /// True if a whole line is there without waiting.
+    fn has_another(&self) -> bool {
+        self.reader.buffer().contains(&b'\n')
+    }
+}

@@ -1,0 +1,230 @@
+//! `presight env`: the stored environment.
+
+mod apply;
+mod export;
+mod show;
+
+use super::open_scene;
+use super::outputs::{OutputFiles, check_no_dash};
+use super::{Verdict, print};
+use presight::Change;
+use presight::World;
+use presight::environment::Environment;
+use presight::index::Scheme;
+use presight::io::gltf::ImportOptions;
+use presight::io::layer;
+use presight::io::store::{self, Note, Store};
+use presight::memory;
+use presight::placement;
+use presight::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+const EXAMPLES: &str = "Examples:
+  A store of a model, with the features that a camera may find:
+    presight env create hall.presight hall.glb
+    presight env import hall.presight hall.video.layer.json
+
+  A machine was moved, and one was taken away; both or none. A path above objects moves and goes with all of them:
+    echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"press 1\",\"pose\":[3,1,0,0,0,90]},
+      {\"op\":\"delete_object\",\"object\":\"press 2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
+
+  What was done, and the last change undone:
+    presight env log hall.presight
+    presight env undo hall.presight 1
+
+  Every command takes a store as its scene:
+    presight predict hall.presight --sensor laser-scanner --pose 2,1,0.5,0,0,90 --png view.png";
+
+/// Keep an environment in a file that never loses an update: create, change, explain, undo
+///
+/// A store (.presight) is one SQLite file: objects, meshes, materials, feature layers, and a log of every change with its
+/// time and cause. A change that was acknowledged is on the disk.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Make a store of a scene; its log is empty
+    Create {
+        /// The file to make, such as hall.presight
+        store: PathBuf,
+        /// The scene: .glb, .gltf, or whatever else is read as a scene
+        scene: PathBuf,
+        #[command(flatten)]
+        note: NoteArgs,
+    },
+    /// Merge a scene or a layer file (.json), as one change
+    ///
+    /// What is there already, equal in everything, stays as it is; an object of the same path but another content is an
+    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes; they must lie on polygons,
+    /// but for those that a layer file marks `"surface": "lost"`, and those that lie on none in another store.
+    Import {
+        /// The store
+        store: PathBuf,
+        /// The scene or layer file
+        file: PathBuf,
+        /// Put objects of the file in the place of those of the same path; features given in their frame stay
+        #[arg(long)]
+        replace: bool,
+        #[command(flatten)]
+        note: NoteArgs,
+    },
+    Export(export::Args),
+    Apply(apply::Args),
+    /// Show what a store is and holds
+    Info {
+        /// The store
+        store: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// List all changes: number, time, cause, and what was changed
+    Log {
+        /// The store
+        store: PathBuf,
+        /// Print JSON, one change a line, with what undoes it
+        #[arg(long)]
+        json: bool,
+    },
+    /// Undo a change by appending what undoes it; the log only grows
+    Undo {
+        /// The store
+        store: PathBuf,
+        /// The number of the change, as the log has it
+        change: u64,
+        /// Undo later changes of the same objects and features, too, newest first; it says which before
+        #[arg(long)]
+        cascade: bool,
+        #[command(flatten)]
+        note: NoteArgs,
+    },
+    /// Prove every row, the whole log and the file's structure; list features that lie on no polygon any more
+    ///
+    /// Such features are a problem of the model, not of the file: the store is sound, and predictions leave them out.
+    Check {
+        /// The store
+        store: PathBuf,
+    },
+}
+
+/// What goes into the log besides a change.
+#[derive(Debug, clap::Args)]
+struct NoteArgs {
+    /// Why, for the log [default: the command; of apply the file, or stdin, and the line]
+    #[arg(long, value_name = "TEXT")]
+    cause: Option<String>,
+
+    /// When, UTC seconds, for the log [default: now]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    time: Option<f64>,
+}
+
+impl NoteArgs {
+    /// The note of a change made now; the command is the only place that asks the clock.
+    fn note(&self, cause: impl FnOnce() -> String) -> Result<Note> {
+        if let Some(time) = self.time.filter(|t| !t.is_finite()) {
+            return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
+        }
+        let now = || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64());
+        Ok(Note::new(self.cause.clone().unwrap_or_else(cause), self.time.unwrap_or_else(now)))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the store.
+pub fn run(args: &Args) -> Result<Verdict> {
+    match &args.command {
+        Command::Create { store, scene, note } => create(store, scene, note)?,
+        Command::Import { store, file, replace, note } => import(store, file, *replace, note)?,
+        Command::Export(args) => export::run(args)?,
+        Command::Apply(args) => apply::run(args)?,
+        Command::Info { store, json } => show::info(store, *json)?,
+        Command::Log { store, json } => show::log(store, *json)?,
+        Command::Undo { store, change, cascade, note } => undo(store, *change, *cascade, note)?,
+        Command::Check { store } => show::check(store)?,
+    }
+    Ok(Verdict::Done)
+}
+
+fn environment_of(scene: &Path) -> Result<Environment> {
+    let world = open_scene(scene, &ImportOptions::default(), Scheme::None)?.world;
+    Ok(std::sync::Arc::unwrap_or_clone(world.into_environment()))
+}
+
+/// A world for changes: nothing is predicted, so it needs no index.
+fn unindexed(environment: Environment) -> World {
+    World::with_index(environment, Scheme::None, presight::index::Params::default())
+}
+
+fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
+    check_no_dash(store)?;
+    let mut files = OutputFiles::new();
+    files.add_any(store)?;
+    files.check_named([scene])?;
+    let note = note.note(|| format!("create of {}", scene.display()))?;
+    let environment = environment_of(scene)?;
+    let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
+    memory::require(memory::of_writing(polygons))?;
+    files.check_read()?;
+    store::create(store, &environment, &note)?;
+    print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
+}
+
+fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()> {
+    let note = note.note(|| format!("import of {}", file.display()))?;
+    let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    if is_layer && replace {
+        let what = "--replace is of objects, and this is a layer file";
+        return Err(Error::usage(what, "drop --replace: features of a file win by id").in_file(file));
+    }
+    // Read before the store is locked: it may be the same file.
+    let (layer, scene) = match is_layer {
+        true => (Some(layer::read(file)?), None),
+        false => (None, Some(environment_of(file)?)),
+    };
+    if let Some(scene) = &scene {
+        memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
+    }
+    let (mut store, environment) = Store::open(path)?;
+    // What the file says lost its surface, or lost it in the other store, is kept as it is there.
+    let lost = match (&layer, &scene) {
+        (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
+        (None, Some(scene)) => placement::lost(scene).map_err(|e| e.in_file(file))?,
+        (None, None) => Vec::new(),
+    };
+    let mut changes = Vec::new();
+    changes.extend(layer.map(|layer| Store::merging_layer(&environment, &layer)));
+    if let Some(scene) = scene {
+        changes.push(Store::merging_scene(&environment, &scene, replace).map_err(|e| e.in_file(file))?);
+    }
+    let change = Change::of(changes);
+    if matches!(&change, Change::Group(changes) if changes.is_empty()) {
+        return print::data("nothing to change\n");
+    }
+    let mut world = unindexed(environment);
+    let mut batch = store.batch(&mut world)?;
+    let number = batch.apply_imported(change, lost, &note).map_err(|e| e.in_file(file))?;
+    batch.commit()?;
+    print::data(&format!("change {number}\n"))
+}
+
+fn undo(path: &Path, change: u64, cascade: bool, note: &NoteArgs) -> Result<()> {
+    let note = note.note(|| format!("undo of {change}"))?;
+    let (mut store, environment) = Store::open(path)?;
+    let plan = store.undo_plan(change, cascade)?;
+    if plan.len() > 1 {
+        let numbers: Vec<String> = plan.iter().map(u64::to_string).collect();
+        print::message(&format!("note: undoing {} changes: {}", plan.len(), numbers.join(", ")));
+    }
+    let made = store.undo(&mut unindexed(environment), change, cascade, &note)?;
+    let made: Vec<String> = made.iter().map(u64::to_string).collect();
+    print::data(&format!("change {}\n", made.join(", ")))
+}

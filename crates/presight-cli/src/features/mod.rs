@@ -1,0 +1,172 @@
+//! `presight features`: layers generated from the CAD model.
+
+mod near;
+mod pick;
+
+use super::open_scene;
+use super::outputs::OutputFiles;
+use super::{Verdict, print};
+use clap::builder::NonEmptyStringValueParser;
+use presight::acquire::features::{GenerateOptions, Generated, Kind, generate_watched};
+use presight::environment::Environment;
+use presight::index::Scheme;
+use presight::io::gltf::ImportOptions;
+use presight::io::layer;
+use presight::{Error, Result};
+use std::path::PathBuf;
+use std::time::Instant;
+
+const EXAMPLES: &str = "Examples:
+  All edges, corners and planes that a camera may find, and how many of each:
+    presight features hall.glb --class video --out hall.video.layer.json
+
+  Only longer creases and borders, for a radar:
+    presight features hall.glb --class radar --kinds crease,border --min-length 0.5
+
+  What is at a pixel, with an entry to paste into a layer:
+    presight features pick hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --pixel 320,240
+
+  The JSON schema of layer files, for editors and tools:
+    presight features schema > layer.schema.json";
+
+/// Generate a layer of features from a model
+///
+/// Edges are found where surfaces meet at an angle, end, change material or cross, whatever the windings; corners where
+/// edges meet; patches where planes are vertical or horizontal.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
+
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
+    #[arg(required = true)]
+    scene: Option<PathBuf>,
+
+    /// The sensor class the features are for
+    #[arg(long, value_name = "CLASS", required = true, value_parser = NonEmptyStringValueParser::new())]
+    class: Option<String>,
+
+    /// Write the layer
+    #[arg(long, value_name = "FILE.layer.json")]
+    out: Option<PathBuf>,
+
+    #[command(flatten)]
+    options: OptionArgs,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Pick(Box<pick::Args>),
+    /// Print the JSON schema of layer files
+    Schema,
+}
+
+/// The flags that say what is generated.
+#[derive(Clone, Debug, clap::Args)]
+struct OptionArgs {
+    /// Kinds to make, of crease, border, material, intersection, corner, vertical, horizontal [default: all]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    kinds: Vec<Kind>,
+
+    /// Shortest edge in metres [default: 0.05]
+    #[arg(long, value_name = "M")]
+    min_length: Option<f64>,
+
+    /// Smallest patch in square metres [default: 0.25]
+    #[arg(long, value_name = "M2")]
+    min_area: Option<f64>,
+
+    /// Least angle from flat of a crease, degrees [default: 30]
+    #[arg(long, value_name = "DEG")]
+    crease_deg: Option<f64>,
+
+    /// Standard deviation of positions in metres [default: 0.01]
+    #[arg(long, value_name = "M")]
+    sigma: Option<f64>,
+}
+
+impl OptionArgs {
+    fn options(&self) -> GenerateOptions {
+        let default = GenerateOptions::default();
+        GenerateOptions {
+            kinds: if self.kinds.is_empty() { default.kinds } else { self.kinds.clone() },
+            min_length: self.min_length.unwrap_or(default.min_length),
+            min_area: self.min_area.unwrap_or(default.min_area),
+            crease: self.crease_deg.map_or(default.crease, f64::to_radians),
+            sigma: self.sigma.unwrap_or(default.sigma),
+            ..default
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Wrong usage, those of the scene and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    if let Some(command) = &args.command {
+        return match command {
+            Command::Pick(args) => pick::run(args),
+            Command::Schema => print::data(layer::schema()).map(|()| Verdict::Done),
+        };
+    }
+    // Clap asks for both where there is no subcommand.
+    let missing = || Error::usage("a scene and --class are needed", "see presight features --help");
+    let (scene, class) = args.scene.as_ref().zip(args.class.as_ref()).ok_or_else(missing)?;
+    let options = args.options.options();
+    options.check()?;
+    let mut files = OutputFiles::new();
+    files.add("--out", args.out.as_deref(), &["json"])?;
+    files.check_named([scene.as_path()])?;
+    let scene = open_scene(scene, &ImportOptions::default(), Scheme::None)?;
+    let start = Instant::now();
+    let generated = generated(scene.world.environment(), class, &options)?;
+    files.check_read()?;
+    if let Some(path) = &args.out {
+        layer::write(path, &generated.layer)?;
+    }
+    print::lines(in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
+    Ok(Verdict::Done)
+}
+
+/// With a bar that shows how far it has come.
+#[cfg(feature = "report")]
+fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+    let bar = super::bar::bar(0);
+    let generated = generate_watched(environment, class, options, &|progress| {
+        bar.set_length(progress.of as u64);
+        bar.set_position(progress.done as u64);
+        bar.set_message(progress.stage);
+    });
+    bar.finish_and_clear();
+    generated
+}
+
+/// Without what draws bars.
+#[cfg(not(feature = "report"))]
+fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+    generate_watched(environment, class, options, &|_| {})
+}
+
+fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> Vec<String> {
+    let counts = &generated.counts;
+    let mut lines = vec![format!("class        {}", generated.layer.class)];
+    let kinds = Kind::ALL.into_iter().filter(|k| options.kinds.contains(k));
+    lines.extend(kinds.map(|k| format!("{:<12} {}", k.name(), counts.of(k))));
+    lines.push(format!("together     {} features in {seconds:.2} s", generated.layer.features.len()));
+    let invisible = match counts.invisible {
+        0 => String::new(),
+        n => format!(", {n} more invisible to the class"),
+    };
+    lines.push(format!("looked at    {} polygons{invisible}; {} lines", counts.polygons, counts.candidates));
+    let off = match counts.off {
+        0 => String::new(),
+        n => format!("; {n} features that joining brought off the surface"),
+    };
+    lines.push(format!(
+        "left out     {} lines under {} m, {} smooth or flush, {} inside matter{off}",
+        counts.short, options.min_length, counts.flat, counts.buried
+    ));
+    lines
+}

@@ -1,0 +1,204 @@
+//! `presight features pick`: what is at a pixel.
+
+use super::super::open_scene;
+use super::super::pose::PoseArgs;
+use super::super::{Verdict, print};
+use super::OptionArgs;
+use super::near::{Eye, Near};
+use glam::{DMat3, DVec2, DVec3};
+use presight::acquire::features::{GenerateOptions, generate};
+use presight::environment::{Existence, Feature, FeatureShape, Properties};
+use presight::geometry::{Aabb, Pose, plane_of_polygon};
+use presight::index::Scheme;
+use presight::io::gltf::ImportOptions;
+use presight::io::{layer, load_sensor};
+use presight::plan::{Images, Output, Outputs};
+use presight::sensor::Sensor;
+use presight::{Backend, Error, Options, Predictor, Request, Result, Scene};
+use std::path::PathBuf;
+
+/// Show what a pixel sees: polygon, point, edges beside it, and a layer entry to paste
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
+    scene: PathBuf,
+
+    /// A preset (see `presight sensors`) or a sensor file
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: String,
+
+    #[command(flatten)]
+    pose: PoseArgs,
+
+    /// Column and row; the top left pixel is 0,0
+    #[arg(long, value_name = "U,V", value_parser = parse_pixel)]
+    pixel: (u32, u32),
+
+    /// How far from the point edges are listed, metres
+    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    reach: f64,
+
+    #[command(flatten)]
+    options: OptionArgs,
+}
+
+fn parse_pixel(text: &str) -> Result<(u32, u32)> {
+    let number = |word: &str| word.trim().parse::<f64>().ok().filter(|x| (-0.5..1e6).contains(x));
+    let both = text.split_once(',').and_then(|(u, v)| Some((number(u)?, number(v)?)));
+    // Pixel i spans i - 0.5 .. i + 0.5.
+    both.map(|(u, v)| ((u + 0.5).floor() as u32, (v + 0.5).floor() as u32))
+        .ok_or_else(|| Error::usage(format!("{text:?} is no pixel"), "give column,row"))
+}
+
+/// What a pixel sees.
+struct Hit {
+    /// Slot of the polygon.
+    slot: u32,
+    object: u32,
+    polygon: u32,
+    p_in_world: DVec3,
+    normal: DVec3,
+    range: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Wrong usage, those of scene and sensor and of the engine. A pixel that sees nothing is no error: the check found
+/// nothing, exit status 1.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let pose = args.pose.parse()?;
+    let mut options = args.options.options();
+    if !(args.reach >= 0.0 && args.reach <= 1e6) {
+        return Err(Error::usage(format!("--reach {} is out of range", args.reach), "give metres from 0"));
+    }
+    options.check()?;
+    let (sensor, notices) = load_sensor(&args.sensor)?;
+    print::notices(&notices);
+    let (column, row) = args.pixel;
+    if column >= sensor.width() || row >= sensor.height() {
+        let what = format!("--pixel {column},{row}: the image is {} x {}", sensor.width(), sensor.height());
+        return Err(Error::usage(what, "give column,row inside it"));
+    }
+    let scene = open_scene(&args.scene, &ImportOptions::default(), Scheme::default())?;
+    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+    let sight = Sight::new(&scene, &sensor, world_from_sensor)?;
+    let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {
+        print::data(&format!("pixel {column},{row} sees nothing\n"))?;
+        return Ok(Verdict::Found);
+    };
+    options.region = Some(Aabb { min: hit.p_in_world - args.reach, max: hit.p_in_world + args.reach });
+    print::lines(describe(&scene, &sensor, &sight, &hit, args, &options)?)?;
+    Ok(Verdict::Done)
+}
+
+/// What the sensor sees.
+struct Sight {
+    world_from_sensor: Pose,
+    images: Images,
+}
+
+impl Sight {
+    fn new(scene: &Scene, sensor: &Sensor, world_from_sensor: Pose) -> Result<Self> {
+        let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
+        let request = Request::of(Outputs::of(&[Output::PolygonId]));
+        let images = predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?.images;
+        Ok(Self { world_from_sensor, images })
+    }
+
+    fn hit(&self, scene: &Scene, sensor: &Sensor, (column, row): (u32, u32)) -> Option<Hit> {
+        let (pose, environment) = (&self.world_from_sensor, scene.world.environment());
+        let slot =
+            self.images.polygon_id[row as usize * self.images.width as usize + column as usize].checked_sub(1)?;
+        let (object, polygon) = environment.locate(slot)?;
+        let plane = plane_of_polygon(&environment.polygon_in_world(slot)?)?;
+        let direction = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row)?);
+        // On the polygon's plane in f64 rather than at the range, which is f32.
+        let range = (plane.offset - plane.normal.dot(pose.translation)) / plane.normal.dot(direction);
+        let normal = if plane.normal.dot(direction) > 0.0 { -plane.normal } else { plane.normal };
+        let p_in_world = pose.translation + direction * range;
+        p_in_world.is_finite().then_some(Hit { slot, object, polygon, p_in_world, normal, range })
+    }
+}
+
+fn describe(
+    scene: &Scene,
+    sensor: &Sensor,
+    sight: &Sight,
+    hit: &Hit,
+    args: &Args,
+    options: &GenerateOptions,
+) -> Result<Vec<String>> {
+    let environment = scene.world.environment();
+    let object = &environment.objects()[hit.object as usize];
+    let object_from_world = object.world_from_object.inverse();
+    let p_in_object = object_from_world.transform_point(hit.p_in_world);
+    let normal_in_object = object_from_world.rotation * hit.normal;
+    let material = &environment.materials()[usize::from(object.mesh.material(hit.polygon))];
+    let class = &sensor.spec().class;
+    let mut lines = vec![
+        format!("pixel            {},{} of {}", args.pixel.0, args.pixel.1, sensor.spec().name),
+        format!("polygon          id {}, {} of the object", hit.slot + 1, hit.polygon),
+        format!("object           {}", object.name),
+        format!("material         {}", material.name),
+        format!("range            {:.6} m", hit.range),
+        format!("point in world   {}", vector(hit.p_in_world)),
+        format!("point in object  {}", vector(p_in_object)),
+        format!("normal in world  {}", vector(hit.normal)),
+        format!("normal in object {}", vector(normal_in_object)),
+    ];
+    let layer = generate(environment, class, options)?.layer;
+    let eye = Eye { world: &scene.world, sensor, pose: &sight.world_from_sensor, images: &sight.images };
+    let pixel = DVec2::new(f64::from(args.pixel.0), f64::from(args.pixel.1));
+    let near = eye.near(layer, hit.p_in_world, pixel, args.reach)?;
+    let (seen, hidden): (Vec<Near>, Vec<Near>) = near.into_iter().partition(|n| n.pixels.is_some());
+    lines.push(String::new());
+    lines.push(format!(
+        "edges and corners seen within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
+        args.reach
+    ));
+    lines.extend(listed(&seen));
+    lines.push(String::new());
+    lines.push("others as near that cannot be seen from here, nearest first".into());
+    lines.extend(listed(&hidden));
+    let point = point_at(hit, &object.name, p_in_object, normal_in_object, options);
+    lines.push(String::new());
+    lines.push("an entry for a layer; give it an id that the layer never used".into());
+    // What is seen beside the pixel may be meant, or the point itself.
+    match seen.first() {
+        Some(nearest) => {
+            lines.push(layer::entry(&nearest.feature)?);
+            lines.extend([String::new(), "or the point itself".into()]);
+            lines.push(layer::entry(&point)?);
+        }
+        None => lines.push(layer::entry(&point)?),
+    }
+    Ok(lines)
+}
+
+fn listed(near: &[Near]) -> Vec<String> {
+    let line = |n: &Near| {
+        let points: Vec<String> = n.feature.shape.points().iter().map(|p| vector(*p)).collect();
+        let pixels = n.pixels.map_or("-".into(), |p| format!("{p:.1} px"));
+        let (name, object) = (n.feature.name.as_deref(), n.feature.object.as_deref().unwrap_or_default());
+        format!("  {pixels:>9}  {:.4} m  {:<12}  {}  {object}", n.metres, name.unwrap_or_default(), points.join(" to "))
+    };
+    if near.is_empty() { vec!["  none".into()] } else { near.iter().map(line).collect() }
+}
+
+fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &GenerateOptions) -> Feature {
+    Feature {
+        id: 1,
+        name: Some(format!("point on polygon {}", hit.slot + 1)),
+        object: Some(object.to_owned()),
+        shape: FeatureShape::Point { at, covariance: DMat3::IDENTITY * (options.sigma * options.sigma) },
+        existence: Existence::default(),
+        properties: Properties { normal: Some(normal.normalize()), ..Properties::default() },
+    }
+}
+
+fn vector(v: DVec3) -> String {
+    // Adding 0 makes -0 plain.
+    let [x, y, z] = v.to_array().map(|c| (c * 1e6).round() / 1e6 + 0.0);
+    format!("[{x}, {y}, {z}]")
+}

@@ -1,0 +1,175 @@
+//! `presight index`: what the spatial indexes cost and how well they select.
+
+use super::outputs::OutputFiles;
+use super::{Verdict, folder, open_scene, print};
+use presight::Result;
+use presight::Threads;
+use presight::free_poses::free_poses;
+use presight::geometry::Pose;
+use presight::index::{Params, Scheme};
+use presight::io::atomic::write_atomically;
+use presight::io::gltf::ImportOptions;
+use presight::io::{load_sensor, preset};
+use presight::sensor::PRESETS;
+use presight::{Backend, Options};
+use presight_studies::index_study::{self, Row, Study};
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight index hall.glb
+  presight index hall.glb --out study                  index.csv besides
+  presight index hall.glb --sweep --sensor vlp-16 --out study";
+
+/// Measure the spatial indexes: build time, memory, access time, selectivity, whole predictions
+///
+/// For every index and every query - `sector` (10 m, 60 degrees, any height) and each preset's region - medians over
+/// many free poses. needed: polygons with a point in the region; selectivity: needed / returned.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
+    scene: PathBuf,
+
+    /// Write index.csv into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+
+    /// How many free poses
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    count: u32,
+
+    /// Which free poses
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+
+    /// Poses of the sensors instead: lines of timestamp tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE.tum", conflicts_with_all = ["count", "seed"])]
+    poses: Option<PathBuf>,
+
+    /// Only these indexes [default: all]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    only: Vec<Scheme>,
+
+    /// Only this sensor's region beside the sector [default: all presets]
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: Option<String>,
+
+    /// Try many cell sizes of every index
+    #[arg(long)]
+    sweep: bool,
+
+    /// Return the polygons of cells partly in the region whole, as the paper's indexes did
+    #[arg(long)]
+    unfiltered: bool,
+
+    /// Repeats of each query and prediction, of which the fastest counts
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeat: u32,
+
+    /// CPU threads of predictions, 0 = all cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+}
+
+/// What `--out` gets.
+const FILES: [&str; 1] = ["index.csv"];
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the scene, the sensor and the poses, of predictions, and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let mut files = OutputFiles::new();
+    args.out.as_deref().map_or(Ok(()), |folder| files.add_folder(folder, &FILES))?;
+    let named = [Some(args.scene.as_path()), args.poses.as_deref(), args.sensor.as_deref().map(Path::new)];
+    files.check_named(named.into_iter().flatten())?;
+    let threads = Threads::from(args.threads).started()?;
+    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+    let sensors = match &args.sensor {
+        Some(name) => {
+            let (sensor, notices) = load_sensor(name)?;
+            print::notices(&notices);
+            vec![(sensor.spec().name.clone(), sensor)]
+        }
+        None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
+    };
+    let given = args.poses.as_deref().map(folder::poses).transpose()?;
+    let world = open_scene(&args.scene, &import, Scheme::default())?.world;
+    let seed = given.is_none().then_some(args.seed);
+    let poses: Vec<Pose> = match given {
+        Some(given) => given,
+        None => free_poses(&world, args.count as usize, args.seed)?,
+    };
+    index_study::check_poses(&poses)?;
+    files.check_read()?;
+    args.out.as_deref().map(folder::ready).transpose()?;
+    let count = poses.len();
+    let options = Options::new(Backend::Cpu).with_threads(threads);
+    let study = Study { poses, sensors, options, repeats: args.repeat as usize };
+    let progress = |what: &str| {
+        if std::io::stderr().is_terminal() {
+            print::message(what);
+        }
+    };
+    let rows = study.run(&world, &args.variants(), progress)?;
+    print::lines(table(&rows, count, world.environment().slot_count(), args.sweep))?;
+    if let Some(folder) = &args.out {
+        let [csv_file] = FILES.map(|name| folder.join(name));
+        let csv = index_study::to_csv(&rows, count, seed);
+        write_atomically(&csv_file, |file| file.write_all(csv.as_bytes()))?;
+    }
+    Ok(Verdict::Done)
+}
+
+impl Args {
+    fn variants(&self) -> Vec<(Scheme, Params)> {
+        let mut variants = match self.sweep {
+            true => index_study::sweep(),
+            false => Scheme::ALL.map(|s| (s, Params::tuned(s))).to_vec(),
+        };
+        variants.retain(|(scheme, _)| self.only.is_empty() || self.only.contains(scheme));
+        for (_, params) in &mut variants {
+            params.filter = !self.unfiltered;
+        }
+        variants
+    }
+}
+
+fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> Vec<String> {
+    let mut lines = vec![format!("{polygons} polygons, {poses} poses, medians; selectivity = needed / returned")];
+    let wide = rows.iter().map(|r| r.query.len()).max().unwrap_or(0).max(5);
+    lines.push(format!(
+        "{:9}  {:wide$}  {:>9}  {:>11}  {:>9}  {:>8}  {:>8}  {:>11}  {:>13}{}",
+        "scheme",
+        "query",
+        "build ms",
+        "bytes",
+        "access us",
+        "needed",
+        "returned",
+        "selectivity",
+        "prediction ms",
+        if swept { "  tuned" } else { "" },
+    ));
+    for r in rows {
+        let prediction = r.prediction_ms.map_or_else(|| "-".into(), |ms| format!("{ms:.3}"));
+        let mut line = format!(
+            "{:9}  {:wide$}  {:>9.2}  {:>11}  {:>9.1}  {:>8}  {:>8}  {:>11.3}  {prediction:>13}",
+            r.scheme.name(),
+            r.query,
+            r.build_ms,
+            r.bytes,
+            r.access_us,
+            r.needed,
+            r.returned,
+            r.selectivity,
+        );
+        if swept {
+            let Params { cell_polygons, least_cell, split_axis, .. } = r.params;
+            line += &format!("  {cell_polygons} polygons, {least_cell} m, {split_axis:?}");
+        }
+        lines.push(line);
+    }
+    lines
+}

@@ -1,0 +1,196 @@
+//! Features in a prediction: layers read and placed, visibility predicted, results written.
+
+use super::pose_cov;
+use super::print;
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
+use presight::frames::GivenPose;
+use presight::geometry::Pose;
+use presight::io::prediction_json;
+use presight::plan::{Output, Outputs};
+use presight::sensor::Sensor;
+use presight::virtual_sensors::{VirtualReading, VirtualSensor};
+use presight::{Error, Prediction, Request, Result, Scene, SceneFeatures};
+use std::path::{Path, PathBuf};
+
+/// Which features are predicted, and where they go.
+#[derive(Debug, clap::Args)]
+pub struct LayerArgs {
+    /// Predict the features of this layer, too, over the scene's own; later ones win by id
+    #[arg(long = "layer", value_name = "FILE.json")]
+    layers: Vec<PathBuf>,
+
+    /// Write what is seen of the features
+    #[arg(long, value_name = "OUT.json")]
+    pub features: Option<PathBuf>,
+
+    /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    time: Option<f64>,
+
+    /// How uncertain the pose is, for regions of interest: sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, or a file of 36 numbers
+    ///
+    /// Standard deviations, or a covariance as a JSON list, row-major, in metres and radians; along the world's axes.
+    #[arg(long, value_name = "S|FILE.json")]
+    pose_cov: Option<String>,
+
+    /// Probability with which features are in their regions of interest [default: 0.99]
+    #[arg(long, value_name = "P")]
+    confidence: Option<f64>,
+
+    /// Write the numbers of features into the preview
+    #[arg(long)]
+    feature_numbers: bool,
+}
+
+/// What is asked for by name, as far as features depend on it.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked {
+    /// All outputs wanted.
+    pub outputs: Outputs,
+    /// The virtual sensor.
+    pub virtual_sensor: Option<VirtualSensor>,
+    /// A preview is drawn, which shows boxes.
+    pub preview: bool,
+}
+
+impl Asked {
+    fn feature_id(self) -> bool {
+        self.outputs.has(Output::FeatureId)
+    }
+
+    fn by_virtual_sensor(self) -> bool {
+        self.virtual_sensor.is_some_and(VirtualSensor::needs_features)
+    }
+}
+
+/// What is asked for of features.
+pub struct Layers {
+    options: FeatureOptions,
+    boxes: BoxOptions,
+    /// Something shows the boxes, or only they were asked for.
+    boxed: bool,
+}
+
+impl LayerArgs {
+    /// Checks them without touching the world.
+    pub fn check(&self, asked: Asked) -> Result<()> {
+        if let Some(time) = self.time.filter(|t| !t.is_finite()) {
+            return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
+        }
+        if let Some(confidence) = self.confidence.filter(|p| !(0.5..1.0).contains(p)) {
+            let what = format!("--confidence {confidence}");
+            return Err(Error::usage(what, "give a probability from 0.5 to below 1"));
+        }
+        let of_features = [
+            ("time", self.time.is_some()),
+            ("pose-cov", self.pose_cov.is_some()),
+            ("confidence", self.confidence.is_some()),
+            ("feature-numbers", self.feature_numbers),
+        ];
+        match of_features.iter().find(|(_, given)| *given && !self.is_asked(asked)) {
+            None => Ok(()),
+            Some((flag, _)) => {
+                let what = format!("--{flag} is of features, and none are asked for");
+                Err(Error::usage(what, "give a --layer, or --features OUT.json for the scene's own"))
+            }
+        }
+    }
+
+    /// Files that are named to be read.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let covariance = self.pose_cov.as_deref().and_then(pose_cov::file);
+        self.layers.iter().map(PathBuf::as_path).chain(covariance)
+    }
+
+    /// True if features are to be predicted.
+    fn is_asked(&self, asked: Asked) -> bool {
+        !self.layers.is_empty() || self.features.is_some() || asked.feature_id() || asked.by_virtual_sensor()
+    }
+
+    /// Images that features are predicted from.
+    pub fn needs(&self, asked: Asked) -> Option<Output> {
+        self.is_asked(asked).then_some(Output::PolygonId)
+    }
+
+    /// True if a file of their own is asked for.
+    pub fn writes_something(&self) -> bool {
+        self.features.is_some()
+    }
+
+    /// True if features' numbers go into the preview.
+    pub fn numbers(&self) -> bool {
+        self.feature_numbers
+    }
+
+    /// Reads the layers over the scene's own and finds the polygons that their features lie on; `None` if none are asked
+    /// for.
+    pub fn load(
+        &self,
+        scene: &Scene,
+        sensor: &Sensor,
+        (pose, world_from_sensor): (&GivenPose, &Pose),
+        asked: Asked,
+    ) -> Result<Option<Layers>> {
+        if !self.is_asked(asked) {
+            return Ok(None);
+        }
+        let class = &sensor.spec().class;
+        let own = scene.world.environment().layer(class);
+        if self.layers.is_empty() && own.is_none() {
+            // The file of features is then the virtual sensor's alone.
+            if asked.virtual_sensor.is_some() && !asked.by_virtual_sensor() && !asked.feature_id() {
+                return Ok(None);
+            }
+            let what = format!("features are asked for, and the scene has none for class {class:?}");
+            return Err(Error::usage(what, "give a --layer (presight features generates one)"));
+        }
+        let wanted = asked.virtual_sensor.filter(|v| v.needs_features());
+        let SceneFeatures { placed, other_classes } =
+            scene.place_layers_of(&self.layers, class, |shape| wanted.is_none_or(|v| v.wants(shape)))?;
+        if other_classes > 0 {
+            print::message(&format!(
+                "note: {other_classes} features are for other classes than {class:?} and left out"
+            ));
+        }
+        let mut options = FeatureOptions::default().with_placed(placed);
+        options.time = self.time;
+        let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
+        let of_sensor =
+            pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf);
+        let mut boxes = BoxOptions::default().with_sensor(of_sensor);
+        boxes.confidence = self.confidence.unwrap_or(boxes.confidence);
+        // An image of numbers and the answer of a virtual sensor are made without boxes.
+        let only_without = (asked.feature_id() || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
+        let boxed = self.features.is_some() || asked.preview || !only_without;
+        Ok(Some(Layers { options, boxes, boxed }))
+    }
+
+    /// Writes the prediction's file, if one is asked for.
+    pub fn write(
+        &self,
+        scene: &Scene,
+        prediction: &Prediction,
+        layers: Option<&Layers>,
+        reading: Option<&VirtualReading>,
+    ) -> Result<()> {
+        let Some(path) = &self.features else { return Ok(()) };
+        let header = prediction_json::Header {
+            sensor: prediction.sensor.spec().name.clone(),
+            world_from_sensor: prediction.world_from_sensor,
+            pose_covariance: layers.map(|layers| layers.boxes.sensor),
+            confidence: layers.map(|layers| layers.boxes.confidence),
+            given_up: prediction.given_up().cloned(),
+        };
+        let none = FeaturePrediction::default();
+        let seen = prediction.features.as_ref().unwrap_or(&none);
+        prediction_json::write(path, &header, seen, scene.world.environment(), reading)
+    }
+}
+
+impl Layers {
+    /// The request with their features.
+    pub fn add_to(&self, request: Request) -> Request {
+        let request = request.with_features(self.options.clone());
+        if self.boxed { request.with_regions(self.boxes.clone()) } else { request }
+    }
+}

@@ -1,0 +1,206 @@
+//! The command: parse first, then touch the world. The only place that prints.
+
+#[cfg(feature = "report")]
+mod bar;
+mod compare;
+mod deadline;
+mod doctor;
+#[cfg(feature = "store")]
+mod env;
+mod features;
+mod folder;
+mod index;
+mod inspect;
+mod layers;
+mod outputs;
+pub mod pose;
+pub mod pose_cov;
+mod predict;
+mod print;
+#[cfg(feature = "report")]
+mod report;
+mod sensors;
+mod signals;
+mod statistics;
+mod virtual_sensor;
+
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use presight::index::Scheme;
+#[cfg(not(all(feature = "report", feature = "store")))]
+use presight::io;
+use presight::io::gltf::ImportOptions;
+use presight::{Result, Scene, SceneOptions};
+use std::any::TypeId;
+use std::path::Path;
+use std::process::ExitCode;
+
+/// Predicts what a robot's sensors should see.
+///
+/// presight reads a polygonal 3D model (glTF 2.0, a scene script or a stored environment), takes a sensor at a pose, and
+/// answers with exact images: range, which polygon and which object each pixel sees, and at which reflection angle.
+///
+/// SCENE is a .glb or .gltf file, a script (.rhai) or a store (.presight), in every command.
+#[derive(Debug, Parser)]
+#[command(name = "presight", version, max_term_width = 100, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "Examples:
+  presight sensors                              list the sensors that are built in
+  presight inspect hall.glb                     what is in a model, and what is wrong with it
+  presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
+  presight compare reference.exr other.exr      do two predictions agree?
+  presight doctor                               which engines work here
+  presight report hall.glb --out study          error against run time, as a page
+  presight env create hall.presight hall.glb    keep a model, and every change to it
+
+Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
+3 no device for the asked backend, 4 the system refused (disk full, memory, locked, permission).";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Predict(Box<predict::Args>),
+    Inspect(inspect::Args),
+    Sensors(sensors::Args),
+    Index(index::Args),
+    Compare(compare::Args),
+    Features(Box<features::Args>),
+    Doctor(doctor::Args),
+    #[cfg(feature = "report")]
+    Report(report::Args),
+    /// Measure error against run time: not in this build
+    #[cfg(not(feature = "report"))]
+    #[command(disable_help_flag = true)]
+    Report {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+    #[cfg(feature = "store")]
+    Env(env::Args),
+    /// Keep an environment in a file: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Env {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+}
+
+/// The optional parts that were built in.
+fn features() -> Vec<&'static str> {
+    let all = [
+        ("gpu", cfg!(feature = "gpu")),
+        ("script", cfg!(feature = "script")),
+        ("store", cfg!(feature = "store")),
+        ("report", cfg!(feature = "report")),
+    ];
+    all.into_iter().filter(|(_, built)| *built).map(|(name, _)| name).collect()
+}
+
+/// Runs the command on the process's arguments.
+pub fn main() -> ExitCode {
+    signals::listen();
+    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
+        Ok(cli) => cli,
+        Err(e) => return refuse(&e),
+    };
+    let done = match cli.command {
+        Command::Predict(args) => predict::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Sensors(args) => sensors::run(&args),
+        Command::Index(args) => index::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Features(args) => features::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "report")]
+        Command::Report(args) => report::run(&args),
+        #[cfg(not(feature = "report"))]
+        Command::Report { .. } => Err(io::not_built("studies", "report")),
+        #[cfg(feature = "store")]
+        Command::Env(args) => env::run(&args),
+        #[cfg(not(feature = "store"))]
+        Command::Env { .. } => Err(io::not_built("stored environments", "store")),
+    };
+    conclude(done)
+}
+
+/// The command line: numbers may be negative, so that what is wrong with one is said of the number.
+fn command() -> clap::Command {
+    fn numbers(command: clap::Command) -> clap::Command {
+        let negative = |arg: clap::Arg| {
+            let real = arg.get_value_parser().type_id() == TypeId::of::<f64>();
+            match (arg.get_action().takes_values(), real) {
+                (false, _) => arg,
+                (true, false) => arg.allow_negative_numbers(true),
+                // Clap does not take -1e-9 and -inf for numbers.
+                (true, true) => arg.allow_hyphen_values(true),
+            }
+        };
+        command.mut_args(negative).mut_subcommands(numbers)
+    }
+    numbers(Cli::command())
+}
+
+/// Opens a scene; what a script prints goes to stderr.
+fn open_scene(path: &Path, import: &ImportOptions, index: Scheme) -> Result<Scene> {
+    let options = SceneOptions::default().with_import(import.clone()).with_index(index);
+    Scene::open_with(path, &options, &mut print::message)
+}
+
+/// What a command found, if it ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    /// Done, nothing to object.
+    Done,
+    /// Done; a check found something.
+    Found,
+}
+
+fn conclude(done: Result<Verdict>) -> ExitCode {
+    match done {
+        Ok(Verdict::Done) => ExitCode::SUCCESS,
+        Ok(Verdict::Found) => ExitCode::from(1),
+        Err(e) => {
+            print::message(&format!("error: {e}"));
+            ExitCode::from(e.kind().exit_status())
+        }
+    }
+}
+
+/// Help and version go to stdout whole; a usage error is one line like every other error.
+fn refuse(e: &clap::Error) -> ExitCode {
+    use clap::error::ErrorKind as Clap;
+    let help = [Clap::DisplayHelp, Clap::DisplayVersion, Clap::DisplayHelpOnMissingArgumentOrSubcommand];
+    if help.contains(&e.kind()) {
+        // Nothing is left to do if the terminal is gone.
+        let _ = e.print();
+        return ExitCode::from(e.exit_code() as u8);
+    }
+    let text = e.to_string();
+    let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
+    let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    // To write `--` before it helps no option.
+    let useless = |line: &str| line.starts_with("tip: to pass") && line.contains("'-- ");
+    let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty() && !useless(line)).collect();
+    let command = std::env::args_os()
+        .nth(1)
+        .and_then(|a| a.into_string().ok())
+        .filter(|a| Cli::command().find_subcommand(a).is_some())
+        .map(|a| format!(" {a}"))
+        .unwrap_or_default();
+    print::message(&format!("{}; see presight{command} --help", message.join(" ")));
+    ExitCode::from(2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        command().debug_assert();
+    }
+}

@@ -1,0 +1,147 @@
+//! Poses as the command line gives them.
+
+use clap::ValueEnum;
+use glam::{DQuat, DVec3};
+use presight::frames::{self, GivenPose};
+use presight::geometry::Pose;
+use presight::limits;
+use presight::{Error, Result};
+
+/// Which axes a pose turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PoseFrame {
+    /// x forward, y left, z up, for cameras too
+    Body,
+    /// z forward, x right, y down
+    Optical,
+}
+
+/// Whose pose it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PoseOf {
+    /// The sensor's
+    Sensor,
+    /// The robot's; the sensor sits on it as its `[mount]` says
+    Robot,
+}
+
+/// In which world a pose is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum WorldFrame {
+    /// presight's: z up, metres
+    ZUp,
+    /// The glTF file's: y up, metres
+    Gltf,
+}
+
+/// The flags by which every command reads poses.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PoseArgs {
+    /// Where the sensor is: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw
+    ///
+    /// Metres; rotation about the fixed axes x, then y, then z; positive pitch looks down, positive yaw to the left.
+    #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
+    pose: String,
+
+    /// Which axes the pose turns
+    #[arg(long, value_enum, default_value_t = PoseFrame::Body)]
+    pose_frame: PoseFrame,
+
+    /// Whose pose it is
+    #[arg(long, value_enum, default_value_t = PoseOf::Sensor)]
+    pose_of: PoseOf,
+
+    /// In which world the pose is
+    #[arg(long, value_enum, default_value_t = WorldFrame::ZUp)]
+    world_frame: WorldFrame,
+}
+
+impl PoseArgs {
+    /// Reads the numbers.
+    ///
+    /// # Errors
+    /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
+    pub fn parse(&self) -> Result<GivenPose> {
+        let frame = match self.pose_frame {
+            PoseFrame::Body => frames::PoseFrame::Body,
+            PoseFrame::Optical => frames::PoseFrame::Optical,
+        };
+        let of = match self.pose_of {
+            PoseOf::Sensor => frames::PoseOf::Sensor,
+            PoseOf::Robot => frames::PoseOf::Robot,
+        };
+        let world = match self.world_frame {
+            WorldFrame::ZUp => frames::WorldFrame::ZUp,
+            WorldFrame::Gltf => frames::WorldFrame::Gltf,
+        };
+        let meaning = GivenPose::new(Pose::IDENTITY).with_frame(frame).with_of(of).with_world(world);
+        meaning.check()?;
+        let pose = parse_pose(&self.pose).map_err(|e| e.at(format!("--pose {}", self.pose)))?;
+        Ok(GivenPose::new(pose).with_frame(frame).with_of(of).with_world(world))
+    }
+}
+
+const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";
+
+/// Reads `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`.
+///
+/// # Errors
+/// [`presight::ErrorKind::Usage`] on text, NaN, infinity, a wrong count, or a quaternion without length.
+pub fn parse_pose(text: &str) -> Result<Pose> {
+    let mut numbers = Vec::new();
+    for word in text.split(',').map(str::trim) {
+        let number: f64 = word.parse().map_err(|_| Error::usage(format!("{word:?} is no number"), REMEDY))?;
+        if !number.is_finite() {
+            return Err(Error::usage(format!("{word} is not finite"), REMEDY));
+        }
+        numbers.push(number);
+    }
+    if let Some(far) = numbers.iter().take(3).find(|x| x.abs() > limits::MAX_COORDINATE) {
+        return Err(Error::usage(format!("{far} m is beyond {:e} m", limits::MAX_COORDINATE), REMEDY));
+    }
+    match numbers[..] {
+        [x, y, z, roll, pitch, yaw] => {
+            Ok(Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians()))
+        }
+        [x, y, z, qx, qy, qz, qw] => Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw)),
+        _ => Err(Error::usage(format!("{} numbers", numbers.len()), REMEDY)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn given(text: &str) -> PoseArgs {
+        let (pose_frame, pose_of, world_frame) = (PoseFrame::Body, PoseOf::Sensor, WorldFrame::ZUp);
+        PoseArgs { pose: text.into(), pose_frame, pose_of, world_frame }
+    }
+
+    fn near(a: DVec3, b: DVec3) -> bool {
+        (a - b).length() < 1e-12
+    }
+
+    #[test]
+    fn both_notations_and_negative_numbers_are_read() {
+        let forward =
+            |args: &PoseArgs| args.parse().map(|given| (given.pose.translation, given.pose.rotation * DVec3::X));
+        let (p, f) = forward(&given("-1,2.5,-3e-1,0,0,90")).unwrap();
+        assert!(near(p, DVec3::new(-1.0, 2.5, -0.3)) && near(f, DVec3::Y));
+        let (p, f) = forward(&given("-1, 2, 3, 0, 0, 2, 2")).unwrap();
+        assert!(near(p, DVec3::new(-1.0, 2.0, 3.0)) && near(f, DVec3::Y));
+    }
+
+    #[test]
+    fn wrong_poses_are_wrong_usage() {
+        let wrong = ["", "1,2,3", "0,0,nan,0,0,0", "0,0,0,inf,0,0", "a,0,0,0,0,0", "0,0,0,0,0,0,0", "1,2,3,4,5,6,7,8"];
+        // Squares that overflow: no rotation is left of such a quaternion, and no range of such a place.
+        let huge = ["0,0,0,1e200,0,0,1", "1e300,0,0,0,0,0", "0,-1e13,0,0,0,0,1"];
+        for text in wrong.into_iter().chain(huge) {
+            let e = given(text).parse().unwrap_err();
+            assert_eq!(e.kind(), presight::ErrorKind::Usage, "{text}");
+            assert!(!e.remedy().is_empty() && e.place().is_some_and(|p| p.contains("--pose")), "{e}");
+        }
+        let args = PoseArgs { pose_of: PoseOf::Robot, pose_frame: PoseFrame::Optical, ..given("0,0,0,0,0,0") };
+        assert!(args.parse().is_err());
+    }
+}

@@ -1,0 +1,193 @@
+//! `presight report`: studies as pages.
+
+use super::bar::bar;
+use super::outputs::OutputFiles;
+use super::{Verdict, features, folder, open_scene, print};
+use presight::Threads;
+use presight::free_poses::free_poses;
+use presight::index::Scheme;
+use presight::internal::printable;
+use presight::io::atomic::write_atomically;
+use presight::io::gltf::ImportOptions;
+use presight::io::{load_sensor, preset};
+use presight::sensor::Sensor;
+use presight::{Error, Result};
+use presight_studies::work_precision::{self, Effort, Findings, Scene, Study};
+use presight_studies::{Machine, stability};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight report hall.glb --out study                     index.html, work_precision.csv, report.json
+  presight report hall.glb --out study --quick             in well under a minute
+  presight report hall.glb --sensor my-camera.toml --out study
+  presight report --stability --out study                  every engine against a hundred digits: stability.csv
+
+Exit status: 1 if a path that is to be exact shows pixels that no rounding explains, or an error leaves its bound.";
+
+/// Measure error against run time, or where errors leave their bounds, and say what to take
+///
+/// Every engine and every knob that trades the one for the other: resolution, part of the image, ray table, index,
+/// visibility of features, regions of interest. Errors are against the reference engine.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The models: .glb or .gltf files, .rhai scripts, or stores
+    scenes: Vec<PathBuf>,
+
+    /// Instead, how far errors keep to their bounds in stiff and extreme cases of its own; faults end with status 1
+    #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed"])]
+    stability: bool,
+
+    /// Write the study into this folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Fewer poses, runs and draws: under a minute on two cores
+    #[arg(long)]
+    quick: bool,
+
+    /// With this sensor; may be given again [default: video-camera, vlp-16, and a fisheye camera if not --quick]
+    #[arg(long = "sensor", value_name = "PRESET|FILE")]
+    sensors: Vec<String>,
+
+    /// Poses of the sensors, instead of free ones: lines of timestamp tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE.tum")]
+    poses: Option<PathBuf>,
+
+    /// Which free poses
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "poses")]
+    seed: u64,
+}
+
+/// What studies write.
+const STABILITY: [&str; 3] = ["index.html", "stability.csv", "report.json"];
+const WORK_PRECISION: [&str; 3] = ["index.html", "work_precision.csv", "report.json"];
+
+/// Free poses in a full study; a quick one has one.
+const POSES: usize = 3;
+
+/// Runs the command: each study has a function of its own here.
+///
+/// # Errors
+/// Wrong usage, those of scenes and sensors, of predictions, and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let mut files = OutputFiles::new();
+    files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
+    let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
+    files.check_named(named.chain(args.sensors.iter().map(Path::new)))?;
+    Threads::SHARED.started()?;
+    if args.stability { stability(args) } else { work_precision(args, files) }
+}
+
+fn stability(args: &Args) -> Result<Verdict> {
+    folder::ready(&args.out)?;
+    let study = stability::Study::new(args.quick);
+    let (mut engines, notes) = stability::subjects(0)?;
+    notes.iter().for_each(|note| print::message(note));
+    let progress = bar(study.steps() as u64);
+    let rows = study.run(&mut engines, |what| {
+        progress.set_message(printable(what).into_owned());
+        progress.inc(1);
+    });
+    progress.finish_and_clear();
+    let (rows, machine) = (rows?, Machine::this(features(), command_line()));
+    let about = stability::About { machine, notes };
+    write(
+        &args.out,
+        STABILITY,
+        [
+            stability::to_html(&study, &rows, &about)?,
+            stability::to_csv(&rows),
+            stability::to_json(&study, &rows, &about)?,
+        ],
+    )?;
+    let faults = stability::faults(&rows);
+    let families = study.families.len();
+    let page = args.out.join("index.html");
+    let outcome = format!("{} cases in {families} families: {faults} faults", rows.len());
+    print::lines([outcome, page.display().to_string()])?;
+    Ok(if faults == 0 { Verdict::Done } else { Verdict::Found })
+}
+
+fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
+    let study = args.study()?;
+    files.check_read()?;
+    folder::ready(&args.out)?;
+    let progress = bar(study.steps() as u64);
+    let findings = study.run(|what| {
+        progress.set_message(printable(what).into_owned());
+        progress.inc(1);
+    });
+    progress.finish_and_clear();
+    let findings = findings?;
+    let machine = Machine::this(features(), command_line());
+    write(
+        &args.out,
+        WORK_PRECISION,
+        [
+            work_precision::to_html(&findings, &machine)?,
+            work_precision::to_csv(&findings),
+            work_precision::to_json(&findings, &machine)?,
+        ],
+    )?;
+    print::lines(summary(&args.out, &findings))?;
+    Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
+}
+
+/// As it was given; what is no UTF-8 is replaced.
+fn command_line() -> Vec<String> {
+    std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()).collect()
+}
+
+fn write(folder: &Path, names: [&str; 3], texts: [String; 3]) -> Result<()> {
+    for (name, text) in names.into_iter().zip(texts) {
+        write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
+    }
+    Ok(())
+}
+
+fn summary(folder: &Path, findings: &Findings) -> impl Iterator<Item = String> {
+    let advice = findings.findings.iter().map(|f| f.advice.clone());
+    advice.chain([folder.join("index.html").display().to_string()])
+}
+
+impl Args {
+    fn study(&self) -> Result<Study> {
+        if self.scenes.is_empty() {
+            let remedy = "name one or more: .glb, .gltf, .rhai or a store";
+            return Err(Error::usage("there is no scene to measure", remedy));
+        }
+        let sensors = self.sensors()?;
+        let given = self.poses.as_deref().map(folder::poses).transpose()?;
+        let mut scenes = Vec::new();
+        for path in &self.scenes {
+            let world = open_scene(path, &ImportOptions::default(), Scheme::default())?.world;
+            let poses = match &given {
+                Some(given) => given.clone(),
+                None => {
+                    free_poses(&world, if self.quick { 1 } else { POSES }, self.seed).map_err(|e| e.in_file(path))?
+                }
+            };
+            scenes.push(Scene { name: path.display().to_string(), world, poses });
+        }
+        let effort = if self.quick { Effort::QUICK } else { Effort::FULL };
+        Ok(Study { scenes, sensors, effort })
+    }
+
+    fn sensors(&self) -> Result<Vec<Sensor>> {
+        if self.sensors.is_empty() {
+            let mut sensors = vec![preset("video-camera")?, preset("vlp-16")?];
+            if !self.quick {
+                sensors.push(work_precision::fisheye()?);
+            }
+            return Ok(sensors);
+        }
+        let read = |name: &String| {
+            let (sensor, notices) = load_sensor(name)?;
+            print::notices(&notices);
+            Ok(sensor)
+        };
+        self.sensors.iter().map(read).collect()
+    }
+}

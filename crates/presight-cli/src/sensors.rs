@@ -1,0 +1,50 @@
+//! `presight sensors`: the sensors that are built in.
+
+use super::{Verdict, print};
+use presight::Result;
+use presight::io::preset;
+use presight::sensor::PRESETS;
+
+const EXAMPLES: &str = "Examples:
+  presight sensors
+  presight sensors video-camera > my-camera.toml     then edit it, and use it with --sensor my-camera.toml";
+
+/// List the built-in sensors, or print one as sensor TOML
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The preset to print
+    name: Option<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`presight::ErrorKind::Usage`] for an unknown preset.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let text = match &args.name {
+        Some(name) => {
+            preset(name)?;
+            PRESETS.iter().filter(|p| p.name == name).map(|p| p.toml).collect()
+        }
+        None => list()?,
+    };
+    print::data(&text)?;
+    Ok(Verdict::Done)
+}
+
+/// One line a preset: name, size, class, range, and the first sentence of its comment.
+fn list() -> Result<String> {
+    let width = PRESETS.iter().map(|p| p.name.len()).max().unwrap_or(0);
+    let mut text = String::new();
+    for p in PRESETS {
+        let sensor = preset(p.name)?;
+        let spec = sensor.spec();
+        let size = format!("{} x {}", sensor.width(), sensor.height());
+        let reach = if spec.range_max.is_finite() { format!("{} m", spec.range_max) } else { "any range".into() };
+        let about = p.toml.lines().next().unwrap_or_default().trim_start_matches("# ");
+        let about = about.split(". ").next().unwrap_or_default().trim_end_matches('.');
+        text += &format!("{:width$}  {size:>10}  {:5}  {reach:>9}  {about}\n", p.name, spec.class);
+    }
+    Ok(text)
+}

@@ -1,0 +1,201 @@
+//! Statistics over repeated predictions, as JSON and in words.
+
+use presight::deadline::Kept;
+use presight::plan::{LeftOut, StageRow, Stats, Taken, Work};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The version of the statistics JSON.
+const FORMAT: u32 = 1;
+
+/// Milliseconds over all measured predictions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Milliseconds {
+    /// The middle one (the mean of the two middle ones).
+    pub median: f64,
+    /// 95 % took at most this long (nearest rank).
+    pub p95: f64,
+    /// The fastest.
+    pub min: f64,
+}
+
+impl Milliseconds {
+    /// Of at least one time; all zero of none.
+    pub fn of(times: &[f64]) -> Self {
+        let mut sorted = times.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let n = sorted.len();
+        let at = |i: usize| sorted.get(i).copied().unwrap_or(0.0);
+        let rank_95 = (n * 95).div_ceil(100).max(1) - 1;
+        Self { median: (at(n.saturating_sub(1) / 2) + at(n / 2)) / 2.0, p95: at(rank_95), min: at(0) }
+    }
+}
+
+/// What the statistics JSON holds.
+#[derive(Debug, Serialize)]
+pub struct Statistics {
+    format: u32,
+    versions: BTreeMap<&'static str, &'static str>,
+    scene: String,
+    sensor: String,
+    width: u32,
+    height: u32,
+    outputs: Vec<&'static str>,
+    engine: String,
+    adapter: Option<String>,
+    threads: usize,
+    index: String,
+    /// Measured predictions; one before them, unmeasured, warmed up.
+    repeat: usize,
+    prediction_ms: Milliseconds,
+    /// Medians.
+    stages_ms: OrderedMap<f64>,
+    counts: OrderedMap<u64>,
+    /// Of the last prediction.
+    work: Work,
+    taken: Vec<Taken>,
+    left_out: Vec<LeftOut>,
+    notices: Vec<String>,
+    /// How the last prediction's deadline was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    deadline: Option<Kept>,
+    #[serde(skip)]
+    rows: Vec<StageRow>,
+}
+
+/// A JSON object in the order of its entries.
+#[derive(Debug)]
+struct OrderedMap<T>(Vec<(String, T)>);
+
+impl<T: Serialize> Serialize for OrderedMap<T> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(k, v)| (k, v)))
+    }
+}
+
+/// What was predicted, for the head of the statistics.
+#[derive(Debug)]
+pub struct Subject {
+    /// The scene's path as given.
+    pub scene: String,
+    /// The sensor's name.
+    pub sensor: String,
+    /// Columns and rows.
+    pub size: (u32, u32),
+    /// Images asked for.
+    pub outputs: Vec<&'static str>,
+}
+
+impl Statistics {
+    /// Of measured predictions: the whole time of each in ms, and what each says of itself.
+    pub fn of(subject: Subject, times_ms: &[f64], runs: &[Stats]) -> Self {
+        let mut last = runs.last().cloned().unwrap_or_default();
+        let mut names: Vec<String> = Vec::new();
+        for (name, _) in &last.stages_ms {
+            if !names.contains(name) {
+                names.push(name.clone());
+            }
+        }
+        let stage = |name: String| {
+            let of_run = |s: &Stats| s.stages_ms.iter().filter(|(n, _)| *n == name).map(|(_, ms)| ms).sum::<f64>();
+            let times: Vec<f64> = runs.iter().map(of_run).collect();
+            (name, Milliseconds::of(&times).median)
+        };
+        last.stages_ms = names.into_iter().map(stage).collect();
+        let rows = last.stages();
+        let left_out = rows.iter().filter(|r| !r.ran);
+        let left_out = left_out.map(|r| LeftOut { what: r.name.clone(), why: r.why.clone() }).collect();
+        Self {
+            format: FORMAT,
+            versions: BTreeMap::from([("presight", env!("CARGO_PKG_VERSION"))]),
+            scene: subject.scene,
+            sensor: subject.sensor,
+            width: subject.size.0,
+            height: subject.size.1,
+            outputs: subject.outputs,
+            engine: last.engine,
+            adapter: last.adapter,
+            threads: last.threads,
+            index: last.index,
+            repeat: times_ms.len(),
+            prediction_ms: Milliseconds::of(times_ms),
+            stages_ms: OrderedMap(last.stages_ms),
+            counts: OrderedMap(last.counts),
+            work: last.work,
+            taken: last.taken,
+            left_out,
+            notices: last.notices,
+            deadline: last.deadline,
+            rows,
+        }
+    }
+
+    /// The middle time of a prediction.
+    pub fn median_ms(&self) -> f64 {
+        self.prediction_ms.median
+    }
+
+    /// `cpu with 2 threads`, `gpu on <adapter>`.
+    pub fn engine_in_words(&self) -> String {
+        match &self.adapter {
+            Some(adapter) => format!("{} on {adapter}", self.engine),
+            None if self.threads == 1 => format!("{} with 1 thread", self.engine),
+            None => format!("{} with {} threads", self.engine, self.threads),
+        }
+    }
+
+    /// What was done, what it cost, what was left out and why: the answer to `--explain`.
+    pub fn explanation(&self) -> Vec<String> {
+        let mut lines = vec![
+            format!("scene     {}", self.scene),
+            format!("sensor    {}, {} x {}", self.sensor, self.width, self.height),
+            format!("outputs   {}", self.outputs.join(", ")),
+            format!("engine    {}", self.engine_in_words()),
+            format!("index     {}", self.index),
+        ];
+        let ms = &self.prediction_ms;
+        lines.push(match self.repeat {
+            1 => format!("time      {:.2} ms", ms.median),
+            n => format!("time      {:.2} ms median, {:.2} p95, {:.2} min of {n}", ms.median, ms.p95, ms.min),
+        });
+        if let Some(kept) = &self.deadline {
+            let Kept { deadline_ms, time_ms, estimate_ms, .. } = kept;
+            lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
+            lines.extend(kept.given_up.iter().map(|given_up| format!("given up  {}", given_up.summary())));
+        }
+        let counts = || {
+            let of_work = self.work.counts().into_iter().filter(|(_, n)| *n > 0);
+            self.counts.0.iter().map(|(name, n)| (name.as_str(), *n)).chain(of_work)
+        };
+        let names = self.rows.iter().filter(|r| r.ran).map(|r| r.name.as_str()).chain(counts().map(|(name, _)| name));
+        let width = names.map(str::len).max().unwrap_or(0);
+        lines.push("stages".into());
+        lines.extend(self.rows.iter().filter(|r| r.ran).map(|r| match r.ms {
+            Some(ms) => format!("  {:width$}  {ms:>10.3} ms", r.name),
+            None => format!("  {:width$}  {}", r.name, r.why),
+        }));
+        lines.push("counts".into());
+        lines.extend(counts().map(|(name, n)| format!("  {name:width$}  {n:>10}")));
+        lines.push("left out".into());
+        lines.extend(self.rows.iter().filter(|r| !r.ran).map(|r| format!("  {}: {}", r.name, r.why)));
+        if !self.notices.is_empty() {
+            lines.push("notices".into());
+            lines.extend(self.notices.iter().map(|n| format!("  {n}")));
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_by_nearest_rank() {
+        let times: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(Milliseconds::of(&times), Milliseconds { median: 50.5, p95: 95.0, min: 1.0 });
+        assert_eq!(Milliseconds::of(&[3.0]), Milliseconds { median: 3.0, p95: 3.0, min: 3.0 });
+        assert_eq!(Milliseconds::of(&[2.0, 1.0]), Milliseconds { median: 1.5, p95: 2.0, min: 1.0 });
+        assert_eq!(Milliseconds::of(&[]).median, 0.0);
+    }
+}

@@ -1,0 +1,99 @@
+//! Virtual sensors in a prediction: what they need, and where their answer goes.
+
+use super::print;
+use presight::geometry::Pose;
+use presight::io::{corridor, png};
+use presight::plan::Outputs;
+use presight::sensor::Sensor;
+use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor, floor_below};
+use presight::{Error, Prediction, Predictor, Result, Scene};
+use std::path::PathBuf;
+
+/// The virtual sensor of a prediction.
+#[derive(Debug, clap::Args)]
+pub struct VirtualArgs {
+    /// Use the sensor for one task: free-floor, edges, radar-lines, radar-nearest, radar-landmarks, depth-image,
+    /// vertical-planes or docking
+    ///
+    /// The answer goes under "virtual" into the file of --features; without that file one line is printed.
+    #[arg(long = "virtual", value_name = "NAME")]
+    pub task: Option<VirtualSensor>,
+
+    /// Where the robot is going to move, for radar-nearest: {polyline_in_robot, half_width, z_min, z_max}, metres
+    #[arg(long, value_name = "FILE.json", requires = "task")]
+    pub corridor: Option<PathBuf>,
+
+    /// Height of the floor in the world, for free-floor [default: of the robot's origin; without a [mount], of what is
+    /// straight below the sensor]
+    #[arg(long, value_name = "Z", requires = "task", allow_negative_numbers = true)]
+    floor_z: Option<f64>,
+
+    /// Write the pixels that free-floor marks, white on black
+    #[arg(long, value_name = "FILE.png", requires = "task")]
+    pub mask: Option<PathBuf>,
+}
+
+impl VirtualArgs {
+    /// Checks them without touching the world.
+    pub fn check(&self) -> Result<()> {
+        let only = |of: VirtualSensor, flag: &str, given: bool| {
+            if given && self.task != Some(of) {
+                let what = format!("--{flag} is for --virtual {}", of.name());
+                return Err(Error::usage(what, format!("drop --{flag}, or ask for {}", of.name())));
+            }
+            Ok(())
+        };
+        only(VirtualSensor::RadarNearest, "corridor", self.corridor.is_some())?;
+        only(VirtualSensor::FreeFloor, "floor-z", self.floor_z.is_some())?;
+        only(VirtualSensor::FreeFloor, "mask", self.mask.is_some())?;
+        match self.floor_z.filter(|z| !z.is_finite()) {
+            Some(z) => Err(Error::usage(format!("--floor-z {z}"), "give finite metres")),
+            None => Ok(()),
+        }
+    }
+
+    /// That the sensor can be used for it.
+    pub fn check_sensor(&self, sensor: &Sensor) -> Result<()> {
+        self.task.map_or(Ok(()), |v| v.check(sensor).map_err(|e| e.at("--virtual")))
+    }
+
+    /// The images it is made from.
+    pub fn outputs(&self) -> Outputs {
+        self.task.map_or(Outputs::of(&[]), VirtualSensor::outputs)
+    }
+
+    /// What the reading takes of memory for each pixel, and where it is written, its text too.
+    pub fn bytes_by_pixel(&self, written: bool) -> u64 {
+        match self.task {
+            None => 0,
+            Some(VirtualSensor::DepthImage) => 32 + if written { 72 } else { 0 },
+            Some(VirtualSensor::VerticalPlanes) => 64,
+            Some(_) => 6,
+        }
+    }
+
+    /// What the task says: the corridor is read, and the floor found.
+    pub fn settings(&self, scene: &Scene, sensor: &Sensor, pose: &Pose, predictor: &mut Predictor) -> Result<Settings> {
+        let corridor = self.corridor.as_deref().map(corridor::read).transpose()?;
+        let unknown = self.task == Some(VirtualSensor::FreeFloor)
+            && self.floor_z.is_none()
+            && sensor.spec().mount == Pose::IDENTITY;
+        let below = if unknown { Some(floor_below(predictor, &scene.world, sensor, pose)?) } else { None };
+        Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
+    }
+
+    /// Its answer, if one is asked for.
+    pub fn read(&self, scene: &Scene, prediction: &Prediction, settings: &Settings) -> Result<Option<VirtualReading>> {
+        let Some(task) = self.task else { return Ok(None) };
+        task.reduce(&View::of(prediction, scene.world.environment()), settings).map(Some)
+    }
+
+    /// Writes the mask, if it is asked for, and says in a line what was found unless that goes into a file.
+    pub fn tell(&self, reading: Option<&VirtualReading>, in_file: bool) -> Result<()> {
+        let Some(reading) = reading else { return Ok(()) };
+        if let (Some(path), Some(mask)) = (&self.mask, reading.mask()) {
+            png::write_mask(path, mask)?;
+        }
+        if in_file { Ok(()) } else { print::lines([reading.summary()]) }
+    }
+}

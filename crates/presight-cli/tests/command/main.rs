@@ -1,0 +1,606 @@
+//! The command from outside: what it writes, what it says, and with which exit status.
+
+mod deadline;
+mod features;
+#[cfg(target_os = "linux")]
+mod memory;
+mod messages;
+#[cfg(unix)]
+mod outputs;
+#[cfg(feature = "script")]
+mod scripts;
+#[cfg(unix)]
+mod signals;
+mod special;
+mod virtual_sensors;
+
+use assert_cmd::Command;
+use presight::io::exr;
+use serde_json::{Value, json};
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// A folder with a scene in it: a wall of 2 m x 2 m at x = 2 m, y from -1 to 1, z from 0 to 2, as two triangles.
+struct Place {
+    folder: TempDir,
+}
+
+/// The wall's corners in glTF's frame: (x, z, -y).
+const WALL: [[f32; 3]; 4] = [[2.0, 0.0, 1.0], [2.0, 0.0, -1.0], [2.0, 2.0, -1.0], [2.0, 2.0, 1.0]];
+const WALL_INDICES: [u16; 6] = [0, 1, 2, 0, 2, 3];
+
+impl Place {
+    fn new() -> Self {
+        let place = Self { folder: tempfile::tempdir().unwrap() };
+        place.write("wall.glb", &wall(|_| (), WALL, WALL_INDICES));
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) {
+        fs::write(self.path(name), bytes).unwrap();
+    }
+
+    fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.folder.path()).unwrap();
+        let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// Runs the command in the folder; arguments are separated by spaces.
+    fn run(&self, line: &str) -> Outcome {
+        self.run_args(&line.split_whitespace().collect::<Vec<_>>())
+    }
+
+    fn run_args(&self, args: &[&str]) -> Outcome {
+        let mut command = Command::cargo_bin("presight").unwrap();
+        command.current_dir(self.folder.path()).args(args);
+        // Vulkan that cannot be: tests of the command must give the same everywhere.
+        for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
+            command.env(variable, "/nonexistent");
+        }
+        let output = command.output().unwrap();
+        Outcome {
+            status: output.status.code(),
+            stdout: String::from_utf8(output.stdout).unwrap(),
+            stderr: String::from_utf8(output.stderr).unwrap(),
+        }
+    }
+
+    /// Runs what must succeed without a word on stderr.
+    fn done(&self, line: &str) -> String {
+        let outcome = self.run(line);
+        assert_eq!((outcome.status, outcome.stderr.as_str()), (Some(0), ""), "{line}\n{}", outcome.stdout);
+        outcome.stdout
+    }
+
+    fn images(&self, name: &str) -> exr::ImageFile {
+        exr::read(&self.path(name)).unwrap()
+    }
+
+    fn json(&self, name: &str) -> Value {
+        serde_json::from_slice(&fs::read(self.path(name)).unwrap()).unwrap()
+    }
+}
+
+#[derive(Debug)]
+struct Outcome {
+    status: Option<i32>,
+    stdout: String,
+    stderr: String,
+}
+
+/// A .glb of one mesh; `change` edits its JSON.
+fn wall<const I: usize>(change: impl FnOnce(&mut Value), positions: [[f32; 3]; 4], indices: [u16; I]) -> Vec<u8> {
+    let mut bin: Vec<u8> = positions.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    bin.extend(indices.iter().flat_map(|i| i.to_le_bytes()));
+    let mut root = json!({
+        "asset": { "version": "2.0" },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "name": "wall", "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1 }] }],
+        "buffers": [{ "byteLength": bin.len() }],
+        "bufferViews": [
+            { "buffer": 0, "byteOffset": 0, "byteLength": 48 },
+            { "buffer": 0, "byteOffset": 48, "byteLength": 2 * I },
+        ],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
+              "min": [2.0, 0.0, -1.0], "max": [2.0, 2.0, 1.0] },
+            { "bufferView": 1, "componentType": 5123, "count": I, "type": "SCALAR" },
+        ],
+    });
+    change(&mut root);
+    glb(&root, &bin)
+}
+
+fn glb(root: &Value, bin: &[u8]) -> Vec<u8> {
+    let padded = |bytes: &[u8], with: u8| {
+        let mut bytes = bytes.to_vec();
+        bytes.resize(bytes.len().next_multiple_of(4), with);
+        bytes
+    };
+    let (json, bin) = (padded(root.to_string().as_bytes(), b' '), padded(bin, 0));
+    let mut all = b"glTF".to_vec();
+    let total = 12 + 8 + json.len() + 8 + bin.len();
+    all.extend([2u32, total as u32, json.len() as u32].iter().flat_map(|v| v.to_le_bytes()));
+    all.extend(b"JSON");
+    all.extend(json);
+    all.extend((bin.len() as u32).to_le_bytes());
+    all.extend(b"BIN\0");
+    all.extend(bin);
+    all
+}
+
+const VIEW: &str = "--sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu";
+
+#[test]
+fn a_prediction_is_written_with_what_made_it() {
+    let place = Place::new();
+    assert_eq!(place.done(&format!("predict wall.glb {VIEW} --out a.exr")), "");
+    let file = place.images("a.exr");
+    assert_eq!((file.images.width, file.images.height), (361, 1));
+    // Azimuth -90 + 180 x 0.5 = 0 looks at the wall; -90 and +90 look along it.
+    assert_eq!(file.images.range[180], 2.0);
+    assert_eq!([file.images.range[0], file.images.range[360]], [f32::INFINITY; 2]);
+    assert_eq!((file.images.polygon_id[180], file.images.object_id[180], file.images.cos_incidence[180]), (1, 1, 1.0));
+    assert!(file.images.depth_z.is_empty());
+    let attributes = file.attributes;
+    assert_eq!(attributes.objects.get(&1).map(String::as_str), Some("wall"));
+    assert_eq!(attributes.scene.as_deref(), Some("wall.glb"));
+    assert_eq!(attributes.scene_blake3.map(|hash| hash.len()), Some(64));
+    assert_eq!(attributes.world_from_sensor.unwrap().translation.to_array(), [0.0, 0.0, 1.0]);
+    fs::write(place.path("again.toml"), attributes.sensor.unwrap()).unwrap();
+    place.done("predict wall.glb --sensor again.toml --pose 0,0,1,0,0,0 --backend cpu --out b.exr");
+    let (a, b) = (place.images("a.exr").images, place.images("b.exr").images);
+    assert_eq!((a.range, a.polygon_id), (b.range, b.polygon_id));
+}
+
+#[test]
+fn only_asked_outputs_are_written() {
+    let place = Place::new();
+    place.done(&format!("predict wall.glb {VIEW} --outputs range --out a.exr --png a.png"));
+    let names: Vec<_> = place.images("a.exr").images.outputs().iter().map(|o| o.name()).collect();
+    assert_eq!(names, ["range"]);
+}
+
+#[test]
+fn source_ids_number_triangles() {
+    let place = Place::new();
+    place.done(&format!("predict wall.glb {VIEW} --ids source --out a.exr"));
+    let ids = place.images("a.exr").images.polygon_id;
+    assert!(ids.contains(&1) && ids.contains(&2) && !ids.contains(&3));
+}
+
+#[test]
+fn every_way_to_say_a_pose_gives_the_same_images() {
+    let place = Place::new();
+    let base = "predict wall.glb --sensor video-camera --backend cpu";
+    place.done(&format!("{base} --pose -1,0.25,1,0,0,0 --out body.exr"));
+    let body = place.images("body.exr").images;
+    assert!(body.polygon_id.contains(&1));
+    // The same pose as a quaternion, of the optical frame (roll -90, yaw -90), in the file's y-up world (x, z, -y) with
+    // the sensor turned back by -90 about x.
+    let ways = [
+        "--pose -1,0.25,1,0,0,0,1",
+        "--pose=-1,0.25,1,-0.5,0.5,-0.5,0.5 --pose-frame optical",
+        "--pose -1,1,-0.25,-90,0,0 --world-frame gltf",
+        "--pose -1,0.25,1,0,0,0 --pose-of robot",
+    ];
+    for way in ways {
+        place.done(&format!("{base} {way} --out other.exr"));
+        let outcome = place.run("compare body.exr other.exr --scene wall.glb --precision f64");
+        assert_eq!(outcome.status, Some(0), "{way}: {}", outcome.stdout);
+    }
+    place.done(&format!("{base} --pose 1,0.25,1,0,0,0 --out other.exr"));
+    assert_eq!(place.run("compare body.exr other.exr --scene wall.glb").status, Some(1));
+}
+
+#[test]
+fn without_an_output_flag_there_is_one_line() {
+    let place = Place::new();
+    let summary = place.done(&format!("predict wall.glb {VIEW}"));
+    assert_eq!(summary.lines().count(), 1);
+    for word in ["laser-scanner 361 x 1", "% of rays hit", "1 of 1 objects", "ms on cpu"] {
+        assert!(summary.contains(word), "{word:?} in {summary}");
+    }
+    assert_eq!(place.names(), ["wall.glb"]);
+}
+
+#[test]
+fn statistics_and_explanation_say_what_it_cost() {
+    let place = Place::new();
+    let told = place.done(&format!("predict wall.glb {VIEW} --threads 1 --repeat 5 --stats s.json --explain"));
+    for word in ["engine", "stages", "left out", "depth_z image: not asked for"] {
+        assert!(told.contains(word), "{word:?} in {told}");
+    }
+    let stats = place.json("s.json");
+    let ms = |name: &str| stats["prediction_ms"][name].as_f64().unwrap();
+    assert!(0.0 < ms("min") && ms("min") <= ms("median") && ms("median") <= ms("p95"));
+    assert_eq!((&stats["repeat"], &stats["engine"], &stats["threads"]), (&json!(5), &json!("cpu"), &json!(1)));
+    assert_eq!(stats["versions"]["presight"], json!(env!("CARGO_PKG_VERSION")));
+    for key in ["stages_ms", "counts", "left_out", "notices", "adapter", "outputs"] {
+        assert!(stats.get(key).is_some(), "{key}");
+    }
+    assert_eq!(stats["counts"]["polygons selected"], 1, "{}", stats["counts"]);
+    assert!(stats["counts"].as_object().unwrap().keys().all(|name| !name.contains('_')), "{}", stats["counts"]);
+}
+
+#[test]
+fn pictures_and_points_are_written() {
+    let place = Place::new();
+    for output in ["range", "polygon_id", "object_id", "cos_incidence", "depth_z"] {
+        let view = "--sensor video-camera --pose -1,0,1,0,0,0 --backend cpu";
+        place.done(&format!("predict wall.glb {view} --png {output}.png --png-of {output} --depth-png depth.png"));
+        assert!(image::open(place.path(&format!("{output}.png"))).unwrap().width() > 500);
+    }
+    let depth = image::open(place.path("depth.png")).unwrap().into_luma16();
+    assert_eq!(
+        (depth.width(), depth.height(), depth.get_pixel(256, 256).0, depth.get_pixel(0, 0).0),
+        (512, 512, [3000], [0])
+    );
+    place.done(&format!("predict wall.glb {VIEW} --points a.ply"));
+    place.done(&format!("predict wall.glb {VIEW} --points a.pcd --points-frame world"));
+    assert!(fs::read(place.path("a.ply")).unwrap().starts_with(b"ply\nformat binary_little_endian 1.0\n"));
+    assert!(fs::read(place.path("a.pcd")).unwrap().starts_with(b"# .PCD v0.7"));
+}
+
+#[test]
+fn comparison_finds_a_fault_and_says_where() {
+    let place = Place::new();
+    place.done(&format!("predict wall.glb {VIEW} --out a.exr"));
+    place.done(&format!("predict wall.glb {VIEW} --out same.exr"));
+    assert!(place.done("compare a.exr same.exr").contains("361 same"));
+    let mut file = place.images("a.exr");
+    file.images.range[180] += 0.01;
+    exr::write(&place.path("off.exr"), &file.images, file.images.outputs(), &file.attributes).unwrap();
+    for scene in ["", "--scene wall.glb"] {
+        let outcome = place.run(&format!("compare a.exr off.exr --json verdict.json {scene}"));
+        assert_eq!((outcome.status, outcome.stderr.as_str()), (Some(1), ""));
+        assert!(outcome.stdout.contains("1 faults") && outcome.stdout.contains("pixel (180, 0)"), "{}", outcome.stdout);
+        let verdict = place.json("verdict.json");
+        assert_eq!((&verdict["fault"], &verdict["faults"][0]["column"]), (&json!(1), &json!(180)));
+    }
+}
+
+#[test]
+fn presets_print_what_sensor_takes() {
+    let place = Place::new();
+    let listed = place.done("sensors");
+    assert_eq!(listed.lines().count(), 8);
+    for line in listed.lines() {
+        let name = line.split_whitespace().next().unwrap();
+        place.write("mine.toml", place.done(&format!("sensors {name}")).as_bytes());
+        place.done("predict wall.glb --sensor mine.toml --pose 0,0,1,0,0,0 --backend cpu");
+    }
+}
+
+#[test]
+fn inspection_counts_in_words_and_json() {
+    let place = Place::new();
+    let words = place.done("inspect wall.glb");
+    assert!(words.contains("objects    1") && words.contains("from 2 triangles"), "{words}");
+    let json: Value = serde_json::from_str(&place.done("inspect wall.glb --json")).unwrap();
+    assert_eq!((&json["objects"][0]["name"], &json["triangles_in_scene"]), (&json!("wall"), &json!(2)));
+    let low: Vec<f64> = serde_json::from_value(json["bounds"]["min"].clone()).unwrap();
+    assert!((0..3).all(|i| (low[i] - [2.0, -1.0, 0.0][i]).abs() < 1e-9), "{low:?}");
+}
+
+#[test]
+fn indexes_are_measured() {
+    let place = Place::new();
+    place.write("poses.tum", b"# t x y z qx qy qz qw\n0 0 0 1 0 0 0 1\n1 5 0 1 0 0 0 1\n");
+    let words = place.done("index wall.glb --poses poses.tum --repeat 1 --sensor laser-range-camera --out study");
+    assert!(words.starts_with("1 polygons, 2 poses"), "{words}");
+    let csv = fs::read_to_string(place.path("study/index.csv")).unwrap();
+    let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
+    let columns = "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms";
+    assert_eq!(lines[0][..11].join(","), columns);
+    let schemes: Vec<&str> = lines[1..].iter().step_by(2).map(|l| l[0]).collect();
+    assert_eq!(schemes, ["none", "grid", "plop", "s2d", "s3d", "two-level"]);
+    for line in &lines[1..] {
+        // In view from the first pose, behind the second: the median of 1 and 0; nothing needless is returned.
+        assert_eq!((line[2], line[3], line[7], line[8], line[9]), ("2", "", "0.5", "0.5", "1.0000"), "{line:?}");
+        assert_eq!(line[10].is_empty(), line[1] == "sector", "{line:?}");
+    }
+}
+
+#[test]
+fn any_index_predicts_the_same() {
+    let place = Place::new();
+    let line = |index: &str| format!("predict wall.glb {VIEW} --index {index} --out {index}.exr");
+    for index in ["none", "grid", "plop", "s2d", "s3d", "two-level"] {
+        place.done(&line(index));
+        place.done(&format!("compare none.exr {index}.exr"));
+    }
+}
+
+#[test]
+fn help_has_examples_and_a_reader_may_leave() {
+    let place = Place::new();
+    for command in ["", "predict", "inspect", "sensors", "compare"] {
+        assert!(place.done(&format!("{command} --help")).contains("Examples:"), "{command}");
+    }
+    let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("presight"))
+        .arg("sensors")
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), output.stderr.as_slice()), (Some(0), b"".as_slice()));
+}
+
+/// A bad input: arguments, exit status, and what the one line must name.
+struct Bad {
+    line: String,
+    status: i32,
+    names: Vec<&'static str>,
+}
+
+fn bad(line: impl Into<String>, status: i32, names: &[&'static str]) -> Bad {
+    Bad { line: line.into(), status, names: names.to_vec() }
+}
+
+/// Runs every case: the exit status, exactly one line on stderr with all names in it, nothing on stdout, no file.
+fn check(place: &Place, cases: Vec<Bad>) {
+    let before = place.names();
+    for case in cases {
+        let outcome = place.run(&case.line);
+        let said = &outcome.stderr;
+        assert_eq!(outcome.status, Some(case.status), "{}: {said}", case.line);
+        assert_eq!((said.lines().count(), outcome.stdout.as_str()), (1, ""), "{}: {said}", case.line);
+        assert!(said.starts_with("error: ") && said.ends_with('\n'), "{}: {said}", case.line);
+        for name in case.names {
+            assert!(said.contains(name), "{}: {name:?} is not in: {said}", case.line);
+        }
+        assert_eq!(place.names(), before, "{}", case.line);
+    }
+}
+
+fn predict(scene: &str) -> String {
+    format!("predict {scene} {VIEW} --out out.exr")
+}
+
+/// Scenes that are broken, each with what its message must name besides the file.
+fn broken_scenes() -> Vec<(&'static str, Vec<u8>, Vec<&'static str>)> {
+    let changed = |change: fn(&mut Value)| wall(change, WALL, WALL_INDICES);
+    let moved = |to: f32| {
+        let mut positions = WALL;
+        positions[2][1] = to;
+        wall(|_| (), positions, WALL_INDICES)
+    };
+    let whole = wall(|_| (), WALL, WALL_INDICES);
+    vec![
+        ("truncated.glb", whole[..whole.len() - 20].to_vec(), vec!["truncated"]),
+        ("empty.glb", Vec::new(), vec![]),
+        ("text.glb", b"solid this is STL\n".to_vec(), vec!["glTF"]),
+        ("index.glb", wall(|_| (), WALL, [0, 1, 2, 0, 2, 9]), vec!["9"]),
+        ("nan.glb", moved(f32::NAN), vec!["mesh", "NaN"]),
+        ("infinite.glb", moved(f32::INFINITY), vec!["mesh", "inf"]),
+        ("flat.glb", changed(|r| r["nodes"][0]["scale"] = json!([1, 0, 1])), vec!["wall", "scale"]),
+        ("cycle.glb", changed(|r| r["nodes"][0]["children"] = json!([0])), vec!["node"]),
+        (
+            "extension.glb",
+            changed(|r| {
+                r["extensionsRequired"] = json!(["ACME_nurbs"]);
+                r["extensionsUsed"] = json!(["ACME_nurbs"]);
+            }),
+            vec!["ACME_nurbs"],
+        ),
+        ("claim.glb", changed(|r| r["accessors"][1]["count"] = json!(3_000_000_000_u64)), vec!["3000000000"]),
+        ("nothing.glb", changed(|r| r["scenes"][0]["nodes"] = json!([])), vec!["scene"]),
+        ("version.glb", changed(|r| r["asset"]["version"] = json!("3.0")), vec!["3.0"]),
+    ]
+}
+
+#[test]
+fn bad_scenes() {
+    let place = Place::new();
+    let mut cases = vec![bad(predict("missing.glb"), 1, &["missing.glb: ", "; check the path"])];
+    for (name, bytes, names) in broken_scenes() {
+        place.write(name, &bytes);
+        for line in [predict(name), format!("inspect {name}")] {
+            let mut all = vec![name, "; "];
+            all.extend(&names);
+            cases.push(bad(line, 1, &all));
+        }
+    }
+    place.write(
+        "nobin.gltf",
+        br#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"scene":0,"nodes":[{"mesh":0}],
+        "buffers":[{"byteLength":48,"uri":"gone.bin"}],"bufferViews":[{"buffer":0,"byteLength":48}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]}"#,
+    );
+    cases.push(bad(predict("nobin.gltf"), 1, &["gone.bin", "; "]));
+    check(&place, cases);
+}
+
+fn camera(width: u32, height: u32) -> String {
+    format!(
+        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
+    )
+}
+
+#[test]
+fn bad_sensors() {
+    let place = Place::new();
+    place.write("zero.toml", camera(0, 10).as_bytes());
+    place.write("huge.toml", camera(100_000, 10).as_bytes());
+    place.write("area.toml", camera(16_384, 16_384).as_bytes());
+    place.write("key.toml", (camera(10, 10) + "colour = \"red\"\n").as_bytes());
+    place.write("newer.toml", camera(10, 10).replace("format = 1", "format = 99").as_bytes());
+    let with =
+        |sensor: &str| format!("predict wall.glb --sensor {sensor} --pose 0,0,1,0,0,0 --backend cpu --out out.exr");
+    check(
+        &place,
+        vec![
+            bad(with("zero.toml"), 1, &["zero.toml", "0 x 10", "; give sides"]),
+            bad(with("huge.toml"), 1, &["huge.toml", "100000 x 10", "; give sides"]),
+            bad(with("area.toml"), 1, &["area.toml", "16384 x 16384", "; "]),
+            bad(with("key.toml"), 1, &["key.toml", "colour", "; "]),
+            bad(with("newer.toml"), 1, &["newer.toml", "99", "; "]),
+            bad(with("gone.toml"), 1, &["gone.toml", "; check the path"]),
+            bad(with("no-such-preset"), 2, &["no-such-preset", "; choose", "video-camera"]),
+            bad("sensors no-such-preset", 2, &["no-such-preset", "; choose", "video-camera"]),
+        ],
+    );
+}
+
+#[test]
+fn wrong_usage() {
+    let place = Place::new();
+    let with = |rest: &str| format!("predict wall.glb --sensor laser-scanner --backend cpu --out out.exr {rest}");
+    let posed = |rest: &str| with(&format!("--pose 0,0,1,0,0,0 {rest}"));
+    check(
+        &place,
+        vec![
+            bad(with("--pose nan,0,1,0,0,0"), 2, &["--pose nan,0,1,0,0,0", "not finite", "; give x,y,z"]),
+            bad(with("--pose 0,0,1,0,0,-inf"), 2, &["--pose", "not finite", "; give x,y,z"]),
+            bad(with("--pose 0,0,1"), 2, &["--pose 0,0,1", "3 numbers", "; give x,y,z"]),
+            bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion", "; give x,y,z"]),
+            bad(with(""), 2, &["--pose", "; see presight predict --help"]),
+            bad(posed("--outputs range,colour"), 2, &["colour", "choose from range"]),
+            bad(posed("--outputs depth_z"), 2, &["depth_z", "no camera", "; ask for range"]),
+            bad(posed("--png-of range"), 2, &["--png", "; see presight predict --help"]),
+            bad(posed("--points cloud.xyz"), 2, &["cloud.xyz", "; end the name in .ply or .pcd"]),
+            bad(posed("--png view.exr"), 2, &["view.exr", "writes .png; end the name in .png"]),
+            bad(posed("--ids source --merge-tolerance 1e-6"), 2, &["--merge-tolerance", "; drop"]),
+            bad(posed("--merge-tolerance nan"), 2, &["merge tolerance", "; give"]),
+            bad(
+                "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cuda",
+                2,
+                &["cuda", "auto, cpu, gpu", "; see"],
+            ),
+            bad(posed("--index r-tree"), 2, &["r-tree", "choose from none, grid", "; see"]),
+            bad(posed("--threads 100000"), 2, &["100000 threads", "; give at most"]),
+            bad("index wall.glb --count 0", 2, &["--count", "; see presight index --help"]),
+            bad("index wall.glb --count 3", 1, &["free poses", "; give poses"]),
+            bad("index wall.glb --poses none.tum", 1, &["none.tum", "; "]),
+            bad(posed("--repeat 0"), 2, &["--repeat", "; see"]),
+            bad("predikt wall.glb", 2, &["predikt", "; see"]),
+        ],
+    );
+}
+
+#[test]
+fn unwritable_outputs() {
+    let place = Place::new();
+    fs::create_dir(place.path("folder")).unwrap();
+    let mut cases = Vec::new();
+    for flag in
+        ["--out X.exr", "--png X.png", "--depth-png X.png", "--points X.ply", "--points X.pcd", "--stats X.json"]
+    {
+        let (flag, name) = flag.split_once(" X").unwrap();
+        let line = format!("predict wall.glb {VIEW} {flag} none/out{name}");
+        cases.push(bad(line, 4, &["none/out", "cannot write", "; create the folder"]));
+    }
+    cases.push(bad(format!("predict wall.glb {VIEW} --out folder"), 4, &["folder", "; name a file"]));
+    if Path::new("/dev/full").exists() {
+        cases.push(bad(
+            format!("predict wall.glb {VIEW} --out /dev/full"),
+            4,
+            &["/dev/full", "; free some disk space"],
+        ));
+    }
+    check(&place, cases);
+    place.write("old.exr", b"what was there");
+    let outcome = place.run("predict missing.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --out old.exr");
+    assert_eq!((outcome.status, fs::read(place.path("old.exr")).unwrap()), (Some(1), b"what was there".to_vec()));
+}
+
+#[test]
+fn bad_comparisons() {
+    let place = Place::new();
+    place.done(&format!("predict wall.glb {VIEW} --out a.exr"));
+    place.done("predict wall.glb --sensor microwave-radar-scan --pose 0,0,1,0,0,0 --backend cpu --out b.exr");
+    let whole = fs::read(place.path("a.exr")).unwrap();
+    place.write("cut.exr", &whole[..whole.len() / 2]);
+    place.write("text.exr", b"no image at all");
+    place.write("other.glb", &wall(|_| (), WALL, [0, 1, 2, 0, 2, 1]));
+    check(
+        &place,
+        vec![
+            bad("compare a.exr gone.exr", 1, &["gone.exr", "; check the path"]),
+            bad("compare text.exr a.exr", 1, &["text.exr", "no sound EXR", "; "]),
+            bad("compare a.exr cut.exr", 1, &["cut.exr", "; "]),
+            bad("compare a.exr a.exr --scene other.glb", 1, &["other.glb", "a.exr", "; give wall.glb"]),
+            bad("compare a.exr a.exr --json none/verdict.json", 4, &["none/verdict.json", "; create the folder"]),
+            bad("compare a.exr", 2, &["OTHER", "; see presight compare --help"]),
+        ],
+    );
+    let outcome = place.run("compare a.exr b.exr");
+    assert_eq!(outcome.status, Some(1));
+    assert!(outcome.stderr.contains("b.exr: 361 x 1 pixels against 3600 x 1"), "{}", outcome.stderr);
+}
+
+#[test]
+fn without_vulkan_gpu_is_refused_and_auto_goes_on() {
+    let place = Place::new();
+    let line = "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --out out.exr --backend gpu";
+    check(&place, vec![bad(line, 3, &["use --backend cpu"])]);
+    let outcome = place.run("predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend auto");
+    assert_eq!(outcome.status, Some(0), "{}", outcome.stderr);
+    assert!(outcome.stdout.contains("on cpu"), "{}", outcome.stdout);
+}
+
+#[test]
+fn doctor_lists_engines_and_says_which_is_used() {
+    let place = Place::new();
+    let outcome = place.run("doctor");
+    assert_eq!(outcome.status, Some(0), "{}", outcome.stdout);
+    assert!(
+        outcome.stdout.contains("CPU engine") && outcome.stdout.contains("--backend auto takes"),
+        "{}",
+        outcome.stdout
+    );
+    assert!(outcome.stdout.matches("right: ").count() >= 4 && !outcome.stdout.contains("WRONG"), "{}", outcome.stdout);
+    let looks_for_drivers = cfg!(all(feature = "gpu", target_os = "linux"));
+    assert_eq!(outcome.stdout.contains("VK_DRIVER_FILES=/nonexistent is set"), looks_for_drivers, "{}", outcome.stdout);
+}
+
+/// A pipe that nobody writes to is refused, not waited for.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused() {
+    let place = Place::new();
+    for name in ["pipe.glb", "pipe.gltf", "pipe.presight", "pipe.rhai", "pipe.json", "wall.materials.toml"] {
+        assert!(std::process::Command::new("mkfifo").arg(place.path(name)).status().unwrap().success());
+    }
+    let pose = "--sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu";
+    let mut lines: Vec<String> = ["glb", "gltf", "presight", "rhai"].map(|e| format!("inspect pipe.{e}")).to_vec();
+    lines.extend(["inspect wall.glb".to_owned(), "inspect /dev/zero".to_owned()]);
+    for line in &lines {
+        let outcome = place.run(line);
+        assert_eq!((outcome.status, outcome.stdout.as_str()), (Some(1), ""), "{line}: {}", outcome.stderr);
+        assert!(
+            outcome.stderr.contains("no file") || outcome.stderr.contains("not a file"),
+            "{line}: {}",
+            outcome.stderr
+        );
+    }
+    fs::remove_file(place.path("wall.materials.toml")).unwrap();
+    let outcome = place.run(&format!("predict wall.glb {pose} --layer pipe.json"));
+    assert!(outcome.status == Some(1) && outcome.stderr.contains("pipe.json: this is a pipe"), "{}", outcome.stderr);
+    // One that this process was given is read.
+    let layer = r#"{"format": 1, "class": "laser", "features": [{"id": 1, "kind": "point", "points": [[2, 0, 1]]}]}"#;
+    let mut command = Command::cargo_bin("presight").unwrap();
+    let args = format!("predict wall.glb {pose} --layer /dev/stdin --features f.json");
+    command.current_dir(place.folder.path()).args(args.split(' ')).write_stdin(layer).assert().success();
+}
+
+#[test]
+fn help_tells_what_a_scene_is() {
+    let place = Place::new();
+    let help = place.done("--help");
+    assert!([".glb", ".rhai", ".presight"].iter().all(|kind| help.contains(kind)), "{help}");
+    assert!(help.contains("locked"), "{help}");
+}

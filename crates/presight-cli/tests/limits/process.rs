@@ -1,0 +1,194 @@
+//! The built command as a process of an unprivileged user, with less than it may want.
+
+use presight_testkit::skip::skip;
+use std::fs::{self, Permissions};
+use std::io::{Read, Write};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Longer takes nothing here, on the slowest machine: it hangs.
+const HANGS: Duration = Duration::from_secs(60);
+
+/// Users whom no system knows, one for each process, so that threads of others do not count; the first is root's or an
+/// own one where the tests may not become another.
+const FIRST_USER: u32 = 50_000;
+const USERS: u32 = 10_000;
+
+/// What a process gets.
+#[derive(Clone, Debug, Default)]
+pub struct Limits {
+    /// Options of `prlimit`, such as `--nofile=16`.
+    pub options: Vec<String>,
+    /// Where its standard output goes.
+    pub stdout: Out,
+    /// It is interrupted so long after its start.
+    pub interrupt: Option<Duration>,
+    /// Real graphics drivers; otherwise it finds none.
+    pub drivers: bool,
+}
+
+/// Where standard output goes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Out {
+    /// It is read.
+    #[default]
+    Read,
+    /// It is a pipe that nobody reads any more.
+    Left,
+    /// There is none.
+    Closed,
+    /// It is a device that is full.
+    Full,
+}
+
+impl Limits {
+    /// Of one option.
+    pub fn of(option: &str) -> Self {
+        Self { options: vec![option.to_owned()], ..Self::default() }
+    }
+}
+
+/// How a process ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its exit status, if it exited.
+    pub status: Option<i32>,
+    /// The signal that ended it.
+    pub signal: Option<i32>,
+    /// It had to be killed after [`HANGS`].
+    pub hung: bool,
+    /// What it printed.
+    pub stdout: String,
+    /// What it said.
+    pub stderr: String,
+    /// How long it took.
+    pub time: Duration,
+}
+
+/// A copy of the command that any user may start, and whether the tests can start it as another.
+struct Program {
+    _folder: tempfile::TempDir,
+    path: PathBuf,
+    as_others: bool,
+}
+
+/// `None`, counted, where processes cannot be limited, or root cannot become another: nothing limits root.
+fn program() -> Option<&'static Program> {
+    static PROGRAM: OnceLock<Result<Program, String>> = OnceLock::new();
+    let program = PROGRAM.get_or_init(|| {
+        let folder = open_folder();
+        let path = folder.path().join("presight");
+        let built = env!("CARGO_BIN_EXE_presight");
+        fs::hard_link(built, &path).or_else(|_| fs::copy(built, &path).map(|_| ())).unwrap();
+        let is_root = folder.path().metadata().unwrap().uid() == 0;
+        let mut probe = Command::new("prlimit");
+        probe.args(["--nproc=1", "--", "env", "--default-signal=INT", "true"]);
+        if is_root {
+            probe.uid(FIRST_USER).gid(FIRST_USER);
+        }
+        match probe.output() {
+            Ok(output) if output.status.success() => Ok(Program { _folder: folder, path, as_others: is_root }),
+            Ok(output) => Err(format!("prlimit fails: {}", String::from_utf8_lossy(&output.stderr).trim())),
+            Err(e) => Err(format!("prlimit cannot be started as an unprivileged user: {e}")),
+        }
+    });
+    program.as_ref().inspect_err(|why| skip(why)).ok()
+}
+
+/// True if processes can be limited here; otherwise that is counted as skipped.
+pub fn can_limit() -> bool {
+    program().is_some()
+}
+
+/// A temporary folder that everybody may enter.
+pub fn open_folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
+    folder
+}
+
+/// Starts the command in a folder, which becomes its user's with all that is in it, and waits for its end.
+pub fn run(folder: &Path, args: &[String], input: &str, limits: &Limits) -> Ended {
+    let program = program().expect("can_limit was asked");
+    let mut command = Command::new("prlimit");
+    command.args(&limits.options).arg("--");
+    // Tests may run with interrupts ignored, which children inherit.
+    command.args(["env", "--default-signal=INT"]);
+    if limits.stdout == Out::Closed {
+        command.args(["sh", "-c", "exec \"$0\" \"$@\" >&-"]);
+    }
+    command.arg(&program.path).args(args).current_dir(folder);
+    // As many threads on every machine.
+    command.env("RAYON_NUM_THREADS", "2").env("TMPDIR", folder);
+    if !limits.drivers {
+        command.env("VK_DRIVER_FILES", "/nonexistent").env("VK_ICD_FILENAMES", "/nonexistent");
+    }
+    if program.as_others {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let user = FIRST_USER + (std::process::id() * 64 + NEXT.fetch_add(1, Ordering::Relaxed)) % USERS;
+        give(folder, user);
+        command.uid(user).gid(user);
+    }
+    command.stdin(Stdio::piped()).stderr(Stdio::piped()).stdout(match limits.stdout {
+        Out::Full => fs::OpenOptions::new().write(true).open("/dev/full").unwrap().into(),
+        _ => Stdio::piped(),
+    });
+    watch(&mut command, input, limits)
+}
+
+/// A folder and all in it belong to somebody from now on; rights stay as they are.
+fn give(folder: &Path, user: u32) {
+    chown(folder, Some(user), Some(user)).unwrap();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { give(&path, user) } else { chown(&path, Some(user), Some(user)).unwrap() }
+    }
+}
+
+fn watch(command: &mut Command, input: &str, limits: &Limits) -> Ended {
+    let start = Instant::now();
+    let mut child = command.spawn().unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    // It may end before it reads.
+    let _ = stdin.write_all(input.as_bytes());
+    drop(stdin);
+    let stdout = child.stdout.take().filter(|_| limits.stdout != Out::Left).map(collect);
+    let stderr = child.stderr.take().map(collect);
+    if let Some(delay) = limits.interrupt {
+        thread::sleep(delay.saturating_sub(start.elapsed()));
+        // Not waited for yet: the number is still its own.
+        Command::new("kill").args(["-INT", &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
+    }
+    let hung = !ends(&mut child, start);
+    if hung {
+        child.kill().unwrap();
+    }
+    let status = child.wait().unwrap();
+    let text = |reader: Option<thread::JoinHandle<String>>| reader.map(|r| r.join().unwrap()).unwrap_or_default();
+    let (stdout, stderr) = (text(stdout), text(stderr));
+    Ended { status: status.code(), signal: status.signal(), hung, stdout, stderr, time: start.elapsed() }
+}
+
+fn ends(child: &mut Child, start: Instant) -> bool {
+    while start.elapsed() < HANGS {
+        if child.try_wait().unwrap().is_some() {
+            return true;
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+    false
+}
+
+fn collect(mut pipe: impl Read + Send + 'static) -> thread::JoinHandle<String> {
+    thread::spawn(move || {
+        let mut bytes = Vec::new();
+        pipe.read_to_end(&mut bytes).unwrap();
+        String::from_utf8_lossy(&bytes).into_owned()
+    })
+}

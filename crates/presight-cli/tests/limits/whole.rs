@@ -1,0 +1,100 @@
+//! Whether a command ended as it may, and left nothing but whole files.
+
+use super::process::{Ended, Out};
+use super::rows::{Pantry, Row, files};
+use std::fs;
+use std::path::Path;
+
+/// What a command may do under a limit, besides its work.
+#[derive(Clone, Copy, Debug)]
+pub enum May {
+    /// Fail with one of these statuses.
+    Fail(&'static [i32]),
+    /// Be ended by this signal.
+    EndBy(i32),
+    /// Anything but hang, panic in our code, or leave half a file: a foreign driver is at work.
+    BeForeign,
+}
+
+/// The ways in which it did not, in words.
+pub fn faults(row: &Row, ended: &Ended, folder: &Path, may: May, stdout: Out) -> Vec<String> {
+    let mut faults = Vec::new();
+    let errors = ended.stderr.lines().filter(|line| line.starts_with("error: ")).count();
+    let done = ended.status == Some(0);
+    let panicked = match may {
+        May::BeForeign => ["src/", "crates/"].iter().any(|ours| ended.stderr.contains(&format!("panicked at {ours}"))),
+        _ => ended.stderr.contains("panicked"),
+    };
+    if ended.hung || panicked {
+        faults.push(if ended.hung { "it hangs".into() } else { "it panics".into() });
+    }
+    let as_told = match (may, ended.status, ended.signal) {
+        (May::BeForeign, ..) => true,
+        (_, Some(0), _) => errors == 0,
+        (May::Fail(statuses), Some(status), _) => statuses.contains(&status) && errors == 1,
+        (May::EndBy(wanted), None, Some(signal)) => signal == wanted && errors == 0,
+        _ => false,
+    };
+    if !as_told {
+        faults.push(format!("status {:?}, signal {:?}, {errors} errors", ended.status, ended.signal));
+    }
+    let usual = Pantry::get().usual.get(row.line);
+    let printed = |text: &str| text.lines().count();
+    if let Some(usual) = usual.filter(|_| done && stdout == Out::Read && !row.line.starts_with("doctor")) {
+        let (is, was) = (printed(&ended.stdout), printed(&usual.ended.stdout));
+        faults.extend((is != was).then(|| format!("{is} lines on stdout and not {was}")));
+    }
+    faults.extend(left_behind(row, folder, done));
+    faults
+}
+
+/// Files that are not whole, that nobody asked for, or that are missing after success.
+fn left_behind(row: &Row, folder: &Path, done: bool) -> Vec<String> {
+    let mut faults = Vec::new();
+    let there = files(folder);
+    for (name, bytes) in &there {
+        let is_store = row.on_store && name == "hall.presight";
+        // SQLite's own, which it takes up again.
+        let is_journal = name.ends_with(".presight-journal");
+        if !is_store && !is_journal && !row.outputs.contains(&name.as_str()) {
+            faults.push(format!("{name} is left behind"));
+        } else if !is_journal && let Err(why) = whole(row, &folder.join(name), name, bytes) {
+            faults.push(format!("{name} is not whole: {why}"));
+        }
+    }
+    if done {
+        let missing = row.outputs.iter().filter(|name| !there.contains_key(**name));
+        faults.extend(missing.map(|name| format!("{name} is not there")));
+    }
+    faults
+}
+
+/// Images and points are the same whatever happens; the others tell of times, and are read.
+fn whole(row: &Row, path: &Path, name: &str, bytes: &[u8]) -> Result<(), String> {
+    let usual = Pantry::get().usual.get(row.line).and_then(|usual| usual.files.get(name));
+    let text = || std::str::from_utf8(bytes).map_err(|e| e.to_string());
+    let ends = |end: &str| if text()?.trim_end().ends_with(end) { Ok(()) } else { Err(format!("no {end} at its end")) };
+    match path.extension().and_then(|e| e.to_str()).unwrap_or_default() {
+        "json" => serde_json::from_slice::<serde_json::Value>(bytes).map(|_| ()).map_err(|e| e.to_string()),
+        "html" => ends("</html>"),
+        "svg" => ends("</svg>"),
+        "csv" => match usual.map(|usual| usual.iter().filter(|b| **b == b'\n').count()) {
+            Some(lines) if lines != text()?.lines().count() => Err(format!("it has not {lines} lines")),
+            _ => Ok(()),
+        },
+        "presight" => sound(path),
+        "exr" if usual.is_none() => presight::io::exr::read(path).map(|_| ()).map_err(|e| e.to_string()),
+        _ if usual.is_none_or(|usual| usual == bytes) => Ok(()),
+        _ => Err("it is another than without limits".into()),
+    }
+}
+
+/// What the command says of a store where it has all it needs.
+fn sound(path: &Path) -> Result<(), String> {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_presight"));
+    let output = command.args(["env", "check"]).arg(path).output().map_err(|e| e.to_string())?;
+    // The journal that an interrupted writer left was played back by this.
+    let journal = path.with_extension("presight-journal");
+    let _ = fs::remove_file(journal);
+    if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
+}

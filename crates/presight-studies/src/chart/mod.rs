@@ -1,0 +1,352 @@
+//! Charts of points and lines as SVG that follows the colours of the page around it.
+
+mod axis;
+mod rect;
+
+use axis::Axis;
+use plotters::prelude::*;
+use presight::{Error, ErrorKind, Result};
+use rect::Rect;
+
+/// Width and height of a chart, pixels.
+const SIZE: (u32, u32) = (980, 500);
+/// Width of the legend, pixels.
+const LEGEND: u32 = 290;
+/// Heights of texts as plotters counts them, a quarter more than they come out: title, axes and legend, beside marks.
+const TEXT: [i32; 3] = [21, 18, 15];
+/// Names in the legend longer than this are cut.
+const LONGEST_NAME: usize = 36;
+
+/// How many colours there are; series take them in turn.
+pub const COLORS: usize = 8;
+
+/// What is drawn in the page's own text colour. Plotters knows only numbers, so each role has a number nothing else
+/// uses, and [`Chart::svg`] puts CSS in its place.
+const INK: RGBColor = RGBColor(1, 1, 1);
+/// Grid lines.
+const FAINT: RGBColor = RGBColor(1, 1, 2);
+
+/// How a series is drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Style {
+    /// A mark at every point.
+    #[default]
+    Points,
+    /// A line through the points, with marks.
+    LinePoints,
+    /// A dashed line without marks: a bound. Where it is infinite there is none, which has a line of its own above all others.
+    Bound,
+    /// Rings around points and a thin line through them, in the text's colour: the Pareto front.
+    Front,
+}
+
+/// Points of one name.
+#[derive(Clone, Debug, Default)]
+pub struct Series {
+    /// In the legend; without one it is not in it.
+    pub name: String,
+    /// x and y in the units of the axes; points that are not finite are left out, and lines break there.
+    pub points: Vec<(f64, f64)>,
+    /// A short text beside each point; empty for none.
+    pub labels: Vec<String>,
+    /// How they are drawn.
+    pub style: Style,
+    /// Which colour and mark (modulo [`COLORS`]); a bound may share its engine's.
+    pub color: usize,
+}
+
+/// A chart with axes, series and a legend.
+///
+/// On a logarithmic axis a value of 0 (an exact result) stands on a line of its own below all others, labelled 0;
+/// negative values are left out. An infinite bound stands above all others, labelled "no bound".
+///
+/// ```
+/// use presight_studies::chart::{Chart, Series};
+/// let points = vec![(1.0, 1e-7), (10.0, 0.0)];
+/// let series = vec![Series { name: "cpu".into(), points, ..Series::default() }];
+/// let chart = Chart { title: "error".into(), x_label: "ms".into(), y_label: "m".into(), x_log: true, y_log: true, series };
+/// assert!(chart.svg()?.starts_with("<svg"));
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct Chart {
+    /// Above the chart.
+    pub title: String,
+    /// Below the x axis, with its unit.
+    pub x_label: String,
+    /// Beside the y axis, with its unit.
+    pub y_label: String,
+    /// The x axis is logarithmic.
+    pub x_log: bool,
+    /// The y axis is logarithmic.
+    pub y_log: bool,
+    /// What is drawn, in this order.
+    pub series: Vec<Series>,
+}
+
+type Drawn<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+impl Chart {
+    /// The chart as an `<svg>` element. Its colours are the page's CSS variables `--s0` .. `--s7` and `currentColor`, so
+    /// that it follows a light or dark page; alone it falls back to colours for a light one.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] if there is nothing to draw: no series has a finite point.
+    pub fn svg(&self) -> Result<String> {
+        let x = Axis::over(self.series.iter().flat_map(|s| &s.points).map(|p| p.0), self.x_log);
+        let y = Axis::over(self.series.iter().flat_map(|s| &s.points).map(|p| p.1), self.y_log);
+        let (Some(x), Some(mut y)) = (x, y) else {
+            return Err(Error::invalid(format!("the chart {:?} has no point", self.title), "give it one"));
+        };
+        if self.series.iter().any(|s| s.points.iter().any(|p| s.lacks_bound(*p))) {
+            y.add_top();
+        }
+        let mut svg = String::new();
+        self.draw(&x, &y, &mut svg)
+            .map_err(|e| Error::new(ErrorKind::Invalid, format!("cannot draw the chart {:?}: {e}", self.title), ""))?;
+        Ok(themed(&svg, &self.title))
+    }
+
+    fn draw(&self, x: &Axis, y: &Axis, svg: &mut String) -> Drawn<()> {
+        let area = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+        let area = area.titled(&self.title, ("sans-serif", TEXT[0]).into_font().color(&INK))?;
+        let (plot, legend) = area.split_horizontally(SIZE.0 - LEGEND);
+        let mut chart = ChartBuilder::on(&plot)
+            .margin(8)
+            .margin_right(20)
+            .x_label_area_size(54)
+            .y_label_area_size(96)
+            .build_cartesian_2d(x.clone(), y.clone())?;
+        let text = ("sans-serif", TEXT[1]).into_font().color(&INK);
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(FAINT.stroke_width(1))
+            .axis_style(INK.stroke_width(1))
+            .label_style(text.clone())
+            .axis_desc_style(text)
+            .x_desc(self.x_label.as_str())
+            .y_desc(self.y_label.as_str())
+            .x_labels(x.ticks.len())
+            .y_labels(y.ticks.len())
+            .draw()?;
+        let (left, top) = area.get_base_pixel();
+        let pixel = |px: f64, py: f64| {
+            let (cx, cy) = chart.backend_coord(&(px, py));
+            (cx - left, cy - top)
+        };
+        let place = |point: &(f64, f64)| Some(pixel(x.place(point.0)?, y.place(point.1)?));
+        let mut without_bound = 0;
+        for series in &self.series {
+            for stretch in series.points.split(|point| place(point).is_none()).filter(|s| !s.is_empty()) {
+                draw_series(&area, series, &stretch.iter().filter_map(place).collect::<Vec<_>>())?;
+            }
+            let lacking = series.points.iter().filter(|p| series.lacks_bound(**p));
+            let at: Vec<_> = lacking.filter_map(|p| Some(pixel(x.place(p.0)?, y.top?))).collect();
+            // Side by side, that none hides another.
+            at.iter().try_for_each(|(cx, cy)| draw_arrow(&area, series.color, (cx + 12 * without_bound, *cy)))?;
+            without_bound += i32::from(!at.is_empty());
+        }
+        let mut told: Vec<(&str, (i32, i32))> = Vec::new();
+        let mut taken: Vec<Rect> =
+            self.series.iter().flat_map(|s| &s.points).filter_map(place).map(Rect::of_mark).collect();
+        for series in &self.series {
+            for (point, label) in series.points.iter().zip(&series.labels).filter(|(_, label)| !label.is_empty()) {
+                let Some(at) = place(point) else { continue };
+                // Marks in one place need one label.
+                if told.iter().any(|(other, by)| other == label && at.0.abs_diff(by.0).max(at.1.abs_diff(by.1)) < 10) {
+                    continue;
+                }
+                told.push((label, at));
+                let room = Rect::beside(at, label, &taken);
+                let style = ("sans-serif", TEXT[2]).into_font().color(&INK);
+                area.draw(&Text::new(label.clone(), (room.left, room.top), style))?;
+                taken.push(room);
+            }
+        }
+        for (i, series) in self.series.iter().filter(|s| !s.name.is_empty()).enumerate() {
+            let y = 20 + 24 * i as i32;
+            let ends = match series.style {
+                Style::Points | Style::Front => vec![(22, y)],
+                _ => vec![(10, y), (34, y)],
+            };
+            draw_series(&legend, series, &ends)?;
+            let name: String = series.name.chars().take(LONGEST_NAME).collect();
+            legend.draw(&Text::new(name, (44, y - 9), ("sans-serif", TEXT[1]).into_font().color(&INK)))?;
+        }
+        area.present()?;
+        Ok(())
+    }
+}
+
+impl Series {
+    /// True at a point at which this is a bound, and there is none.
+    fn lacks_bound(&self, (x, y): (f64, f64)) -> bool {
+        self.style == Style::Bound && x.is_finite() && y == f64::INFINITY
+    }
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+/// An arrow to beyond the axis.
+fn draw_arrow(area: &Area<'_>, index: usize, (x, y): (i32, i32)) -> Drawn<()> {
+    let corners = vec![(x - 5, y + 4), (x, y - 6), (x + 5, y + 4), (x - 5, y + 4)];
+    area.draw(&PathElement::new(corners, color(index).stroke_width(2)))?;
+    Ok(())
+}
+
+fn draw_series(area: &Area<'_>, series: &Series, at: &[(i32, i32)]) -> Drawn<()> {
+    let color = color(series.color);
+    match series.style {
+        Style::Points => draw_marks(area, series.color, at)?,
+        Style::LinePoints => {
+            area.draw(&PathElement::new(at.to_vec(), color.stroke_width(2)))?;
+            draw_marks(area, series.color, at)?;
+        }
+        Style::Bound => {
+            for dash in dashes(at) {
+                area.draw(&PathElement::new(dash.to_vec(), color.stroke_width(2)))?;
+            }
+        }
+        Style::Front => {
+            area.draw(&PathElement::new(at.to_vec(), INK.stroke_width(1)))?;
+            for p in at {
+                area.draw(&Circle::new(*p, 9, INK.stroke_width(2)))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Marks differ in shape as well as in colour.
+fn draw_marks(area: &Area<'_>, index: usize, at: &[(i32, i32)]) -> Drawn<()> {
+    let fill = color(index).filled();
+    for &(x, y) in at {
+        match index % 4 {
+            0 => area.draw(&Circle::new((x, y), 5, fill))?,
+            1 => area.draw(&Rectangle::new([(x - 4, y - 4), (x + 5, y + 5)], fill))?,
+            2 => area.draw(&Polygon::new(vec![(x, y - 6), (x + 6, y + 5), (x - 6, y + 5)], fill))?,
+            _ => area.draw(&Polygon::new(vec![(x, y - 6), (x + 6, y), (x, y + 6), (x - 6, y)], fill))?,
+        }
+    }
+    Ok(())
+}
+
+/// A path cut into dashes of 7 pixels and gaps of 5.
+fn dashes(at: &[(i32, i32)]) -> Vec<[(i32, i32); 2]> {
+    const ON: f64 = 7.0;
+    const PERIOD: f64 = 12.0;
+    let mut dashes = Vec::new();
+    for pair in at.windows(2) {
+        let (a, b) = (pair[0], pair[1]);
+        let (dx, dy) = (f64::from(b.0 - a.0), f64::from(b.1 - a.1));
+        let length = dx.hypot(dy);
+        let along = |t: f64| (a.0 + (dx * t).round() as i32, a.1 + (dy * t).round() as i32);
+        for k in 0..(length / PERIOD).ceil() as i32 {
+            let from = f64::from(k) * PERIOD;
+            dashes.push([along(from / length), along(((from + ON) / length).min(1.0))]);
+        }
+    }
+    dashes
+}
+
+fn color(index: usize) -> RGBColor {
+    RGBColor(2, 2, (index % COLORS) as u8)
+}
+
+/// Okabe and Ito's colours, told apart by everybody: for a light page, for a dark one.
+pub(crate) const PALETTE: [(&str, &str); COLORS] = [
+    ("#0072b2", "#56b4e9"),
+    ("#d55e00", "#ff8c42"),
+    ("#009e73", "#2fd6a3"),
+    ("#b8860b", "#f0e442"),
+    ("#cc79a7", "#e6a0c8"),
+    ("#5b5bd6", "#9f9ff5"),
+    ("#7a5230", "#c9a27c"),
+    ("#606060", "#b0b0b0"),
+];
+
+/// Numbers become CSS. An element of ours has one colour only, so one `style` attribute.
+fn themed(svg: &str, title: &str) -> String {
+    let mut svg = svg.to_owned();
+    let mut set = |color: RGBColor, css: &str| {
+        let hex = format!("#{:02X}{:02X}{:02X}", color.0, color.1, color.2);
+        for paint in ["fill", "stroke"] {
+            svg = svg.replace(&format!("{paint}=\"{hex}\""), &format!("style=\"{paint}:{css}\""));
+        }
+    };
+    set(INK, "currentColor");
+    set(FAINT, "var(--faint,#d8d8d8)");
+    for (i, (light, _)) in PALETTE.iter().enumerate() {
+        set(color(i), &format!("var(--s{i},{light})"));
+    }
+    let name = title.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
+    svg.replacen("<svg ", &format!("<svg role=\"img\" aria-label=\"{name}\" "), 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chart(points: Vec<(f64, f64)>) -> Chart {
+        let series = vec![
+            Series { name: "a".into(), points: points.clone(), labels: vec!["7".into()], ..Series::default() },
+            Series { name: "bound".into(), points: points.clone(), style: Style::Bound, color: 1, ..Series::default() },
+            Series { name: "front".into(), points, style: Style::Front, ..Series::default() },
+        ];
+        let (x_label, y_label) = ("time, ms".into(), "error, m".into());
+        Chart { title: "t <&\">".into(), x_label, y_label, x_log: true, y_log: true, series }
+    }
+
+    #[test]
+    fn no_fixed_colour_is_left() {
+        let svg = chart(vec![(1.0, 1e-7), (2.0, 0.0), (30.0, 1e-3)]).svg().unwrap();
+        assert!(svg.starts_with("<svg "), "{svg}");
+        assert!(svg.contains("currentColor") && svg.contains("var(--s0,"));
+        for paint in ["fill=\"#", "stroke=\"#"] {
+            let fixed: Vec<&str> = svg.split(paint).skip(1).map(|s| &s[..6]).collect();
+            assert!(fixed.is_empty(), "{paint}{fixed:?}");
+        }
+        assert!(svg.contains("t &lt;&amp;"));
+    }
+
+    /// A line in two parts, and between them an arrow at the top.
+    #[test]
+    fn lines_break_where_there_is_no_bound() {
+        let points = vec![(1e-3, 1e-5), (1e-2, 1e-4), (1e-1, f64::INFINITY), (1.0, 1e-6), (10.0, 1e-5)];
+        let drawn = |style, points: Vec<(f64, f64)>| {
+            let series = vec![Series { points, style, ..Series::default() }];
+            Chart { x_log: true, y_log: true, series, ..Chart::default() }.svg().unwrap()
+        };
+        // Dashes and arrows are polylines in the series' colour.
+        let lines = |svg: &str| {
+            let all = svg.split("<polyline").skip(1).filter(|line| line.contains("var(--s0,"));
+            all.map(|line| line.split("points=\"").nth(1).unwrap().split('"').next().unwrap().to_owned()).collect()
+        };
+        let ends = |line: &str| {
+            let mut x = line.split_whitespace().map(|p| p.split(',').next().unwrap().parse::<i32>().unwrap());
+            let first = x.next().unwrap();
+            (first, x.next_back().unwrap())
+        };
+        let svg = drawn(Style::LinePoints, points.clone());
+        let whole: Vec<String> = lines(&svg);
+        let [a, b] = whole.as_slice() else { panic!("{whole:?}") };
+        assert!(ends(a).1 < ends(b).0 && !svg.contains("no bound"), "{whole:?}");
+        let svg = drawn(Style::Bound, points.clone());
+        let dashes: Vec<String> = lines(&svg);
+        let inside = |l: &&String| ends(l).0 > ends(a).1 + 1 && ends(l).1 < ends(b).0 - 1;
+        assert_eq!(dashes.iter().filter(inside).count(), 1, "the arrow alone: {dashes:?}");
+        assert!(svg.contains("no bound"));
+        let finite: Vec<(f64, f64)> = points.into_iter().filter(|p| p.1.is_finite()).collect();
+        assert!(!drawn(Style::Bound, finite).contains("no bound"));
+    }
+
+    #[test]
+    fn extremes_are_drawn_and_nothing_is_an_error() {
+        for points in [vec![(1.0, 0.0)], vec![(1e-300, 1e300), (f64::NAN, 1.0)], vec![(3.0, 3.0), (3.0, 3.0)]] {
+            chart(points).svg().unwrap();
+        }
+        assert!(chart(vec![(f64::NAN, 1.0)]).svg().is_err());
+        assert!(chart(Vec::new()).svg().is_err());
+    }
+}

@@ -1,0 +1,245 @@
+//! What each index costs and how well it selects, over poses (paper section 2.2, Fig. 5).
+
+use super::{csv_field, median};
+use glam::DVec3;
+use presight::World;
+use presight::geometry::{Aabb, Pose};
+use presight::index::{Found, Params, Region, Scheme, SplitAxis, polygon_meets};
+use presight::plan::{ImageRequest, Images, region_of};
+use presight::sensor::Sensor;
+use presight::{Error, Result};
+use presight::{Options, Predictor};
+use std::time::Instant;
+
+/// The paper's query: radius in metres, opening in degrees.
+pub const PAPER_SECTOR: (f64, f64) = (10.0, 60.0);
+
+/// What is measured.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// Where.
+    pub poses: Vec<Pose>,
+    /// Whose regions are asked for, beside the paper's.
+    pub sensors: Vec<(String, Sensor)>,
+    /// How predictions are made.
+    pub options: Options,
+    /// Each query and each prediction is repeated so often, and the fastest counts.
+    pub repeats: usize,
+}
+
+/// One scheme and one query; medians over poses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// The scheme.
+    pub scheme: Scheme,
+    /// How it was tuned.
+    pub params: Params,
+    /// `sector` (the paper's), or a sensor's name.
+    pub query: String,
+    /// Time to build the index of the whole environment.
+    pub build_ms: f64,
+    /// Its memory, boxes included.
+    pub bytes: usize,
+    /// Time of one query.
+    pub access_us: f64,
+    /// Polygons with a point in the region.
+    pub needed: f64,
+    /// Polygons that the index returned.
+    pub returned: f64,
+    /// Needed / returned, of all poses together.
+    pub selectivity: f64,
+    /// Time of a whole prediction with this index; none for the paper's query, which has no sensor.
+    pub prediction_ms: Option<f64>,
+}
+
+/// Regions of one query at all poses, and how many polygons each needs.
+struct Query<'a> {
+    name: String,
+    sensor: Option<&'a Sensor>,
+    regions: Vec<Region>,
+    needed: Vec<usize>,
+}
+
+impl Study {
+    /// Measures schemes with their parameters, one after the other.
+    ///
+    /// # Errors
+    /// Those of predictions.
+    pub fn run(&self, world: &World, variants: &[(Scheme, Params)], progress: impl Fn(&str)) -> Result<Vec<Row>> {
+        progress("counting what each query needs");
+        let queries = self.queries(world)?;
+        let mut predictor = Predictor::new(self.options.clone())?;
+        let mut rows = Vec::new();
+        for &(scheme, params) in variants {
+            progress(scheme.name());
+            let (mut build, mut indexed) = (Vec::new(), None);
+            for _ in 0..self.repeats.clamp(1, 3) {
+                let start = Instant::now();
+                indexed = Some(world.reindexed(scheme, params));
+                build.push(start.elapsed().as_secs_f64() * 1e3);
+            }
+            let Some(indexed) = indexed else { continue };
+            let build_ms = build.into_iter().fold(f64::INFINITY, f64::min);
+            for query in &queries {
+                rows.push(self.measure(&indexed, query, build_ms, &mut predictor)?);
+            }
+        }
+        Ok(rows)
+    }
+
+    fn queries(&self, world: &World) -> Result<Vec<Query<'_>>> {
+        let environment = world.environment();
+        let polygons: Vec<(Aabb, Vec<DVec3>)> = (0..environment.slot_count())
+            .filter_map(|slot| environment.polygon_in_world(slot))
+            .map(|corners| (Aabb::of(corners.iter().copied()), corners))
+            .collect();
+        let needed = |region: &Region| {
+            let met = |(b, corners): &&(Aabb, Vec<DVec3>)| region.meets(b) && polygon_meets(region, corners);
+            polygons.iter().filter(met).count()
+        };
+        let mut queries = Vec::new();
+        let mut add = |name: &str, sensor, regions: Vec<Region>| {
+            let needed = regions.iter().map(needed).collect();
+            queries.push(Query { name: name.to_owned(), sensor, regions, needed });
+        };
+        add("sector", None, self.poses.iter().map(paper_sector).collect::<Result<_>>()?);
+        for (name, sensor) in &self.sensors {
+            add(name, Some(sensor), self.poses.iter().map(|pose| region_of(sensor, pose)).collect::<Result<_>>()?);
+        }
+        Ok(queries)
+    }
+
+    fn measure(&self, world: &World, query: &Query<'_>, build_ms: f64, predictor: &mut Predictor) -> Result<Row> {
+        let (index, environment) = (world.index(), world.environment());
+        let mut found = Found::default();
+        let (mut access, mut returned, mut prediction) = (Vec::new(), Vec::new(), Vec::new());
+        let mut images = Images::default();
+        for (region, pose) in query.regions.iter().zip(&self.poses) {
+            access.push(
+                fastest(self.repeats, || {
+                    found.clear();
+                    index.query(environment, region, &mut found);
+                    Ok(())
+                })? * 1e6,
+            );
+            returned.push(found.count() as f64);
+            if let Some(sensor) = query.sensor {
+                let request = ImageRequest::default();
+                prediction.push(
+                    fastest(self.repeats, || {
+                        predictor.predict_images(world, sensor, pose, &request, &mut images).map(|_| ())
+                    })? * 1e3,
+                );
+            }
+        }
+        let needed: Vec<f64> = query.needed.iter().map(|n| *n as f64).collect();
+        let all = returned.iter().sum::<f64>();
+        Ok(Row {
+            scheme: index.scheme(),
+            params: index.params(),
+            query: query.name.clone(),
+            build_ms,
+            bytes: index.bytes(),
+            access_us: median(access),
+            selectivity: if all > 0.0 { needed.iter().sum::<f64>() / all } else { 1.0 },
+            needed: median(needed),
+            returned: median(returned),
+            prediction_ms: query.sensor.map(|_| median(prediction)),
+        })
+    }
+}
+
+/// The paper's query region at a pose: a sector of 10 m and 60 degrees along its heading.
+///
+/// # Errors
+/// Those of [`Pose::check`].
+pub fn paper_sector(pose: &Pose) -> Result<Region> {
+    pose.check()?;
+    let ahead = pose.rotation * DVec3::X;
+    let (radius, opening_deg) = PAPER_SECTOR;
+    Ok(Region::sector(pose.translation.truncate(), ahead.y.atan2(ahead.x), opening_deg.to_radians(), radius))
+}
+
+/// What a sweep tries of each scheme: cell sizes, and for trees where they split.
+pub fn sweep() -> Vec<(Scheme, Params)> {
+    let mut variants = Vec::new();
+    for scheme in [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d, Scheme::TwoLevel] {
+        let tree = matches!(scheme, Scheme::S2d | Scheme::S3d | Scheme::TwoLevel);
+        let axes: &[SplitAxis] =
+            if tree { &[SplitAxis::Longest, SplitAxis::Alternating] } else { &[SplitAxis::Longest] };
+        for &split_axis in axes {
+            for cell_polygons in [4, 8, 16, 32, 64, 128] {
+                for least_cell in [0.0, 1.0] {
+                    let params = Params { least_cell, cell_polygons, split_axis, ..Params::default() };
+                    variants.push((scheme, params));
+                }
+            }
+        }
+    }
+    variants
+}
+
+/// Rows as CSV, with the columns that scripts rely on first.
+pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
+    let mut text = String::from(
+        "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms,cell_polygons,least_cell,split_axis,filter\n",
+    );
+    let seed = seed.map(|s| s.to_string()).unwrap_or_default();
+    for r in rows {
+        let prediction = r.prediction_ms.map(|ms| format!("{ms:.4}")).unwrap_or_default();
+        let axis = format!("{:?}", r.params.split_axis).to_lowercase();
+        text += &format!(
+            "{},{},{poses},{seed},{:.3},{},{:.2},{},{},{:.4},{prediction},{},{},{axis},{}\n",
+            r.scheme.name(),
+            csv_field(&r.query),
+            r.build_ms,
+            r.bytes,
+            r.access_us,
+            r.needed,
+            r.returned,
+            r.selectivity,
+            r.params.cell_polygons,
+            r.params.least_cell,
+            r.params.filter,
+        );
+    }
+    text
+}
+
+/// Seconds of the fastest of some runs.
+fn fastest(repeats: usize, mut run: impl FnMut() -> Result<()>) -> Result<f64> {
+    let mut best = f64::INFINITY;
+    for _ in 0..repeats.max(1) {
+        let start = Instant::now();
+        run()?;
+        best = best.min(start.elapsed().as_secs_f64());
+    }
+    Ok(best)
+}
+
+/// Refuses a study of nothing.
+///
+/// # Errors
+/// [`presight::ErrorKind::Invalid`] if there are no poses.
+pub fn check_poses(poses: &[Pose]) -> Result<()> {
+    if poses.is_empty() {
+        return Err(Error::invalid("there are no poses", "give at least one"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use presight::ErrorKind;
+
+    #[test]
+    fn a_pose_that_is_none_has_no_sector() {
+        let nowhere = Pose { translation: DVec3::new(f64::NAN, 0.0, 1.0), ..Pose::IDENTITY };
+        let unturned = Pose { rotation: glam::DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), ..Pose::IDENTITY };
+        for pose in [nowhere, unturned] {
+            assert_eq!(paper_sector(&pose).unwrap_err().kind(), ErrorKind::Usage, "{pose:?}");
+        }
+        assert!(paper_sector(&Pose::IDENTITY).is_ok());
+    }
+}

@@ -1,0 +1,125 @@
+//! Lenses up to where they fold over, and beyond.
+
+use super::scenes::measure;
+use super::shapes::{Scene, frame, wall};
+use super::{Case, Family, Finding, powers};
+use crate::stability::big::{Big, Vector};
+use crate::stability::lens::{Exact, TOLERANCE};
+use crate::stability::subjects::Subject;
+use glam::DVec3;
+use presight::Result;
+use presight::geometry::Pose;
+use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+
+/// Image points ever closer to the fold, on one side of it.
+#[derive(Clone, Copy)]
+pub(super) struct Fold {
+    /// -1 inside, +1 beyond.
+    side: f64,
+}
+
+impl Fold {
+    pub const INSIDE: Self = Self { side: -1.0 };
+    pub const BEYOND: Self = Self { side: 1.0 };
+}
+
+/// Of each model one that folds over; the last, with tangential terms, folds elsewhere in each direction.
+fn models() -> [Distortion; 4] {
+    [
+        Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]),
+        Distortion::RationalPolynomial([-0.4, 0.02, 0.0, 0.0, 0.0, 0.05, 0.0, 0.0]),
+        Distortion::Equidistant([-0.05, -0.01, 0.0, 0.0]),
+        Distortion::PlumbBob([-0.3, 0.0, 0.003, -0.002, 0.0]),
+    ]
+}
+
+/// Image radius of the fold; of models with tangential terms that of their radial part.
+fn fold(model: &Distortion) -> f64 {
+    let radial = match model {
+        Distortion::PlumbBob([k1, k2, _, _, k3]) => Distortion::PlumbBob([*k1, *k2, 0.0, 0.0, *k3]),
+        other => other.clone(),
+    };
+    Exact::new(&radial).fold.map_or(1.0, |fold| fold.to_f64())
+}
+
+impl Family for Fold {
+    fn name(&self) -> &'static str {
+        if self.side < 0.0 { "lens-inside" } else { "lens-beyond" }
+    }
+
+    fn about(&self) -> &'static str {
+        if self.side < 0.0 {
+            "Lenses of four models ever closer to where they fold over (the radial part of one with tangential terms, whose own \
+             fold is known to 1e-9): rays (engine \"sensor\", by their image coordinates) and a wall seen along them."
+        } else {
+            "The same beyond the fold, where no pixel may have a ray."
+        }
+    }
+
+    fn axis(&self) -> &'static str {
+        "distance from the fold, in its image radius"
+    }
+
+    fn error(&self) -> &'static str {
+        "relative error of the range; for \"sensor\" of the image coordinates"
+    }
+
+    fn difficulties(&self, quick: bool) -> Vec<f64> {
+        [vec![0.6], powers(-1, -12, quick)].concat()
+    }
+
+    fn measure(&self, difficulty: f64, _quick: bool, subjects: &mut [Subject]) -> Result<Vec<Finding>> {
+        let mut findings = vec![rays(1.0 + self.side * difficulty)];
+        let mut cases = Vec::new();
+        for model in models() {
+            match case(model, 1.0 + self.side * difficulty) {
+                Ok(one) => cases.extend(one),
+                Err(e) => return Ok(vec![Finding::rejected(&e)]),
+            }
+        }
+        findings.extend(measure(&cases, subjects)?);
+        Ok(findings)
+    }
+}
+
+/// The lens models by themselves: image coordinates to rays and, exactly, back; at a share of the fold's radius.
+fn rays(share: f64) -> Finding {
+    let (mut worst, mut wrong) = (0.0f64, None);
+    for model in models() {
+        let (lens, exact, radius) = (model.lens(), Exact::new(&model), share * fold(&model));
+        for k in 0..24 {
+            let (sin, cos) = (0.1 + std::f64::consts::TAU * f64::from(k) / 24.0).sin_cos();
+            let (xd, yd) = (radius * cos, radius * sin);
+            let target = [xd, yd].map(Big::new);
+            let off = |ray: &Vector| {
+                let [u, v] = exact.forward(ray);
+                let off = [&u - &target[0], &v - &target[1]].map(|c| c.to_f64());
+                off[0].hypot(off[1]) / radius.max(1.0)
+            };
+            let found = lens.undistort(xd, yd);
+            if let Some(ray) = found {
+                worst = worst.max(off(&Vector::new(ray)));
+            }
+            let Some((beyond, known)) = exact.beyond_fold(&target[0], &target[1]) else { continue };
+            if beyond.abs() > known && found.is_some() != (beyond < 0.0) {
+                wrong = Some(format!("{}: image radius {radius} is {beyond:e} beyond its fold", model.model()));
+            }
+        }
+    }
+    let mut finding = Finding::of("sensor", worst, TOLERANCE);
+    if let Some(note) = wrong {
+        (finding.note, finding.outcome) = (note, super::Outcome::Fault);
+    }
+    finding
+}
+
+/// A wall before a camera whose left and right columns are at that share of the fold's radius.
+fn case(model: Distortion, share: f64) -> Result<Vec<Case>> {
+    let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
+    scene.add(&[wall(2.0, [-40.0, 3.0], [-40.0, 40.0])], Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.1, 0.2))?;
+    scene.add(&[wall(-5.0, [-99.0, 99.0], [-99.0, 99.0])], Pose::IDENTITY)?;
+    let f = 16.0 / (share * fold(&model));
+    let camera = Camera { distortion: model, ..Camera::pinhole(33, 17, f, f, 16.0, 8.0) };
+    let sensor = Sensor::new(SensorSpec::new("lens", "study", Geometry::Camera(camera)))?;
+    Ok(scene.seen_by([(sensor, Pose::IDENTITY)]))
+}

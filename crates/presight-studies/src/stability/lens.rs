@@ -1,0 +1,210 @@
+//! Lens models in a hundred digits: forward, the inverse near an approximate one, and where they fold over (with tangential
+//! terms in [`super::fold`], to fewer digits).
+
+use super::big::{Big, Vector};
+use super::fold::Outline;
+use super::oracle::Truth;
+use glam::DVec3;
+use presight::sensor::Distortion;
+
+/// The published tolerance of a ray: [`Distortion::distort`] gives the image coordinates back to this, relative to the image
+/// radius (1 if that is less).
+pub(super) const TOLERANCE: f64 = 1e-12;
+
+/// Steps in which the first fold is looked for: of the radius, or of the angle from the axis.
+pub(super) const STEP: f64 = 1e-3;
+/// Lenses that do not fold up to this radius, 87 degrees from the axis, count as not folding.
+pub(super) const FARTHEST: f64 = 20.0;
+
+/// A lens model, exact.
+#[derive(Clone, Debug)]
+pub(super) struct Exact {
+    fisheye: bool,
+    /// 1, k1, k2, ... and 1, k4, k5, ... in powers of the squared radius (angle).
+    numerator: Vec<Big>,
+    denominator: Vec<Big>,
+    /// (p2, p1).
+    tangential: [Big; 2],
+    /// Image radius from which nothing is imaged; `None` if there is no such, or the model has tangential terms.
+    pub fold: Option<Big>,
+    /// Where a model with tangential terms folds.
+    outline: Option<Outline>,
+}
+
+fn evaluate(polynomial: &[Big], x: &Big) -> Big {
+    polynomial.iter().rev().fold(Big::new(0.0), |sum, c| &(&sum * x) + c)
+}
+
+fn derivative(polynomial: &[Big]) -> Vec<Big> {
+    polynomial.iter().enumerate().skip(1).map(|(i, c)| c * &Big::new(i as f64)).collect()
+}
+
+impl Exact {
+    pub fn new(model: &Distortion) -> Self {
+        let with_one = |k: &[f64]| [1.0].iter().chain(k).map(|c| Big::new(*c)).collect::<Vec<_>>();
+        let (fisheye, n, d, p) = match model {
+            Distortion::None => (false, with_one(&[]), with_one(&[]), [0.0; 2]),
+            Distortion::PlumbBob([k1, k2, p1, p2, k3]) => {
+                (false, with_one(&[*k1, *k2, *k3]), with_one(&[]), [*p2, *p1])
+            }
+            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                (false, with_one(&[*k1, *k2, *k3]), with_one(&[*k4, *k5, *k6]), [*p2, *p1])
+            }
+            Distortion::Equidistant(k) => (true, with_one(k), with_one(&[]), [0.0; 2]),
+        };
+        let mut lens =
+            Self { fisheye, numerator: n, denominator: d, tangential: p.map(Big::new), fold: None, outline: None };
+        if p == [0.0; 2] {
+            lens.fold = lens.first_fold();
+        } else {
+            let padded = |all: &[Big]| std::array::from_fn(|i| all.get(i).map_or(0.0, Big::to_f64));
+            let (numerator, denominator) = (padded(&lens.numerator), padded(&lens.denominator));
+            lens.outline = Some(Outline { numerator, denominator, tangential: p });
+        }
+        lens
+    }
+
+    /// Stretch at a squared radius, and its derivative by that square.
+    fn radial(&self, s: &Big) -> (Big, Big) {
+        let (n, d) = (evaluate(&self.numerator, s), evaluate(&self.denominator, s));
+        let (dn, dd) = (evaluate(&derivative(&self.numerator), s), evaluate(&derivative(&self.denominator), s));
+        (&n / &d, &(&(&dn * &d) - &(&n * &dd)) / &(&d * &d))
+    }
+
+    /// Derivative of the image radius by the radius.
+    fn rising(&self, r: &Big) -> Big {
+        let s = r * r;
+        let (stretch, slope) = self.radial(&s);
+        &stretch + &(&(&slope * &s) * &Big::new(2.0))
+    }
+
+    /// The image radius of the first radius at which the radial model turns back.
+    fn first_fold(&self) -> Option<Big> {
+        let end = if self.fisheye { std::f64::consts::PI } else { FARTHEST };
+        let steps = (end / STEP) as u32;
+        let bad = |r: &Big| evaluate(&self.denominator, &(r * r)) <= Big::new(0.0) || self.rising(r) <= Big::new(0.0);
+        let first = (1..=steps).find(|k| bad(&Big::new(f64::from(*k) * STEP)))?;
+        let (mut low, mut high) = (Big::new(f64::from(first - 1) * STEP), Big::new(f64::from(first) * STEP));
+        for _ in 0..200 {
+            let middle = &(&low + &high) * &Big::new(0.5);
+            if bad(&middle) { high = middle } else { low = middle }
+        }
+        Some(&low * &self.radial(&(&low * &low)).0)
+    }
+
+    /// Image coordinates of a ray of the optical frame.
+    pub fn forward(&self, ray: &Vector) -> [Big; 2] {
+        let [x, y, z] = &ray.0;
+        if self.fisheye {
+            let across = (&(x * x) + &(y * y)).sqrt();
+            if across.is_zero() {
+                return [Big::new(0.0), Big::new(0.0)];
+            }
+            let theta = across.atan2(z);
+            let radius = &theta * &evaluate(&self.numerator, &(&theta * &theta));
+            return [x, y].map(|c| &(&radius * c) / &across);
+        }
+        self.image(&[x / z, y / z])
+    }
+
+    fn image(&self, [x, y]: &[Big; 2]) -> [Big; 2] {
+        let s = &(x * x) + &(y * y);
+        let [px, py] = &self.tangential;
+        let along = &(&(px * x) + &(py * y)) * &Big::new(2.0);
+        let stretch = &self.radial(&s).0 + &along;
+        [&(&stretch * x) + &(&s * px), &(&stretch * y) + &(&s * py)]
+    }
+
+    /// How far an image point is beyond the fold, negative before it, and how well that is known; `None` if the lens does not
+    /// fold.
+    pub fn beyond_fold(&self, xd: &Big, yd: &Big) -> Option<(f64, f64)> {
+        if let Some(outline) = &self.outline {
+            return outline.beyond(xd.to_f64(), yd.to_f64());
+        }
+        let radius = (&(xd * xd) + &(yd * yd)).sqrt();
+        self.fold.as_ref().map(|fold| ((&radius - fold).to_f64(), TOLERANCE * radius.to_f64().max(1.0)))
+    }
+
+    /// The ray that is imaged at (xd, yd), begun at the product's f64 one; whether there is one the fold alone decides.
+    ///
+    /// # Errors
+    /// [`Truth::NoRay`] beyond the fold, [`Truth::Either`] as near to it as it is known.
+    pub fn inverse(&self, xd: &Big, yd: &Big, near: Option<DVec3>) -> Result<Vector, Truth> {
+        match self.beyond_fold(xd, yd) {
+            Some((beyond, tolerance)) if beyond.abs() <= tolerance => return Err(Truth::Either),
+            Some((beyond, _)) if beyond > 0.0 => return Err(Truth::NoRay),
+            _ => {}
+        }
+        // Without a ray from the product one begins on the axis: the pixel will be told to lack it.
+        let near = near.unwrap_or(DVec3::Z);
+        if self.fisheye {
+            let radius = (&(xd * xd) + &(yd * yd)).sqrt();
+            return Ok(self.inverse_fisheye(xd, yd, &radius, near));
+        }
+        let mut found = self.inverse_from([near.x / near.z, near.y / near.z].map(Big::new), [xd, yd]);
+        let ([xx, xy, yy], zero) = (self.jacobian(&found), Big::new(0.0));
+        // Beyond the fold the same point is imaged again: a ray from there is none.
+        if !(xx > zero && &xx * &yy > &xy * &xy) {
+            found = self.inverse_from([zero.clone(), zero], [xd, yd]);
+        }
+        let [x, y] = found;
+        Ok(Vector([x, y, Big::new(1.0)]))
+    }
+
+    /// Newton's method.
+    fn inverse_from(&self, mut x: [Big; 2], target: [&Big; 2]) -> [Big; 2] {
+        for _ in 0..60 {
+            let image = self.image(&x);
+            let miss = [&image[0] - target[0], &image[1] - target[1]];
+            let step = self.newton_step(&x, &miss);
+            x = [&x[0] - &step[0], &x[1] - &step[1]];
+            if step.iter().all(|s| s.abs().to_f64() < 1e-80) {
+                break;
+            }
+        }
+        x
+    }
+
+    /// J, symmetric (see `sensor::undistort`): xx, xy, yy.
+    fn jacobian(&self, [x, y]: &[Big; 2]) -> [Big; 3] {
+        let two = Big::new(2.0);
+        let (stretch, slope) = self.radial(&(&(x * x) + &(y * y)));
+        let [px, py] = &self.tangential;
+        let diagonal = &stretch + &(&(&(px * x) + &(py * y)) * &two);
+        let cross = &(&(&(&(&slope * x) * y) + &(px * y)) + &(py * x)) * &two;
+        let own = |c: &Big, p: &Big| &(&diagonal + &(&(&(&slope * c) * c) * &two)) + &(&(p * c) * &Big::new(4.0));
+        let (xx, yy) = (own(x, px), own(y, py));
+        [xx, cross, yy]
+    }
+
+    /// J^-1 miss.
+    fn newton_step(&self, x: &[Big; 2], miss: &[Big; 2]) -> [Big; 2] {
+        let [xx, cross, yy] = self.jacobian(x);
+        let determinant = &(&xx * &yy) - &(&cross * &cross);
+        if determinant.is_zero() {
+            return [Big::new(0.0), Big::new(0.0)];
+        }
+        [
+            &(&(&yy * &miss[0]) - &(&cross * &miss[1])) / &determinant,
+            &(&(&xx * &miss[1]) - &(&cross * &miss[0])) / &determinant,
+        ]
+    }
+
+    fn inverse_fisheye(&self, xd: &Big, yd: &Big, radius: &Big, near: DVec3) -> Vector {
+        if radius.is_zero() {
+            return Vector::new(DVec3::Z);
+        }
+        let mut theta = Big::new(near.x.hypot(near.y).atan2(near.z));
+        for _ in 0..60 {
+            let image = &theta * &evaluate(&self.numerator, &(&theta * &theta));
+            let slope = self.rising(&theta);
+            let step = if slope.is_zero() { Big::new(0.0) } else { &(&image - radius) / &slope };
+            theta = &theta - &step;
+            if step.abs().to_f64() < 1e-80 {
+                break;
+            }
+        }
+        let (sin, cos) = theta.sin_cos();
+        Vector([&(&sin * xd) / radius, &(&sin * yd) / radius, cos])
+    }
+}

@@ -1,0 +1,298 @@
+//! The study as a page, as CSV and as JSON.
+
+use super::{Outcome, Row, Study};
+use crate::Machine;
+use crate::chart::{Chart, Series, Style};
+use crate::page::{Part, Section, Table, page};
+use presight::{Error, ErrorKind, Result};
+use serde_json::{Value, json};
+
+/// Version of `report.json`.
+const FORMAT: u32 = 1;
+
+/// A bound above this leaves fewer than three digits: from there on a result is hardly one.
+const THREE_DIGITS: f64 = 1e-3;
+
+/// What the report says of the run.
+#[derive(Clone, Debug, Default)]
+pub struct About {
+    /// What it ran on, and how it was called.
+    pub machine: Machine,
+    /// Of the engines: adapters, and which were skipped.
+    pub notes: Vec<String>,
+}
+
+/// Number of faults.
+pub fn faults(rows: &[Row]) -> usize {
+    rows.iter().filter(|r| r.finding.outcome == Outcome::Fault).count()
+}
+
+/// `stability.csv`: family, difficulty, engine, error, bound, outcome. What was refused has neither error nor bound; a bound
+/// that knows nothing is `inf`.
+pub fn to_csv(rows: &[Row]) -> String {
+    let number = |x: f64| if x.is_nan() { String::new() } else { format!("{x:e}") };
+    let mut csv = String::from("family,difficulty,engine,error,bound,outcome\n");
+    for Row { family, difficulty, finding: f } in rows {
+        let (error, bound, outcome) = (number(f.error), number(f.bound), f.outcome.name());
+        csv += &format!("{family},{difficulty:e},{},{error},{bound},{outcome}\n", f.engine);
+    }
+    csv
+}
+
+/// `report.json`; what is not finite is null.
+///
+/// # Errors
+/// None that can be met.
+pub fn to_json(study: &Study, rows: &[Row], about: &About) -> Result<String> {
+    let families: Vec<Value> = study
+        .families
+        .iter()
+        .map(|f| json!({ "name": f.name(), "about": f.about(), "difficulty": f.axis(), "error": f.error() }))
+        .collect();
+    let row = |r: &Row| {
+        let f = &r.finding;
+        json!({
+            "family": r.family, "difficulty": r.difficulty, "engine": f.engine, "error": f.error, "bound": f.bound,
+            "outcome": f.outcome, "other_pixels": f.other, "edge_on_polygons": f.edge_on, "note": f.note,
+        })
+    };
+    let all = json!({
+        "format": FORMAT,
+        "study": "stability",
+        "quick": study.quick,
+        "machine": about.machine,
+        "notes": about.notes,
+        "faults": faults(rows),
+        "families": families,
+        "rows": rows.iter().map(row).collect::<Vec<_>>(),
+    });
+    serde_json::to_string_pretty(&all)
+        .map_err(|e| Error::new(ErrorKind::System, format!("cannot write JSON: {e}"), "").caused_by(e))
+}
+
+/// `index.html`.
+///
+/// # Errors
+/// None that can be met: a family without a finite point has no chart.
+pub fn to_html(study: &Study, rows: &[Row], about: &About) -> Result<String> {
+    let mut sections = vec![summary(study, rows, about)];
+    for family in &study.families {
+        let own: Vec<&Row> = rows.iter().filter(|r| r.family == family.name()).collect();
+        let mut parts = vec![Part::Text(family.about().into()), Part::Advice(advice(&own))];
+        let falling = study.falls(family.name());
+        if let Ok(svg) = chart(&own, family.axis(), family.error(), falling).svg() {
+            let caption = format!("{}: error of each engine, and its bound.", family.name());
+            parts.push(Part::Chart { svg, caption });
+        }
+        let notes: Vec<Vec<String>> = notes(&own);
+        if !notes.is_empty() {
+            let head = ["difficulty", "engine", "outcome", "what"].map(String::from).to_vec();
+            let faults = notes.iter().enumerate().filter(|(_, n)| n[2] == "fault").map(|(i, _)| i).collect();
+            parts.push(Part::Table(Table { caption: "What is to be said".into(), head, rows: notes, marked: faults }));
+        }
+        sections.push(Section { title: family.name().into(), parts });
+    }
+    let lead = "Every engine against a truth in a hundred digits, along difficulties that grow until something gives: is the \
+                error within the bound that presight publishes, or does it refuse before?";
+    Ok(page("Numerical stability", lead, &sections))
+}
+
+impl Study {
+    /// True if a family's difficulties get smaller.
+    fn falls(&self, family: &str) -> bool {
+        let all = self.families.iter().find(|f| f.name() == family).map(|f| f.difficulties(self.quick));
+        all.is_some_and(|d| d.first() > d.last())
+    }
+}
+
+fn summary(study: &Study, rows: &[Row], about: &About) -> Section {
+    let faults = faults(rows);
+    let rejected = rows.iter().filter(|r| r.finding.outcome == Outcome::Rejected).count();
+    let verdict = format!(
+        "{} cases in {} families: {faults} faults, {rejected} refused with a typed error.",
+        rows.len(),
+        study.families.len()
+    );
+    let head = [
+        "family",
+        "error stays below",
+        "of its bound",
+        "bound leaves 3 digits",
+        "refused from",
+        "pixels that show something else",
+        "left out as edge-on",
+        "faults",
+    ];
+    let (mut table, mut marked) = (Vec::new(), Vec::new());
+    for family in &study.families {
+        let own: Vec<&Row> = rows.iter().filter(|r| r.family == family.name()).collect();
+        for engine in engines(&own) {
+            let of = Reach::of(&own, engine);
+            if of.faults > 0 {
+                marked.push(table.len());
+            }
+            let name = format!("{}, {engine}", family.name());
+            let refused = refused_from(&own).map_or("-".into(), |d| format!("{d:e}"));
+            let from = of.vague_from.map_or("everywhere".into(), |d| format!("up to {d:e}"));
+            table.push(vec![
+                name,
+                format!("{:.1e}", of.error),
+                format!("{:.2}", of.share),
+                from,
+                refused,
+                of.other.to_string(),
+                of.edge_on.to_string(),
+                of.faults.to_string(),
+            ]);
+        }
+    }
+    let table = Table {
+        caption: "Where errors leave their bounds, and what happens before".into(),
+        head: head.map(String::from).to_vec(),
+        rows: table,
+        marked,
+    };
+    let machine = Table {
+        caption: "The run".into(),
+        head: ["what", "value"].map(String::from).to_vec(),
+        rows: about.machine.lines(),
+        marked: Vec::new(),
+    };
+    let counted = "Something else than the truth may be shown at an outline, or where a polygon was left out as edge-on: its \
+                   side could not be proven, and what is behind it is seen. Errors are of pixels that show the truth's \
+                   polygon, and of those where it was left out, at which there is no bound. Polygons are summed over images.";
+    let mut parts = vec![Part::Advice(verdict), Part::Table(table), Part::Text(counted.into())];
+    parts.extend(about.notes.iter().map(|note| Part::Text(note.clone())));
+    parts.push(Part::Table(machine));
+    Section { title: "Summary".into(), parts }
+}
+
+/// How far an engine gets in a family.
+struct Reach {
+    error: f64,
+    /// The greatest error by its bound.
+    share: f64,
+    /// The last difficulty before the bound leaves fewer than three digits; `None` if it never does.
+    vague_from: Option<f64>,
+    other: usize,
+    edge_on: usize,
+    faults: usize,
+}
+
+impl Reach {
+    fn of(rows: &[&Row], engine: &str) -> Self {
+        let own: Vec<&Row> = rows.iter().filter(|r| r.finding.engine == engine).copied().collect();
+        let most = |of: fn(&Row) -> f64| own.iter().map(|r| of(r)).filter(|x| x.is_finite()).fold(0.0, f64::max);
+        let vague = own.iter().position(|r| !(r.finding.bound <= THREE_DIGITS));
+        let coverage = own.iter().all(|r| r.family.ends_with("-box") || r.family == "indefinite");
+        Self {
+            error: most(|r| r.finding.error),
+            share: most(|r| if r.finding.error == 0.0 { 0.0 } else { r.finding.error / r.finding.bound }),
+            vague_from: vague.filter(|_| !coverage).map(|k| own[k.saturating_sub(1)].difficulty),
+            other: own.iter().map(|r| r.finding.other).sum(),
+            edge_on: own.iter().map(|r| r.finding.edge_on).sum(),
+            faults: own.iter().filter(|r| r.finding.outcome == Outcome::Fault).count(),
+        }
+    }
+}
+
+/// Engines in the order of the rows, without what was refused.
+fn engines<'a>(rows: &[&'a Row]) -> Vec<&'a str> {
+    let mut engines: Vec<&str> = Vec::new();
+    for row in rows.iter().filter(|r| r.finding.outcome != Outcome::Rejected) {
+        if !engines.contains(&row.finding.engine.as_str()) {
+            engines.push(&row.finding.engine);
+        }
+    }
+    engines
+}
+
+fn refused_from(rows: &[&Row]) -> Option<f64> {
+    rows.iter().find(|r| r.finding.outcome == Outcome::Rejected).map(|r| r.difficulty)
+}
+
+/// One sentence on a family.
+fn advice(rows: &[&Row]) -> String {
+    let faults = rows.iter().filter(|r| r.finding.outcome == Outcome::Fault).count();
+    let refused: Vec<f64> =
+        rows.iter().filter(|r| r.finding.outcome == Outcome::Rejected).map(|r| r.difficulty).collect();
+    let unbounded = unbounded(rows);
+    let within = match (faults, unbounded.is_empty()) {
+        (0, true) => "Every error is within its bound".to_owned(),
+        (0, false) => format!("Every error that has a bound is within it; there is none {}", unbounded.join(", ")),
+        (n, _) => format!("{n} cases are wrong"),
+    };
+    match (refused.first(), refused.last()) {
+        (Some(a), Some(b)) if a == b => format!("{within}; refused at {a:e}."),
+        (Some(a), Some(b)) => format!("{within}; refused from {a:e} to {b:e}."),
+        _ => format!("{within}; nothing is refused."),
+    }
+}
+
+/// Where there is no bound, and for which engines: `from 1e-6 on for gpu and gpu-32-bit`.
+fn unbounded(rows: &[&Row]) -> Vec<String> {
+    let mut found: Vec<(String, Vec<&str>)> = Vec::new();
+    for engine in engines(rows) {
+        let own: Vec<&Row> = rows.iter().filter(|r| r.finding.engine == engine).copied().collect();
+        let without = |r: &&Row| r.finding.bound == f64::INFINITY;
+        let Some(first) = own.iter().position(without) else { continue };
+        let place = match own[first..].iter().all(without) {
+            _ if first + 1 == own.len() => format!("at {:e}", own[first].difficulty),
+            true => format!("from {:e} on", own[first].difficulty),
+            false => {
+                let all = own.iter().filter(|r| without(r)).map(|r| format!("{:e}", r.difficulty));
+                format!("at {}", all.collect::<Vec<_>>().join(" and "))
+            }
+        };
+        match found.iter_mut().find(|(other, _)| *other == place) {
+            Some((_, engines)) => engines.push(engine),
+            None => found.push((place, vec![engine])),
+        }
+    }
+    let all = engines(rows).len();
+    let names = |names: &[&str]| match names {
+        [first @ .., last] if names.len() < all && !first.is_empty() => format!("{} and {last}", first.join(", ")),
+        [one] if all > 1 => (*one).to_owned(),
+        _ => "any engine".to_owned(),
+    };
+    found.into_iter().map(|(place, engines)| format!("{place} for {}", names(&engines))).collect()
+}
+
+fn notes(rows: &[&Row]) -> Vec<Vec<String>> {
+    let told = rows.iter().filter(|r| !r.finding.note.is_empty());
+    told.map(|r| {
+        let f = &r.finding;
+        vec![format!("{:e}", r.difficulty), f.engine.clone(), f.outcome.name().into(), f.note.clone()]
+    })
+    .collect()
+}
+
+/// Error and bound by difficulty, a colour an engine.
+fn chart(rows: &[&Row], axis: &str, error: &str, falling: bool) -> Chart {
+    let mut series = Vec::new();
+    for (color, engine) in engines(rows).into_iter().enumerate() {
+        let of = |value: fn(&Row) -> f64| {
+            let own = rows.iter().filter(|r| r.finding.engine == engine);
+            own.map(|r| (r.difficulty, value(r))).collect::<Vec<_>>()
+        };
+        let (errors, bounds) = (of(|r| r.finding.error), of(|r| r.finding.bound));
+        let name = engine.to_owned();
+        series.push(Series {
+            name: format!("{name}: bound"),
+            points: bounds,
+            style: Style::Bound,
+            color,
+            labels: vec![],
+        });
+        series.push(Series { name, points: errors, style: Style::LinePoints, color, labels: vec![] });
+    }
+    let harder = if falling { "harder to the left" } else { "harder to the right" };
+    Chart {
+        title: String::new(),
+        x_label: format!("{axis} ({harder})"),
+        y_label: error.split(';').next().unwrap_or(error).to_owned(),
+        x_log: true,
+        y_log: true,
+        series,
+    }
+}

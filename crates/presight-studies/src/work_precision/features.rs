@@ -1,0 +1,187 @@
+//! Features: how much of each is seen.
+//!
+//! Knobs: by images or by a ray to every sample, how finely features are sampled, the sensor's resolution.
+
+use super::one::{One, Progress, Truth};
+use super::paths::{Named, Which};
+use super::timing::{Timed, by_turns};
+use super::views::View;
+use super::{PathNotes, Row, how, regions};
+use glam::DVec3;
+use presight::acquire::features::{GenerateOptions, generate};
+use presight::features::{
+    FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, PlacedFeatures, STEP, SeenFeature, Visibility,
+    place, predict_features,
+};
+use presight::geometry::{Aabb, Pose};
+use presight::plan::Stats;
+use presight::sensor::Sensor;
+use presight::{Prediction, Request, Result};
+
+/// Features are made of what is so near, metres.
+const NEAR: f64 = 6.0;
+/// The truth has a sample so often, pixels.
+const TRUE_STEP: f64 = STEP / 8.0;
+/// Visible fractions that differ by less are the same: lengths were added up in another order.
+pub(super) const ROUNDING: f64 = 1e-12;
+
+/// Features before the sensor at one pose, and what is true of them.
+pub(super) struct Case<'a> {
+    pub pose: &'a Pose,
+    pub placed: PlacedFeatures,
+    pub truth: FeaturePrediction,
+}
+
+/// A path from images to features while it is measured.
+struct Seeing {
+    which: Which,
+    visibility: Visibility,
+    step: f64,
+    view: View,
+    sensor: Sensor,
+    /// The last one, whose memory is reused.
+    found: Option<Prediction>,
+    /// Greatest error of a visible fraction, the sum of all and their number.
+    worst: f64,
+    sum: f64,
+    count: usize,
+}
+
+/// Rows of all paths from images to features, and to their regions of interest; the number of features.
+pub(super) fn rows(
+    one: &mut One<'_>,
+    truths: &[Truth],
+    rows: &mut Vec<Row>,
+    notes: &mut Vec<PathNotes>,
+    progress: Progress<'_>,
+) -> Result<usize> {
+    if let Err(e) = one.sensor.check_projection() {
+        one.not_measured.push(format!("features and regions of interest: {e}"));
+        return Ok(0);
+    }
+    let cases: Vec<Case<'_>> =
+        one.scene.poses.iter().zip(truths).map(|(p, t)| case(one, p, t)).collect::<Result<_>>()?;
+    let count = cases.iter().map(|c| c.placed.features.len()).sum();
+    if count == 0 {
+        return Ok(0);
+    }
+    let mut all = paths(one);
+    let place = one.sensor.spec().name.clone();
+    for case in &cases {
+        for Timed { what, timing } in &mut all {
+            timing.warm(|| what.look(one, case))?;
+            what.judge(case);
+        }
+        let effort = one.effort;
+        let look = |what: &mut Seeing| what.look(one, case);
+        by_turns(effort, &mut all, look, |round| progress(&format!("features by turns, {round}: {place}")))?;
+    }
+    for Timed { what, timing } in all {
+        let named = what.named(one);
+        let row = one.row(&named, &timing);
+        let mean = what.sum / what.count.max(1) as f64;
+        for (error_kind, error) in [("visible_fraction", what.worst), ("visible_fraction_mean", mean)] {
+            rows.push(Row { error_kind, error, bound: None, ..row.clone() });
+        }
+        notes.push(timing.notes(&named));
+    }
+    regions::rows(one, &cases, rows, notes, progress)?;
+    Ok(count)
+}
+
+/// All paths that this machine and sensor have.
+fn paths(one: &mut One<'_>) -> Vec<Timed<Seeing>> {
+    use Visibility::{Image, Rays};
+    let all = [
+        (Which::CpuAll, Rays, STEP, View::Whole),
+        (Which::CpuAll, Image, STEP / 4.0, View::Whole),
+        (Which::CpuAll, Image, STEP / 2.0, View::Whole),
+        (Which::CpuAll, Image, STEP, View::Whole),
+        (Which::CpuAll, Image, STEP, View::Reduced(2)),
+        (Which::CpuAll, Image, STEP, View::Reduced(4)),
+        (Which::Gpu, Image, STEP, View::Whole),
+    ];
+    let mut paths = Vec::new();
+    for (which, visibility, step, view) in all {
+        if which == Which::Gpu && !one.engines.has_gpu() {
+            continue;
+        }
+        let path =
+            |sensor| Seeing { which, visibility, step, view, sensor, found: None, worst: 0.0, sum: 0.0, count: 0 };
+        // Fewer rays may be too few for features.
+        let seen = view
+            .of(one.sensor)
+            .and_then(|seen| seen.map(|seen| seen.sensor.check_projection().map(|()| seen)).transpose());
+        match seen {
+            Ok(Some(seen)) => paths.push(Timed::new(path(seen.sensor))),
+            Ok(None) => {}
+            Err(e) => {
+                let named = path(one.sensor.clone()).named(one);
+                one.leave_out(&named, &e);
+            }
+        }
+    }
+    paths
+}
+
+impl Seeing {
+    fn named(&self, one: &One<'_>) -> Named {
+        let by = if self.visibility == Visibility::Rays { "rays" } else { "images" };
+        let engine = if self.which == Which::Gpu { "gpu" } else { "cpu" };
+        let fine = self.step < STEP;
+        let finer = if fine { format!(", every {} px", self.step) } else { String::new() };
+        let default = !fine && self.visibility == Visibility::Image && self.view == View::Whole;
+        Named {
+            engine,
+            variant: format!("features by {by}{}{finer}", self.view.name()),
+            how: how::of_features(self.which, self.visibility, self.step, self.view, one.sensor),
+            default: default && self.which == one.engines.default(),
+            family: format!("{engine}, by {by}"),
+            label: if fine { format!("{} px", self.step) } else { self.view.label().to_owned() },
+        }
+    }
+
+    /// Image and features together.
+    fn look(&mut self, one: &mut One<'_>, case: &Case<'_>) -> Result<Stats> {
+        let (world, pose) = (&one.scene.world, case.pose);
+        let predictor = one.engines.predictor(self.which)?;
+        let options = FeatureOptions::default().with_visibility(self.visibility).with_step(self.step);
+        let request = Request::default().with_features(options.with_placed(case.placed.clone()));
+        match &mut self.found {
+            Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,
+            found => *found = Some(predictor.predict(world, &self.sensor, pose, &request)?),
+        }
+        Ok(self.found.as_ref().map(|found| found.stats.clone()).unwrap_or_default())
+    }
+
+    /// Adds the errors of one case.
+    fn judge(&mut self, case: &Case<'_>) {
+        let Some(found) = self.found.as_ref().and_then(|p| p.features.as_ref()) else { return };
+        for (seen, truth) in found.features.iter().zip(&case.truth.features) {
+            let off = (seen.visible_fraction - truth.visible_fraction).abs();
+            let off = if off < ROUNDING { 0.0 } else { off };
+            self.worst = self.worst.max(off);
+            self.sum += off;
+        }
+        self.count += case.truth.features.len();
+    }
+}
+
+/// The features that have a part in the image, spread over all there are, and how they are seen.
+fn case<'a>(one: &One<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
+    let (world, at) = (&one.scene.world, pose.translation);
+    let near = Aabb { min: at - DVec3::splat(NEAR), max: at + DVec3::splat(NEAR) };
+    let options = GenerateOptions { region: Some(near), ..GenerateOptions::default() };
+    let layer = generate(world.environment(), &one.sensor.spec().class, &options)?.layer;
+    let placed = place(world, &layer)?;
+    let by_rays = FeatureSettings { visibility: Visibility::Rays, ..FeatureSettings::default() };
+    let all = predict_features(world, one.sensor, pose, &truth.images, &placed, &by_rays)?;
+    let in_image = |seen: &SeenFeature| !seen.visible.is_empty() || seen.hidden.iter().any(|h| !h.reason.is_outside());
+    let inside: Vec<usize> = (0..placed.len()).filter(|i| in_image(&all.features[*i])).collect();
+    let step = inside.len().div_ceil(one.effort.features).max(1);
+    let chosen: Vec<usize> = inside.into_iter().step_by(step).collect();
+    let placed: Vec<PlacedFeature> = chosen.into_iter().map(|i| placed[i].clone()).collect();
+    let finely = FeatureSettings { step: TRUE_STEP, ..by_rays };
+    let truth = predict_features(world, one.sensor, pose, &truth.images, &placed, &finely)?;
+    Ok(Case { pose, placed: placed.into(), truth })
+}

@@ -1,0 +1,142 @@
+//! How a user takes a path: flags of `presight predict`, keys of the sensor's file, or the library.
+
+use super::paths::{Path, Which};
+use super::views::View;
+use presight::features::{BoxMethod, STEP, Visibility};
+use presight::sensor::{Angles, Geometry, Scanner, Sensor};
+
+/// Of a path to images. What begins with flags is for `presight predict`; the rest follows after a semicolon.
+pub(super) fn of_image(path: &Path, sensor: &Sensor) -> String {
+    let engine = match path.which {
+        Which::Reference => "library: reference::render",
+        Which::CpuOne => "--backend cpu --threads 1",
+        Which::CpuAll => "--backend cpu",
+        Which::Gpu => "--backend gpu",
+        Which::GpuNarrow => "library: gpu::DeviceOptions::without_int64 (by itself on devices without 64-bit atomics)",
+    };
+    let index = path.index.map(|s| format!(" --index {}", s.name())).unwrap_or_default();
+    format!("{engine}{index}{}", of_view(path.view, sensor))
+}
+
+/// What is to be changed in the sensor's file: the keys of the very geometry that was measured.
+fn of_view(view: View, sensor: &Sensor) -> String {
+    match view {
+        View::Whole => return String::new(),
+        View::Rays => return "; sensor file: kind = \"rays\" with the directions of all pixels".into(),
+        View::Reduced(_) | View::Region => {}
+    }
+    // Paths without such a view are not measured.
+    let Ok(Some(seen)) = view.of(sensor) else { return String::new() };
+    match (view, &sensor.spec().geometry, &seen.sensor.spec().geometry) {
+        (_, _, Geometry::Camera(c)) => format!(
+            "; sensor file: width = {}, height = {}, fx = {:?}, fy = {:?}, cx = {:?}, cy = {:?}",
+            c.width, c.height, c.fx, c.fy, c.cx, c.cy
+        ),
+        (_, Geometry::Scanner(old), Geometry::Scanner(new)) => format!("; sensor file: {}", of_scanner(old, new)),
+        (View::Reduced(n), _, Geometry::Rays(new)) => format!(
+            "; sensor file: width = {}, height = {}, directions of columns and rows {}, {}, .. from 0 on, of the last beyond it",
+            new.width(),
+            new.height(),
+            n / 2,
+            n / 2 + n
+        ),
+        _ => String::new(),
+    }
+}
+
+/// Keys that differ; what is not named stays.
+fn of_scanner(old: &Scanner, new: &Scanner) -> String {
+    let mut keys = Vec::new();
+    if let Some(height) = new.beam_height_deg.filter(|_| new.beam_height_deg != old.beam_height_deg) {
+        keys.push(format!("beam_height_deg = {height:?}"));
+    }
+    for (table, old, new) in [("azimuth", &old.azimuth, &new.azimuth), ("elevation", &old.elevation, &new.elevation)] {
+        if let Angles::Uniform { start_deg, step_deg, count } = new
+            && old != new
+        {
+            keys.push(format!("[{table}] start_deg = {start_deg:?}, step_deg = {step_deg:?}, count = {count}"));
+        }
+    }
+    keys.join(", ")
+}
+
+/// Of a path to features.
+pub(super) fn of_features(which: Which, visibility: Visibility, step: f64, view: View, sensor: &Sensor) -> String {
+    let engine = if which == Which::Gpu { "--backend gpu" } else { "--backend cpu" };
+    let mut options = Vec::new();
+    if visibility == Visibility::Rays {
+        options.push("FeatureSettings::visibility = Visibility::Rays".to_owned());
+    }
+    if step != STEP {
+        options.push(format!("FeatureSettings::step = {step}"));
+    }
+    match options.is_empty() {
+        true => format!("{engine}{}", of_view(view, sensor)),
+        false => format!("library: {}", options.join(", ")),
+    }
+}
+
+/// Of a path to regions of interest.
+pub(super) fn of_regions(which: Which, method: BoxMethod) -> String {
+    match (which, method) {
+        (_, BoxMethod::Linear) => "library: BoxOptions::method = BoxMethod::Linear".into(),
+        (_, BoxMethod::Set) => "library: BoxOptions::method = BoxMethod::Set".into(),
+        (Which::Gpu, BoxMethod::AsNeeded) => "--backend gpu".into(),
+        (_, BoxMethod::AsNeeded) => "--backend cpu".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use presight::io::sensor_toml;
+
+    const CAMERA: &str = "width = 61\nheight = 48\nfx = 40.0\nfy = 41.0\ncx = 31.5\ncy = 23.25\n";
+    const TURN: &str = "[azimuth]\nstart_deg = -180.0\nstep_deg = 0.3\ncount = 1200\n";
+    const ROWS: &str = "[elevation]\nstart_deg = 15.0\nstep_deg = -2.0\ncount = 16\n";
+    const ROW: &str = "[elevation]\nstart_deg = 0.0\nstep_deg = 1.0\ncount = 1\n";
+    const LISTED: &str = "[elevation]\nangles_deg = [3.0, 1.0, 0.0, -4.0]\n";
+
+    fn sensor(kind: &str, keys: &str) -> Sensor {
+        let text = format!("format = 1\nkind = \"{kind}\"\nclass = \"laser\"\n{keys}");
+        Sensor::new(sensor_toml::parse(&text, "s", None).unwrap_or_else(|e| panic!("{e}: {text}"))).unwrap()
+    }
+
+    /// The keys of a file with those of a recipe in their place.
+    fn changed(keys: &str, recipe: &str) -> String {
+        let recipe = recipe.strip_prefix("; sensor file: ").unwrap().replace("] ", "]\n").replace(", ", "\n");
+        let mut all: toml::Table = keys.parse().unwrap();
+        for (key, value) in recipe.parse::<toml::Table>().unwrap() {
+            match (all.get_mut(&key), value) {
+                (Some(toml::Value::Table(table)), toml::Value::Table(new)) => table.extend(new),
+                (_, value) => drop(all.insert(key, value)),
+            }
+        }
+        toml::to_string(&all).unwrap()
+    }
+
+    /// Who follows the words has the sensor that was measured, to the bit.
+    #[test]
+    fn recipes_give_what_was_measured() {
+        let tall = format!("beam_height_deg = 0.5\n{TURN}{ROWS}");
+        for (kind, keys) in [
+            ("camera", CAMERA.to_owned()),
+            ("scanner", format!("{TURN}{ROWS}")),
+            ("scanner", format!("{TURN}{ROW}")),
+            ("scanner", format!("{TURN}{LISTED}")),
+            ("scanner", tall),
+        ] {
+            let whole = sensor(kind, &keys);
+            for view in [View::Reduced(2), View::Reduced(4), View::Region] {
+                let recipe = of_view(view, &whole);
+                let taken = sensor(kind, &changed(&keys, &recipe));
+                let measured = view.of(&whole).unwrap().unwrap().sensor;
+                assert_eq!(taken.spec().geometry, measured.spec().geometry, "{view:?}: {recipe}");
+            }
+        }
+        // The height of beams is part of it, and rows that stay are not named.
+        let rows = of_view(View::Reduced(2), &sensor("scanner", &format!("{TURN}{ROWS}")));
+        assert!(rows.contains("beam_height_deg = 2.0") && rows.contains("[elevation]"), "{rows}");
+        assert!(!of_view(View::Reduced(2), &sensor("scanner", &format!("{TURN}{LISTED}"))).contains("elevation"));
+    }
+}

@@ -1,0 +1,190 @@
+//! Every path of the product from a scene to an image.
+
+use super::views::View;
+use super::{how, precision_of};
+use presight::Threads;
+use presight::compare::Precision;
+use presight::engine::EngineKind;
+use presight::index::Scheme;
+use presight::sensor::Sensor;
+use presight::{Backend, Options, Predictor};
+use presight::{Error, ErrorKind, Result};
+
+/// Who draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Which {
+    /// The reference, on all cores.
+    Reference,
+    /// The CPU engine on one thread.
+    CpuOne,
+    /// The CPU engine on all cores.
+    CpuAll,
+    /// The GPU engine as it opens: 64-bit keys where the device has them.
+    Gpu,
+    /// The GPU engine with keys of 32 bits, in two passes.
+    GpuNarrow,
+}
+
+impl Which {
+    fn engine(self) -> (EngineKind, Threads) {
+        match self {
+            Self::Reference => (EngineKind::Reference, 0.into()),
+            Self::CpuOne => (EngineKind::Cpu, 1.into()),
+            Self::CpuAll => (EngineKind::Cpu, 0.into()),
+            Self::Gpu => (EngineKind::Gpu, 0.into()),
+            Self::GpuNarrow => (EngineKind::GpuNarrow, 0.into()),
+        }
+    }
+}
+
+/// A path as tables, charts and advice name it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Named {
+    /// `reference`, `cpu` or `gpu`.
+    pub engine: &'static str,
+    /// What tells it from the engine's other paths.
+    pub variant: String,
+    /// How a user takes it.
+    pub how: String,
+    /// The one that a user gets who asks for nothing else.
+    pub default: bool,
+    /// In charts: whose mark it bears.
+    pub family: String,
+    /// In charts: the text beside it.
+    pub label: String,
+}
+
+/// One path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Path {
+    pub which: Which,
+    pub view: View,
+    /// An index other than the default.
+    pub index: Option<Scheme>,
+}
+
+impl Path {
+    /// All of them.
+    pub fn all(gpu: bool) -> Vec<Self> {
+        let path = |which, view| Self { which, view, index: None };
+        let views = [View::Whole, View::Rays, View::Reduced(2), View::Reduced(4), View::Region];
+        let mut all = vec![path(Which::Reference, View::Whole)];
+        all.extend([View::Whole, View::Rays].map(|view| path(Which::CpuOne, view)));
+        all.extend(views.map(|view| path(Which::CpuAll, view)));
+        let others = Scheme::ALL.into_iter().filter(|s| *s != Scheme::default());
+        all.extend(others.map(|s| Self { index: Some(s), ..path(Which::CpuAll, View::Whole) }));
+        if gpu {
+            all.extend(views.map(|view| path(Which::Gpu, view)));
+            all.push(path(Which::GpuNarrow, View::Whole));
+        }
+        all
+    }
+
+    /// As the files name the engine.
+    pub fn engine(&self) -> &'static str {
+        match self.which {
+            Which::Reference => "reference",
+            Which::CpuOne | Which::CpuAll => "cpu",
+            Which::Gpu | Which::GpuNarrow => "gpu",
+        }
+    }
+
+    /// Its names for a sensor.
+    pub fn named(&self, engines: &Engines, sensor: &Sensor) -> Named {
+        let (engine, manner) = (self.engine(), engines.manner(self.which));
+        let index = self.index.map(|s| format!(", index {}", s.name())).unwrap_or_default();
+        let others = if self.index.is_some() { ", other indexes" } else { "" };
+        Named {
+            engine,
+            variant: format!("{manner}{}{index}", self.view.name()),
+            how: how::of_image(self, sensor),
+            default: self.which == engines.default() && self.view == View::Whole && self.index.is_none(),
+            family: format!("{engine}, {manner}{others}"),
+            label: self.view.label().to_owned(),
+        }
+    }
+
+    pub fn precision(&self) -> Precision {
+        precision_of(self.engine() == "gpu")
+    }
+}
+
+/// The engines, opened once for a study.
+pub(super) struct Engines {
+    all: Vec<(Which, Predictor)>,
+    gpu_keys: &'static str,
+    /// The adapter is a real GPU.
+    hardware: bool,
+    adapter: String,
+    threads: usize,
+}
+
+impl Engines {
+    /// Opens what there is; a GPU that is not there is no error, lavapipe counts as one.
+    pub fn open() -> Result<Self> {
+        let (mut all, mut missing) = (Vec::new(), None);
+        for which in [Which::Reference, Which::CpuOne, Which::CpuAll, Which::Gpu, Which::GpuNarrow] {
+            let (kind, threads) = which.engine();
+            match kind.open(&threads) {
+                Ok(engine) => {
+                    let backend = if kind.needs_device() { Backend::Gpu } else { Backend::Cpu };
+                    all.push((which, Predictor::with_engine(Options::new(backend).with_threads(threads), engine)));
+                }
+                Err(e) if e.kind() == ErrorKind::NoDevice => missing = Some(e),
+                Err(e) => return Err(e),
+            }
+        }
+        let (gpu_keys, hardware, adapter) = match missing {
+            Some(e) => ("", false, format!("none: {}; presight doctor says what to install", e.what())),
+            None => about_gpu(&all),
+        };
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        Ok(Self { all, gpu_keys, hardware, adapter, threads })
+    }
+
+    /// Who draws where a user chooses nothing (`--backend auto`).
+    pub fn default(&self) -> Which {
+        if self.hardware { Which::Gpu } else { Which::CpuAll }
+    }
+
+    pub fn has_gpu(&self) -> bool {
+        self.all.iter().any(|(which, _)| *which == Which::Gpu)
+    }
+
+    /// Adapter and driver, or why there is none.
+    pub fn adapter(&self) -> String {
+        self.adapter.clone()
+    }
+
+    /// How an engine runs.
+    fn manner(&self, which: Which) -> String {
+        match which {
+            Which::CpuOne => "1 thread".into(),
+            Which::Reference | Which::CpuAll => format!("all {} threads", self.threads),
+            Which::Gpu => self.gpu_keys.into(),
+            Which::GpuNarrow => "32-bit keys".into(),
+        }
+    }
+
+    /// The predictor of an engine.
+    pub fn predictor(&mut self, which: Which) -> Result<&mut Predictor> {
+        let found = self.all.iter_mut().find(|(of, _)| *of == which).map(|(_, predictor)| predictor);
+        found.ok_or_else(|| Error::new(ErrorKind::NoDevice, "there is no GPU", "leave it out"))
+    }
+}
+
+/// How the GPU engine keeps its nearest surfaces, whether its adapter is hardware, and its name.
+#[cfg(feature = "gpu")]
+fn about_gpu(all: &[(Which, Predictor)]) -> (&'static str, bool, String) {
+    let gpu = all.iter().find(|(which, _)| *which == Which::Gpu);
+    let engine = gpu.and_then(|(_, p)| (p.engine() as &dyn std::any::Any).downcast_ref::<presight::gpu::Engine>());
+    engine.map_or_else(Default::default, |engine| {
+        let keys = if engine.abilities().int64_atomics { "64-bit keys" } else { "its 32-bit keys" };
+        (keys, engine.adapter().hardware, engine.adapter().to_string())
+    })
+}
+
+#[cfg(not(feature = "gpu"))]
+fn about_gpu(_: &[(Which, Predictor)]) -> (&'static str, bool, String) {
+    Default::default()
+}

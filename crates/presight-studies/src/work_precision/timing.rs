@@ -1,0 +1,181 @@
+//! Times of paths: warmed up, repeated by turns, by stage.
+
+use super::paths::Named;
+use super::{Effort, PathNotes, StageTime};
+use crate::{median, quantile};
+use presight::Result;
+use presight::plan::Stats;
+use std::time::{Duration, Instant};
+
+/// What takes longer than this hardly feels what others left in the caches.
+const SHORT: Duration = Duration::from_millis(10);
+
+/// All runs of one path.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Timing {
+    times_ms: Vec<f64>,
+    stats: Vec<Stats>,
+    /// How long the last run took, counted or not.
+    last: Duration,
+}
+
+/// A path, and what is known of its times.
+pub(super) struct Timed<T> {
+    pub what: T,
+    pub timing: Timing,
+}
+
+impl<T> Timed<T> {
+    pub fn new(what: T) -> Self {
+        Self { what, timing: Timing::default() }
+    }
+}
+
+/// Runs all paths by turns, so that a machine that grows slower or busier does so for all of them alike: in each round each
+/// path runs until it has its share of runs or of time. Each must have been warmed up ([`Timing::warm`]); a short one is
+/// run once more uncounted at the beginning of its turn, because the others have taken the caches.
+pub(super) fn by_turns<T>(
+    effort: &Effort,
+    all: &mut [Timed<T>],
+    mut run: impl FnMut(&mut T) -> Result<Stats>,
+    mut round_begins: impl FnMut(usize),
+) -> Result<()> {
+    let mut done = vec![(0, Duration::ZERO); all.len()];
+    for round in 1..=effort.rounds {
+        round_begins(round);
+        let share = |of: usize| (of * round).div_ceil(effort.rounds);
+        let until = effort.patience.mul_f64(round as f64 / effort.rounds as f64);
+        for (one, (runs, spent)) in all.iter_mut().zip(&mut done) {
+            let more =
+                |runs: usize, spent| runs < share(effort.least_runs) || runs < share(effort.most_runs) && spent < until;
+            if more(*runs, *spent) && one.timing.last < SHORT {
+                one.timing.warm(|| run(&mut one.what))?;
+            }
+            while more(*runs, *spent) {
+                one.timing.count(|| run(&mut one.what))?;
+                (*runs, *spent) = (*runs + 1, *spent + one.timing.last);
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Timing {
+    /// Runs without counting it.
+    pub fn warm(&mut self, run: impl FnOnce() -> Result<Stats>) -> Result<Stats> {
+        let start = Instant::now();
+        let stats = run()?;
+        self.last = start.elapsed();
+        Ok(stats)
+    }
+
+    fn count(&mut self, run: impl FnOnce() -> Result<Stats>) -> Result<()> {
+        let stats = self.warm(run)?;
+        self.times_ms.push(self.last.as_secs_f64() * 1e3);
+        self.stats.push(stats);
+        Ok(())
+    }
+
+    pub fn runs(&self) -> usize {
+        self.times_ms.len()
+    }
+
+    pub fn median(&self) -> f64 {
+        median(self.times_ms.clone())
+    }
+
+    /// A quarter and three quarters of the runs took at most so long.
+    pub fn quartiles(&self) -> [f64; 2] {
+        [0.25, 0.75].map(|share| quantile(&self.times_ms, share))
+    }
+
+    pub fn p95(&self) -> f64 {
+        quantile(&self.times_ms, 0.95)
+    }
+
+    /// The same times another `factor` long: of so many features instead of those that were there.
+    pub fn scaled(mut self, factor: f64) -> Self {
+        self.times_ms.iter_mut().for_each(|ms| *ms *= factor);
+        self
+    }
+
+    /// Times of stages; counts and what was left out of the last run.
+    pub fn notes(&self, named: &Named) -> PathNotes {
+        let last = self.stats.last().cloned().unwrap_or_default();
+        let mut names: Vec<String> = Vec::new();
+        for (name, _) in &last.stages_ms {
+            if !names.contains(name) {
+                names.push(name.clone());
+            }
+        }
+        let of_run = |stats: &Stats, stage: &str| -> f64 {
+            stats.stages_ms.iter().filter(|(name, _)| name == stage).map(|(_, ms)| ms).sum()
+        };
+        let stage = |stage: String| {
+            let times: Vec<f64> = self.stats.iter().map(|s| of_run(s, &stage)).collect();
+            StageTime { stage, p95_ms: quantile(&times, 0.95), median_ms: median(times) }
+        };
+        PathNotes {
+            engine: named.engine.to_owned(),
+            variant: named.variant.clone(),
+            how: named.how.clone(),
+            default: named.default,
+            runs: self.runs(),
+            stages: names.into_iter().map(stage).collect(),
+            counts: last.counts,
+            left_out: last.left_out,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Paths that take no time, and one that takes long: who ran, in order.
+    fn ran(effort: &Effort, sleeps: &[u64]) -> (Vec<usize>, Vec<usize>) {
+        let mut order = Vec::new();
+        let mut all: Vec<_> = (0..sleeps.len()).map(Timed::new).collect();
+        let mut run = |i: &mut usize| {
+            order.push(*i);
+            std::thread::sleep(Duration::from_millis(sleeps[*i]));
+            Ok(Stats::default())
+        };
+        for one in &mut all {
+            one.timing.warm(|| run(&mut one.what)).unwrap();
+        }
+        by_turns(effort, &mut all, run, |_| ()).unwrap();
+        (order, all.iter().map(|one| one.timing.runs()).collect())
+    }
+
+    #[test]
+    fn paths_take_turns_and_first_runs_are_not_counted() {
+        let effort =
+            Effort { rounds: 2, least_runs: 2, most_runs: 4, patience: Duration::from_secs(9), ..Effort::QUICK };
+        let (mut order, counted) = ran(&effort, &[0, 0]);
+        assert_eq!(counted, [4, 4]);
+        assert!(order.len() > 2 + 8, "short paths are warmed up again in each turn: {order:?}");
+        order.dedup();
+        assert_eq!(order, [0, 1, 0, 1, 0, 1]);
+        // Without patience there are the least runs only; a long path needs no other warming up.
+        let effort = Effort { patience: Duration::ZERO, ..effort };
+        let (order, counted) = ran(&effort, &[0, 12]);
+        assert_eq!(counted, [2, 2]);
+        assert_eq!(order.iter().filter(|i| **i == 1).count(), 1 + 2, "{order:?}");
+    }
+
+    #[test]
+    fn times_are_told_by_nearest_rank() {
+        let timing = Timing { times_ms: (1..=100).rev().map(f64::from).collect(), ..Timing::default() };
+        assert_eq!((timing.median(), timing.p95(), timing.quartiles()), (50.5, 95.0, [25.0, 75.0]));
+        assert_eq!((Timing::default().median(), Timing::default().p95()), (0.0, 0.0));
+    }
+
+    #[test]
+    fn stages_of_one_name_are_added_and_told_with_their_spread() {
+        let run = |ms: f64| Stats { stages_ms: vec![("a".into(), ms), ("a".into(), 1.0)], ..Stats::default() };
+        let timing = Timing { stats: [1.0, 2.0, 9.0].map(run).to_vec(), ..Timing::default() };
+        let told = timing.notes(&Named::default()).stages;
+        assert_eq!(told, [StageTime { stage: "a".into(), median_ms: 3.0, p95_ms: 10.0 }]);
+    }
+}

@@ -1,0 +1,231 @@
+//! What a path images instead of the sensor: the same rays from a table, fewer of them, or a part of them.
+
+use super::request;
+use glam::DVec3;
+use presight::Result;
+use presight::plan::Images;
+use presight::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor};
+
+/// The ways to image less, or the same otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum View {
+    /// The sensor itself.
+    Whole,
+    /// Its rays as a table (`kind = "rays"`).
+    Rays,
+    /// Every so many pixels one, each shown that many times.
+    Reduced(u32),
+    /// The middle half of the columns and, of a camera, of the rows.
+    Region,
+}
+
+/// A view of one sensor.
+pub(super) struct Seen {
+    /// What is predicted.
+    pub sensor: Sensor,
+    /// Whose pixels the errors are of.
+    pub judge: Sensor,
+    /// The judge is the sensor itself.
+    pub whole: bool,
+    /// Every pixel is what the sensor itself would show, to the engine's rounding.
+    pub exact: bool,
+    view: View,
+    /// Column and row of the view's first pixel in the sensor's image.
+    first: (u32, u32),
+    /// Columns and rows that one of its pixels is shown for.
+    times: (u32, u32),
+}
+
+impl View {
+    /// Beside the mark in charts.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Whole => "",
+            Self::Rays => "table",
+            Self::Reduced(2) => "1/2",
+            Self::Reduced(_) => "1/4",
+            Self::Region => "part",
+        }
+    }
+
+    /// In tables.
+    pub fn name(self) -> String {
+        match self {
+            Self::Whole => String::new(),
+            Self::Rays => ", ray table".into(),
+            Self::Reduced(n) => format!(", 1/{n} resolution"),
+            Self::Region => ", middle part".into(),
+        }
+    }
+
+    /// What it makes of a sensor; `None` if there is no such view of it.
+    pub fn of(self, sensor: &Sensor) -> Result<Option<Seen>> {
+        let mut spec = sensor.spec().clone();
+        let (mut first, mut times) = ((0, 0), (1, 1));
+        let geometry = match (self, &spec.geometry) {
+            (Self::Whole, geometry) => Some(geometry.clone()),
+            // Its rays are in a table anyway.
+            (Self::Rays, Geometry::Rays(_)) => None,
+            (Self::Rays, _) => Some(Geometry::Rays(table(sensor)?)),
+            (Self::Reduced(n), geometry) => reduced(geometry, n)?.map(|(geometry, by)| {
+                times = by;
+                geometry
+            }),
+            (Self::Region, geometry) => part(geometry).map(|(geometry, at)| {
+                first = at;
+                geometry
+            }),
+        };
+        let Some(geometry) = geometry else { return Ok(None) };
+        spec.geometry = geometry;
+        let seen = if self == Self::Whole { sensor.clone() } else { Sensor::new(spec)? };
+        let judge = if self == Self::Region { seen.clone() } else { sensor.clone() };
+        let exact = !matches!(self, Self::Reduced(_));
+        Ok(Some(Seen { sensor: seen, judge, whole: self != Self::Region, exact, view: self, first, times }))
+    }
+}
+
+impl Seen {
+    /// The truth and the images made, pixel beside pixel.
+    pub fn beside(&self, truth: &Images, made: &Images) -> (Images, Images) {
+        let (w, h) = (self.judge.width(), self.judge.height());
+        match self.view {
+            View::Whole | View::Rays => (truth.clone(), made.clone()),
+            View::Reduced(_) => {
+                let (by_x, by_y) = self.times;
+                (truth.clone(), pick(made, w, h, |x, y| (x / by_x, y / by_y)))
+            }
+            View::Region => (pick(truth, w, h, |x, y| (x + self.first.0, y + self.first.1)), made.clone()),
+        }
+    }
+
+    /// The share of the sensor's pixels that are not predicted at all.
+    pub fn missing_share(&self, sensor: &Sensor) -> f64 {
+        let pixels = |s: &Sensor| f64::from(s.width()) * f64::from(s.height());
+        1.0 - pixels(&self.judge) / pixels(sensor)
+    }
+}
+
+/// Images of w x h pixels whose pixels are those at other places of others; beyond the last, the last.
+fn pick(from: &Images, w: u32, h: u32, place: impl Fn(u32, u32) -> (u32, u32)) -> Images {
+    let mut to = Images::default();
+    to.prepare(w, h, request().outputs);
+    for (at, (y, x)) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))).enumerate() {
+        let (px, py) = place(x, y);
+        let source = py.min(from.height - 1) as usize * from.width as usize + px.min(from.width - 1) as usize;
+        to.range[at] = from.range[source];
+        to.polygon_id[at] = from.polygon_id[source];
+        to.object_id[at] = from.object_id[source];
+        to.cos_incidence[at] = from.cos_incidence[source];
+    }
+    to
+}
+
+/// A sensor's rays, body axes.
+fn table(sensor: &Sensor) -> Result<RayTable> {
+    let (w, h) = (sensor.width(), sensor.height());
+    let body_from_image = sensor.body_from_image();
+    let ray = |x, y| sensor.ray(x, y).map_or(DVec3::NAN, |ray| body_from_image * ray);
+    RayTable::new(w, h, (0..h).flat_map(|y| (0..w).map(move |x| ray(x, y))).collect())
+}
+
+/// One pixel in the middle of every n x n (of every n, where rows are few or listed).
+fn reduced(geometry: &Geometry, n: u32) -> Result<Option<(Geometry, (u32, u32))>> {
+    Ok(match geometry {
+        Geometry::Camera(c) => {
+            let (by, middle) = (f64::from(n), |at: f64| (at + 0.5) / f64::from(n) - 0.5);
+            let (width, height) = (c.width.div_ceil(n), c.height.div_ceil(n));
+            let (fx, fy, cx, cy) = (c.fx / by, c.fy / by, middle(c.cx), middle(c.cy));
+            Some((Geometry::Camera(Camera { width, height, fx, fy, cx, cy, distortion: c.distortion.clone() }), (n, n)))
+        }
+        Geometry::Scanner(s) => {
+            let Some(azimuth) = thinned(&s.azimuth, n) else { return Ok(None) };
+            // Rows are from the top, whatever the order of angles: only whole groups keep their places.
+            let rows = thinned(&s.elevation, n).filter(|_| s.elevation.len() % n as usize == 0);
+            let by = (n, if rows.is_some() { n } else { 1 });
+            let elevation = rows.unwrap_or_else(|| s.elevation.clone());
+            // Fewer rows, but features count as far off a row as before.
+            let beam_height_deg = s.beam_height_deg.or(match s.elevation {
+                Angles::Uniform { step_deg, count, .. } if count > 1 => Some(step_deg.abs()),
+                _ => None,
+            });
+            Some((Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg }), by))
+        }
+        Geometry::Rays(r) => {
+            let (w, h) = (r.width().div_ceil(n), r.height().div_ceil(n));
+            let middle = |i: u32, side: u32| (i * n + n / 2).min(side - 1);
+            let at = |x, y| r.directions()[(middle(y, r.height()) * r.width() + middle(x, r.width())) as usize];
+            let rays = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect();
+            Some((Geometry::Rays(RayTable::new(w, h, rays)?), (n, n)))
+        }
+    })
+}
+
+/// Angles in the middle of every n; `None` of listed ones and of fewer than two groups.
+fn thinned(angles: &Angles, n: u32) -> Option<Angles> {
+    match angles {
+        Angles::Uniform { start_deg, step_deg, count } if *count >= 2 * n => {
+            let start_deg = start_deg + step_deg * 0.5 * f64::from(n - 1);
+            Some(Angles::Uniform { start_deg, step_deg: step_deg * f64::from(n), count: count.div_ceil(n) })
+        }
+        _ => None,
+    }
+}
+
+/// The middle half, and where it begins.
+fn part(geometry: &Geometry) -> Option<(Geometry, (u32, u32))> {
+    match geometry {
+        Geometry::Camera(c) if c.width >= 4 && c.height >= 4 => {
+            let (x, y) = (c.width / 4, c.height / 4);
+            let (width, height) = (c.width / 2, c.height / 2);
+            let (cx, cy) = (c.cx - f64::from(x), c.cy - f64::from(y));
+            Some((Geometry::Camera(Camera { width, height, cx, cy, ..c.clone() }), (x, y)))
+        }
+        Geometry::Scanner(s) => match s.azimuth {
+            Angles::Uniform { start_deg, step_deg, count } if count >= 4 => {
+                let x = count / 4;
+                let start_deg = start_deg + step_deg * f64::from(x);
+                let azimuth = Angles::Uniform { start_deg, step_deg, count: count / 2 };
+                Some((Geometry::Scanner(Scanner { azimuth, ..s.clone() }), (x, 0)))
+            }
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use presight::preset;
+
+    /// A pixel of a reduced or partial view looks where the pixels it stands for look.
+    #[test]
+    fn views_look_where_their_pixels_are() {
+        for name in ["video-camera", "vlp-16", "laser-scanner", "realsense-d435", "microwave-radar-image"] {
+            let sensor = preset(name).unwrap();
+            for view in [View::Reduced(2), View::Reduced(4), View::Region] {
+                let seen = view.of(&sensor).unwrap().unwrap();
+                let (x, y) = (seen.sensor.width() / 3, seen.sensor.height() / 3);
+                let at = |k: u32, by: u32, first: u32, most: u32| (k * by + first).min(most);
+                let low = (at(x, seen.times.0, seen.first.0, u32::MAX), at(y, seen.times.1, seen.first.1, u32::MAX));
+                let high = (low.0 + seen.times.0 - 1, low.1 + seen.times.1 - 1);
+                let middle = (sensor.ray(low.0, low.1).unwrap() + sensor.ray(high.0, high.1).unwrap()).normalize();
+                let apart = seen.sensor.ray(x, y).unwrap().angle_between(middle);
+                let pixel = sensor.ray(low.0, low.1).unwrap().angle_between(sensor.ray(low.0 + 1, low.1).unwrap());
+                let most = if view == View::Region { 1e-9 } else { 0.05 * pixel };
+                assert!(apart <= most, "{name}, {view:?}: off by {} pixels", apart / pixel);
+            }
+        }
+    }
+
+    #[test]
+    fn a_table_has_the_same_rays_to_the_bit() {
+        let sensor = preset("vlp-16").unwrap();
+        let seen = View::Rays.of(&sensor).unwrap().unwrap();
+        for (x, y) in [(0, 0), (1799, 15), (900, 7)] {
+            assert_eq!(seen.sensor.ray(x, y), sensor.ray(x, y));
+        }
+        assert!(View::Rays.of(&seen.sensor).unwrap().is_none());
+    }
+}

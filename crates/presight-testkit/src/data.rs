@@ -1,0 +1,53 @@
+//! Real scenes and sensors.
+
+use super::skip::skip;
+use presight::free_poses::free_poses;
+use presight::io::gltf::{ImportOptions, import};
+use presight::{Pose, Sensor, World};
+use std::path::PathBuf;
+
+/// The scenes that every engine is held to.
+pub const SCENES: [&str; 5] = ["warehouse_small", "office_willowgarage", "factory_hall", "hospital", "city"];
+
+/// The root of this repository.
+pub fn root() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
+
+/// A file of the shared data; `None` where it is not there and need not be.
+pub fn file(relative: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root().join("../shared/data"), PathBuf::from);
+    let path = root.join(relative);
+    if path.exists() {
+        return Some(path);
+    }
+    let missing = if root.exists() { &path } else { &root };
+    skip(&format!("the shared data {} is not there; set PRESIGHT_DATA", missing.display()));
+    None
+}
+
+/// A scene of the shared data, merged unless `ids source` is meant.
+pub fn scene(name: &str, merge: bool) -> Option<World> {
+    let path = file(&format!("env/{name}.glb"))?;
+    let options = ImportOptions { merge, ..ImportOptions::default() };
+    Some(World::new(import(path, &options).expect("the scene imports").environment))
+}
+
+/// Free poses of a scene.
+pub fn poses(world: &World, n: usize, seed: u64) -> Vec<Pose> {
+    free_poses(world, n, seed).expect("the scene has free poses")
+}
+
+/// Every preset sensor.
+pub fn presets() -> Vec<Sensor> {
+    presight::sensor::PRESETS.iter().map(|p| presight::preset(p.name).expect("a sound preset")).collect()
+}
+
+/// `share` of the presets, those whose turn it is: `turn` and `pose` rotate the list, so that consecutive poses, or
+/// consecutive turns at one pose, go through all of them.
+pub fn presets_at(turn: usize, pose: usize, share: usize) -> Vec<Sensor> {
+    let (all, count) = (presets(), presight::sensor::PRESETS.len());
+    let share = share.min(count);
+    let first = (turn + pose) * share % count;
+    all.iter().cycle().skip(first).take(share).cloned().collect()
+}

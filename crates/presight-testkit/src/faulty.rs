@@ -1,0 +1,112 @@
+//! Engines with something wrong, around the GPU engine on whatever adapter there is.
+
+use presight::compare::Precision;
+use presight::engine::{Device, Engine};
+use presight::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
+use presight::gpu::testing::{self, Setup};
+use presight::gpu::{self, DeviceOptions};
+use presight::{Error, ErrorKind, FramePlan, Images, Pose, Result, Sensor, Stats, Work, World};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+/// The hand of a test on an engine that a predictor holds.
+#[derive(Clone)]
+pub struct Switches {
+    /// No adapter is found any more, as after a driver's crash.
+    pub gone: Arc<AtomicBool>,
+    loss: Arc<Mutex<Box<dyn Fn() + Send>>>,
+}
+
+impl Switches {
+    /// Takes the present device away.
+    pub fn lose(&self) {
+        self.loss.lock().unwrap()();
+    }
+
+    /// Whether none is found.
+    pub fn set_gone(&self, gone: bool) {
+        self.gone.store(gone, Ordering::Relaxed);
+    }
+}
+
+/// The GPU engine, which may draw wrong and whose device may go away for good.
+pub struct Faulty {
+    engine: gpu::Engine,
+    wrong: bool,
+    switches: Switches,
+}
+
+impl Faulty {
+    /// One that draws right, or every range 1 % too long.
+    pub fn new(setup: Setup, wrong: bool) -> Result<(Self, Switches)> {
+        let engine = testing::open(DeviceOptions::default(), setup)?.with_threads(1);
+        let loss: Box<dyn Fn() + Send> = Box::new(testing::device_loss(&engine));
+        let switches = Switches { gone: Arc::default(), loss: Arc::new(Mutex::new(loss)) };
+        Ok((Self { engine, wrong, switches: switches.clone() }, switches))
+    }
+}
+
+impl Engine for Faulty {
+    fn name(&self) -> String {
+        Engine::name(&self.engine)
+    }
+
+    fn precision(&self) -> Precision {
+        self.engine.precision()
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        self.engine.render(plan, images, stats)?;
+        if self.wrong {
+            images.range.iter_mut().for_each(|range| *range *= 1.01);
+        }
+        Ok(())
+    }
+
+    fn device(&mut self) -> Option<&mut dyn Device> {
+        Some(self)
+    }
+}
+
+impl Device for Faulty {
+    fn adapter(&self) -> String {
+        self.engine.adapter().to_string()
+    }
+
+    fn reopen(&mut self) -> Result<()> {
+        if self.switches.gone.load(Ordering::Relaxed) {
+            return Err(Error::new(ErrorKind::NoDevice, "no adapter was found", "use --backend cpu"));
+        }
+        self.engine.reopen()?;
+        *self.switches.loss.lock().unwrap() = Box::new(testing::device_loss(&self.engine));
+        Ok(())
+    }
+
+    fn takes_features(&self) -> bool {
+        self.engine.takes_features()
+    }
+
+    fn holds_images(&self) -> bool {
+        self.engine.holds_images()
+    }
+
+    fn query_occlusion(&mut self, samples: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>> {
+        Device::query_occlusion(&mut self.engine, samples)
+    }
+
+    fn add_boxes(
+        &mut self,
+        prediction: &mut FeaturePrediction,
+        placed: &[PlacedFeature],
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        options: &BoxOptions,
+    ) -> Result<usize> {
+        self.engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options)
+    }
+
+    fn work(&self) -> Work {
+        Device::work(&self.engine)
+    }
+}

@@ -1,0 +1,31 @@
+//! What the command, the studies and the test kit of this repository share with the library. It is no part of the API.
+
+pub use crate::compare::{FaceBound, span, ulp};
+pub use crate::engine::add_boxes;
+pub use crate::environment::check_covariance;
+pub use crate::io::atomic::{is_given, target_of};
+pub use crate::io::png::preview_size;
+pub use crate::printable::{clipped, printable};
+pub use crate::random::SplitMix64;
+pub use crate::reference::{Face, instances};
+pub use crate::threads::parallel_or_here;
+
+/// Opening what is read.
+pub mod file {
+    pub use crate::io::file::{open, open_any, starts_with, without_mark};
+}
+
+/// Which files were read.
+pub mod inputs {
+    pub use crate::io::inputs::{forget, record, so_far};
+}
+
+/// Files that are not finished.
+pub mod temporary {
+    pub use crate::io::temporary::{Access, Temporary, abandon};
+}
+
+/// Small text files.
+pub mod text {
+    pub use crate::io::text::read_settings;
+}

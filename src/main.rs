@@ -1,7 +1,0 @@
-//! The `presight` command; everything is in the library's `cli`.
-
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    presight::cli::main()
-}
