@@ -1,0 +1,227 @@
+//! What the text of a script may hold, and what its names may take: each limit ends a script at once, with its place.
+
+use super::load;
+use presight::ErrorKind;
+use std::fs;
+use std::time::{Duration, Instant};
+
+/// A second in fact; parsing without limits takes from a quarter of a minute to hours. Other tests run beside.
+const SOON: Duration = Duration::from_secs(12);
+/// The largest script.
+const MEGABYTE: usize = 1 << 20;
+
+fn loaded(text: &str) -> Result<usize, presight::Error> {
+    let start = Instant::now();
+    let loaded = load_text(text);
+    assert!(start.elapsed() < SOON, "{:?} for {:.60}", start.elapsed(), text);
+    loaded
+}
+
+#[track_caller]
+fn refused(text: &str, place: &str, parts: &[&str]) {
+    let e = loaded(text).expect_err("a script that holds too much");
+    let whole = e.to_string();
+    assert_eq!((e.kind(), e.place()), (ErrorKind::Invalid, Some(place)), "{whole}");
+    assert!(parts.iter().all(|part| whole.contains(part)) && !e.remedy().is_empty(), "{parts:?} are not in {whole}");
+    assert!(whole.len() < 500 && !whole.contains('\n'), "{whole}");
+}
+
+/// As many of these as there is room for, and what comes before and after.
+fn filled(before: &str, one: impl Fn(usize) -> String, after: &str) -> String {
+    let mut text = before.to_owned();
+    for i in 0.. {
+        let next = one(i);
+        if text.len() + next.len() + after.len() > MEGABYTE {
+            break;
+        }
+        text += &next;
+    }
+    text + after
+}
+
+#[test]
+fn a_megabyte_of_one_kind_is_refused_at_once() {
+    let same = |text: &'static str| move |_: usize| text.to_owned();
+    // Columns: of the thirteenth argument or parameter, the 257th variable or function, the 1025th entry.
+    refused(&filled("box(1", same(",1"), ");"), "line 1, column 29", &["a call has over 12 arguments"]);
+    refused(&filled("fn g(p", |i| format!(",\np{i}"), ") {}"), "line 13, column 1", &["over 12 arguments"]);
+    refused(&filled("", |i| format!("let v{i} = 1;\n"), ""), "line 257, column 5", &["over 256 variables"]);
+    refused(&filled("", |i| format!("import \"m\" as v{i};\n"), ""), "line 257, column 15", &["256 variables"]);
+    refused(&filled("", |i| format!("fn f{i}() {{}}\n"), ""), "line 257, column 1", &["over 256 functions"]);
+    refused(&filled("", |i| format!("private fn f{i}() {{}}\n"), ""), "line 257, column 9", &["256 functions"]);
+    refused(&filled("", |i| format!("let f = |a| a + {i};\n"), ""), "line 257, column 9", &["256 functions"]);
+    refused(&filled("let g = |p", |i| format!(",\nq{i}"), "| 1;"), "line 1025, column 1", &["over 1024 entries"]);
+    refused(&filled("switch 1 {\n0=>0", |i| format!(",\n{i}=>2"), "}"), "line 1026, column 1", &["1024 entries"]);
+    refused(&filled("let a = #{\nb:0", |i| format!(",\na{i}:1"), "};"), "line 1026, column 1", &["1024 entries"]);
+    refused(&filled("let a = [\n1", same(",\n1"), "];"), "line 4098, column 1", &["over 4096 elements"]);
+    refused(&filled("let ", same("a"), " = 1;"), "line 1, column 5", &["a name is over 256 bytes"]);
+    refused(&filled("let a = 1", same("a"), ";"), "line 1, column 10", &["a name is over 256 bytes"]);
+}
+
+#[test]
+fn names_are_looked_for_among_few() {
+    let known: String = (0..256).map(|i| format!("fn f{i}() {{}} let v{i} = 1;\n")).collect();
+    refused(&filled(&known, |_| "a;".to_owned(), ""), "line 257, column 1", &["no variable \"a\""]);
+    let maps = |i: usize| format!("#{{{}}};", (0..1000).map(|j| format!("k{i}{j}:1,")).collect::<String>());
+    refused(&filled("", maps, ""), "at its end", &["places no polygons"]);
+}
+
+#[test]
+fn large_scripts_of_ordinary_calls_are_read() {
+    let places: String = (0..12_000).map(|i| format!("place(\"wall{i}\", b, pose({i}, 0, 0));\n")).collect();
+    assert_eq!(loaded(&format!("let b = box(1, 1, 1);\n{places}")).unwrap(), 12_000);
+    // The same variable, again and again; those of blocks; those of functions beside those of the script.
+    let again: String = (0..5000).map(|i| format!("let p = pose({i}, 0, 0); place(\"w\", b, p);\n")).collect();
+    let block = |i: usize| (0..50).map(|j| format!("let v{i}_{j} = 1;")).collect::<String>();
+    let blocks: String = (0..20).map(|i| format!("{{{}}}\n", block(i))).collect();
+    let own: String = (0..200).map(|i| format!("let w{i} = 1;")).collect();
+    let text = format!("let b = box(1, 1, 1);\n{again}{blocks}fn f(x, y) {{ {own} }}\n{own} f(1, 2,);");
+    assert_eq!(loaded(&text).unwrap(), 5000);
+    // As many as there may be, and a comma behind the last.
+    let twelve = "fn f(a, b, c, d, e, f, g, h, i, j, k, l) { l }\n";
+    let call = "place(\"b\", box(f(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12,), 1, 1));";
+    assert_eq!(loaded(&format!("{twelve}{call}")).unwrap(), 1);
+}
+
+/// What a module holds counts by itself.
+#[test]
+fn modules_have_limits_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    let many: String = (0..200).map(|i| format!("fn f{i}() {{ rectangle(1, 1) }} let v{i} = 1;\n")).collect();
+    fs::write(&path, format!("import \"m\" as m;\n{many}place(\"a\", m::f0());")).unwrap();
+    fs::write(folder.path().join("m.rhai"), &many).unwrap();
+    load(&path).0.unwrap();
+    fs::write(folder.path().join("m.rhai"), format!("{many}box(1{});", ",1".repeat(50_000))).unwrap();
+    let e = load(&path).0.unwrap_err().to_string();
+    assert!(e.contains("m.rhai: line 201, column 29: a call has over 12 arguments"), "{e}");
+    // The place is forgotten with the error.
+    let caught = format!("try {{ import \"m\" as m; }} catch {{}}\n{many}place(\"a\", f0());");
+    fs::write(&path, caught).unwrap();
+    load(&path).0.unwrap();
+}
+
+/// Seconds each; without limits the parser and the interpreter are busy for minutes, or take all memory.
+#[test]
+fn what_is_tried_again_and_again_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    let said = |text: &str| {
+        fs::write(&path, text).unwrap();
+        let start = Instant::now();
+        let e = load(&path).0.map(|_| ()).expect_err(text).to_string();
+        assert!(start.elapsed() < 3 * SOON, "{:?} for {text:.60}", start.elapsed());
+        e
+    };
+    // A megabyte each: the fifth is one too many.
+    for i in 0..6 {
+        let body = filled("fn f() {", |_| "a;".to_owned(), "}");
+        fs::write(folder.path().join(format!("m{i}.rhai")), body).unwrap();
+    }
+    let imports: String = (0..6).map(|i| format!("import \"m{i}\" as m{i};\n")).collect();
+    let e = said(&imports);
+    assert!(e.contains("line 4") && e.contains("the script and its modules have over 4194304 bytes"), "{e}");
+    // A model of 100 MB that is none.
+    fs::File::create(folder.path().join("m.glb")).unwrap().set_len(100 << 20).unwrap();
+    let e = said("loop { try { import_gltf(\"m.glb\"); } catch {} }");
+    assert!(e.contains("operations"), "{e}");
+    // What `curry` gives to functions is held by nothing else.
+    let start = "fn g(a) { 1 } let f = Fn(\"g\"); let a = []; a.pad(4000, 1); let x = [];\n";
+    for text in [
+        "loop { f = f.curry(a); }",
+        "loop { f = f.curry(f); }",
+        "for i in 0..4000 { x.push(f.curry(a)); } for i in 0..4000 { a.push(f.curry(x)); }",
+    ] {
+        let e = said(&format!("{start}{text}"));
+        assert!(e.contains("line 2") && (e.contains("curried") || e.contains("operations")), "{e}");
+    }
+    assert!(load_ok("fn g(a, b) { a + b } let f = Fn(\"g\").curry(1); place(\"a\", box(f.call(2), 1, 1));"));
+    // No function of these arguments, whatever their types.
+    let e = said("loop { try { box(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, [12]); } catch {} }");
+    assert!(e.contains("operations"), "{e}");
+    // An error does not list 60,000 names each time.
+    let e = said(
+        "for i in 0..60000 { material(`m${i}`); } let b = box(1, 1, 1); loop { try { b.made_of(\"m\"); } catch {} }",
+    );
+    assert!(e.contains("operations"), "{e}");
+}
+
+/// What the language does not tell of when it is read, and what would be read for nothing.
+#[test]
+fn nothing_large_is_copied_uncounted() {
+    let table = "let a = []; a.pad(4000, 1);\n";
+    let hidden = ["no `this` and no `global::`", "hand the value over"];
+    refused(&format!("fn f() {{ loop {{ let b = this; }} }}\n{table}a.f();"), "line 1, column 25", &hidden);
+    refused(&format!("{table}a.map(|| this);"), "line 2, column 10", &hidden);
+    refused("const A = [1];\nfn f() { loop { global::A; } }\nf();", "line 2, column 23", &hidden);
+    refused("const A = [1];\nloop { global :: A; }", "line 2, column 15", &hidden);
+    assert!(load_ok("let global = 2; place(\"a\", box(global, 1, 1));"), "a name like any other");
+    let text = "y".repeat(5000);
+    refused(&format!("\nloop {{ \"{text}\".to_upper(); }}"), "line 2, column 8", &["a string is over 4096 bytes"]);
+    refused(&format!("loop {{ `{text}${{1}}`; }}"), "line 1, column 8", &["a string is over 4096 bytes"]);
+    // Variables of modules are small, and may be read often.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    fs::write(&path, "import \"m\" as m;\nfor i in 0..100000 { m::A; }\nplace(\"a\", m::large());").unwrap();
+    let large = "fn large() { let a = []; a.pad(4000, 1); box(a[3999], 1, 1) }";
+    let module = |value: &str| fs::write(folder.path().join("m.rhai"), format!("export const A = {value};\n{large}"));
+    module("[1, 2, [3, \"four\"]]").unwrap();
+    load(&path).0.unwrap();
+    for value in [format!("[{}1]", "1, ".repeat(64)), format!("#{{ a: [[{}1]] }}", "1, ".repeat(64))] {
+        module(&value).unwrap();
+        let e = load(&path).0.unwrap_err().to_string();
+        assert!(e.contains("m.rhai: variable \"A\" of the module has over 64 elements; return it from"), "{e}");
+    }
+}
+
+/// What steps do that no limit counts is ended by the clock.
+#[test]
+fn a_script_that_only_copies_ends() {
+    let chain = ".extract(0, 4000)".repeat(60);
+    let start = Instant::now();
+    let e = load_text(&format!("let a = []; a.pad(4000, 1); loop {{ a{chain}; }}")).unwrap_err().to_string();
+    assert!(e.contains("the script takes over"), "{e}");
+    let most = Duration::from_secs(presight::limits::MAX_SCRIPT_SECONDS) + SOON;
+    assert!(start.elapsed() < most, "{:?}", start.elapsed());
+}
+
+fn load_text(text: &str) -> Result<usize, presight::Error> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    fs::write(&path, text).unwrap();
+    load(&path).0.map(|scene| scene.environment.objects().len())
+}
+
+fn load_ok(text: &str) -> bool {
+    loaded(text).is_ok()
+}
+
+/// Texts of names are memory too.
+#[test]
+fn names_count_as_memory() {
+    let long =
+        |bytes: u32| format!("let n = \"x\"; n.pad({bytes}, \"y\"); let b = box(1, 1, 1); let a = assembly();\n");
+    let hold = ["hold", "is the limit"];
+    refused(
+        &(long(16_000) + "for i in 0..65000 { material(n + i); }"),
+        "line 2, column 21, in the call of material",
+        &hold,
+    );
+    refused(
+        &(long(4000) + "for i in 0..65000 { material(`m${i}`, #{ transparent: [n + 1, n + 2, n + 3] }); }"),
+        "line 2, column 21, in the call of material",
+        &hold,
+    );
+    refused(&(long(4000) + "for i in 0..250000 { a.add(n, b); }"), "line 2, column 24, in the call of add", &hold);
+    refused(
+        &(long(16_000) + "for i in 0..250000 { a.add(\"b\", b.point(\"video\", [0, 0, 1], #{ name: n })); }"),
+        "line 2, column 35, in the call of point",
+        &hold,
+    );
+    // An error does not list them all.
+    refused(
+        &(long(16_000) + "for i in 0..5000 { material(n + i); }\nb.made_of(\"wood\");"),
+        "line 3, column 3, in the call of made_of",
+        &["there is no material \"wood\""],
+    );
+}
