@@ -83,6 +83,7 @@ mod change;
 pub mod compare;
 pub mod cost;
 pub mod cpu;
+pub mod deadline;
 pub mod engine;
 pub mod environment;
 mod error;

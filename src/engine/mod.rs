@@ -45,6 +45,11 @@ pub trait Engine: Any + Send {
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
+    /// Its threads if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    fn threads_with_deadline(&self) -> Option<usize> {
+        None
+    }
+
     /// The device that it works on, if it works on one.
     fn device(&mut self) -> Option<&mut dyn Device> {
         None
@@ -175,6 +180,10 @@ impl Engine for cpu::Engine {
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         Self::render(self, plan, images, stats)
+    }
+
+    fn threads_with_deadline(&self) -> Option<usize> {
+        Some(self.threads())
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod bar;
 mod compare;
+mod deadline;
 mod doctor;
 #[cfg(feature = "store")]
 mod env;

@@ -1,5 +1,6 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
+mod deadline;
 mod features;
 mod frames;
 #[cfg(target_os = "linux")]
