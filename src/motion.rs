@@ -28,9 +28,7 @@ pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
 /// The matrix that turns the motions of one frame into those of another with other axes.
 pub fn turn(rotation: DQuat) -> Matrix {
     let m = DMat3::from_quat(rotation);
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| if i / 3 == j / 3 { m.col(j % 3)[i % 3] } else { 0.0 })
-    })
+    std::array::from_fn(|i| std::array::from_fn(|j| if i / 3 == j / 3 { m.col(j % 3)[i % 3] } else { 0.0 }))
 }
 
 pub fn add_to(sum: &mut Matrix, other: &Matrix) {
@@ -65,9 +63,7 @@ pub fn quadratic(m: &Matrix, v: &Vector) -> f64 {
 
 /// The rows and columns of the axes that are looked for; 0 elsewhere.
 pub fn restricted(m: &Matrix, axes: &[usize]) -> Matrix {
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| if axes.contains(&i) && axes.contains(&j) { m[i][j] } else { 0.0 })
-    })
+    std::array::from_fn(|i| std::array::from_fn(|j| if axes.contains(&i) && axes.contains(&j) { m[i][j] } else { 0.0 }))
 }
 
 /// Eigenvalues and unit eigenvectors of the numbers that are looked for, rotations counted as lengths at `reach` metres.
@@ -75,11 +71,12 @@ pub fn restricted(m: &Matrix, axes: &[usize]) -> Matrix {
 pub fn directions(m: &Matrix, axes: &[usize], reach: f64) -> Vec<(f64, Vector)> {
     let scale = |i: usize| if i >= 3 { reach } else { 1.0 };
     let n = axes.len();
-    let small = std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            if i < n && j < n { m[axes[i]][axes[j]] / (scale(axes[i]) * scale(axes[j])) } else { 0.0 }
-        })
-    });
+    let small =
+        std::array::from_fn(|i| {
+            std::array::from_fn(|j| {
+                if i < n && j < n { m[axes[i]][axes[j]] / (scale(axes[i]) * scale(axes[j])) } else { 0.0 }
+            })
+        });
     let (values, vectors) = eigen(small, n);
     let vector = |k: usize| {
         let mut v = [0.0; 6];

@@ -4,8 +4,8 @@ mod normal;
 mod range;
 mod solve;
 
-pub use answer::{Estimate, Hypothesis, State, WeakDirection};
 pub use crate::motion::{Vector, motion_between, moved};
+pub use answer::{Estimate, Hypothesis, State, WeakDirection};
 pub use normal::{Freedom, GroupSum, Normal, Shared};
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::{EstimateOptions, Estimator, Prior};

@@ -72,7 +72,13 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
             let across = slope(at(c.saturating_sub(N), r), at((c + N).min(width - 1), r));
             let down = slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)));
             let n = across.cross(down).normalize_or_zero();
-            let n = if n.is_nan() { Vec3::ZERO } else if n.dot(p) > 0.0 { -n } else { n };
+            let n = if n.is_nan() {
+                Vec3::ZERO
+            } else if n.dot(p) > 0.0 {
+                -n
+            } else {
+                n
+            };
             found.push(MeasuredPoint { point: p, normal: n });
         }
     }

@@ -7,9 +7,7 @@ use super::{Gate, Kernel, Residuals};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::motion::{
-    Vector, add_to, apply, inverse, motion_between, moved, restricted, sandwich, scaled, transposed,
-};
+use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, sandwich, scaled, transposed};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::verdict::{Expected, Surfaces, Uncertainty, Verdicts, judge};
@@ -49,7 +47,9 @@ impl Prior {
             return wrong("is not symmetric");
         }
         let correlations = restricted(
-            &std::array::from_fn(|i| std::array::from_fn(|j| if scale(i, j) > 0.0 { c[i][j] / scale(i, j) } else { 0.0 })),
+            &std::array::from_fn(|i| {
+                std::array::from_fn(|j| if scale(i, j) > 0.0 { c[i][j] / scale(i, j) } else { 0.0 })
+            }),
             freedom.axes(),
         );
         let (values, _) = eigen(correlations, 6);
@@ -184,7 +184,8 @@ impl Estimator {
             Measured { frame, points: measured_points(frame), noise }
         });
         let axes = self.options.freedom.axes();
-        let sigma = |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+        let sigma =
+            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
         let mut run = Run {
             world,
             measured: measured.collect(),
@@ -218,7 +219,10 @@ impl Estimator {
             let there = self.descend(run, &best.expected, start, &search);
             // Not worth a prediction unless it is elsewhere and explains something.
             let near = |m: &Minimum| self.is_same(run, m, &there);
-            if near(best) || others.iter().any(near) || there.normal.explained_share() < 0.5 * best.normal.explained_share() {
+            if near(best)
+                || others.iter().any(near)
+                || there.normal.explained_share() < 0.5 * best.normal.explained_share()
+            {
                 continue;
             }
             let there = self.settle(run, &there.pose)?;
@@ -279,7 +283,9 @@ impl Estimator {
     /// Steps from a start to rest, without a new prediction.
     fn descend(&mut self, run: &Run<'_>, expected: &Arc<Vec<Expected>>, start: Pose, schedule: &Schedule) -> Minimum {
         let at_once = || descend(run, expected, start, schedule, self.options.freedom);
-        self.predictor.on_threads(at_once).unwrap_or_else(|_| descend(run, expected, start, schedule, self.options.freedom))
+        self.predictor
+            .on_threads(at_once)
+            .unwrap_or_else(|_| descend(run, expected, start, schedule, self.options.freedom))
     }
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
@@ -402,7 +408,13 @@ fn length(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-fn descend(run: &Run<'_>, expected: &Arc<Vec<Expected>>, start: Pose, schedule: &Schedule, freedom: Freedom) -> Minimum {
+fn descend(
+    run: &Run<'_>,
+    expected: &Arc<Vec<Expected>>,
+    start: Pose,
+    schedule: &Schedule,
+    freedom: Freedom,
+) -> Minimum {
     let sources: Vec<RangeSource<'_>> =
         expected.iter().zip(&run.measured).map(|(e, m)| RangeSource::new(e, &m.points, m.noise)).collect();
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
@@ -481,4 +493,3 @@ fn reach_of(measured: &[Measured<'_>]) -> f64 {
     let (sum, count) = squares.fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
     (sum / f64::max(count, 1.0)).sqrt().max(1e-3)
 }
-

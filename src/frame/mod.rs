@@ -162,9 +162,8 @@ impl Kept {
 }
 
 fn thinned_spec(spec: &SensorSpec, columns: Kept, rows: Kept) -> Result<SensorSpec> {
-    let scaled = |f: f64, c: f64, kept: Kept| {
-        (f / f64::from(kept.stride), (c - f64::from(kept.first)) / f64::from(kept.stride))
-    };
+    let scaled =
+        |f: f64, c: f64, kept: Kept| (f / f64::from(kept.stride), (c - f64::from(kept.first)) / f64::from(kept.stride));
     let geometry = match &spec.geometry {
         Geometry::Camera(camera) => {
             let ((fx, cx), (fy, cy)) = (scaled(camera.fx, camera.cx, columns), scaled(camera.fy, camera.cy, rows));

@@ -37,10 +37,13 @@ fn what_is_no_measurement_is_refused_or_nan() {
 /// Every pixel that is kept has its ray and its value, whatever the geometry.
 #[test]
 fn thinned_pixels_keep_their_rays() {
-    let table: Vec<DVec3> = (0..77).map(|i| DVec3::new(1.0, 0.01 * f64::from(i % 11), 0.02 * f64::from(i / 11))).collect();
+    let table: Vec<DVec3> =
+        (0..77).map(|i| DVec3::new(1.0, 0.01 * f64::from(i % 11), 0.02 * f64::from(i / 11))).collect();
     let table = Geometry::Rays(RayTable::new(11, 7, table).unwrap());
     let table = Sensor::new(SensorSpec::new("t", "laser", table)).unwrap();
-    for sensor in [camera(), table, crate::preset("laser-scanner").unwrap(), crate::preset("laser-range-camera").unwrap()] {
+    for sensor in
+        [camera(), table, crate::preset("laser-scanner").unwrap(), crate::preset("laser-range-camera").unwrap()]
+    {
         let (width, height) = (sensor.width(), sensor.height());
         let values: Vec<f32> = (0..width * height).map(|i| 1.0 + i as f32).collect();
         let frame = Frame::new(0.0, sensor.clone(), Sensed::Range(values)).unwrap();

@@ -110,7 +110,10 @@ pub fn judge(frame: &Frame, expected: &Expected, world_from_robot: &Pose, known:
     let (width, height) = (sensor.width() as usize, sensor.height() as usize);
     if (width, height) != (expected.width, expected.height) {
         return Err(Error::usage(
-            format!("a frame of {width} x {height} pixels and a prediction of {} x {}", expected.width, expected.height),
+            format!(
+                "a frame of {width} x {height} pixels and a prediction of {} x {}",
+                expected.width, expected.height
+            ),
             "predict for the frame's own sensor",
         ));
     }
@@ -164,8 +167,7 @@ struct Window {
 impl<'a> Judge<'a> {
     fn new(expected: &'a Expected, mount: Pose, world_from_robot: &Pose, known: &'a Uncertainty) -> Self {
         let expected_from_world = expected.world_from_image.inverse();
-        let expected_from_now =
-            expected_from_world * *world_from_robot * mount * body_from_image(&expected.sensor);
+        let expected_from_now = expected_from_world * *world_from_robot * mount * body_from_image(&expected.sensor);
         let turn = crate::motion::turn(expected_from_world.rotation);
         let largest = |from: usize| (from..from + 3).map(|i| known.pose[i][i]).sum::<f64>().max(0.0).sqrt();
         Self {

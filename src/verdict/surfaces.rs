@@ -48,7 +48,11 @@ impl Surfaces {
         let plane = plane_of_polygon(&corners)?;
         let steps = |x: f64, step: f64| (x / step).round() as i32;
         // Both sides of a wall that was modelled by one sheet are one surface: the normal's sign does not count.
-        let turned = if plane.normal.to_array().into_iter().find(|x| x.abs() > 0.3).is_some_and(|x| x < 0.0) { -1.0 } else { 1.0 };
+        let turned = if plane.normal.to_array().into_iter().find(|x| x.abs() > 0.3).is_some_and(|x| x < 0.0) {
+            -1.0
+        } else {
+            1.0
+        };
         let n = turned * plane.normal * NORMAL_STEPS;
         let key = [steps(n.x, 1.0), steps(n.y, 1.0), steps(n.z, 1.0), steps(turned * plane.offset, OFFSET_STEP)];
         let next = self.groups.len() as u32;

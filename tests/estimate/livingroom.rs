@@ -6,13 +6,13 @@ use presight::io::gltf::import;
 use std::path::Path;
 
 fn map() -> Option<World> {
-    let path = common::data::file("rgbd/livingroom/livingroom_map.glb")?;
+    let path = presight_testkit::data::file("rgbd/livingroom/livingroom_map.glb")?;
     Some(World::new(import(path, &Default::default()).unwrap().environment))
 }
 
 /// world_from_robot of each line: the file's are optical axes in a world with y up.
 fn poses(name: &str) -> Vec<Pose> {
-    let path = common::data::file(&format!("rgbd/livingroom/{name}")).unwrap();
+    let path = presight_testkit::data::file(&format!("rgbd/livingroom/{name}")).unwrap();
     let z_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
     let optical_from_body = presight::sensor::body_from_optical_rotation().conjugate();
     let optical_from_body = Pose { rotation: optical_from_body, translation: DVec3::ZERO };
@@ -30,7 +30,7 @@ fn frame(folder: &str, k: usize, range_sigma: f64) -> Frame {
     let camera = Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5);
     let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
     spec.noise.range_sigma = range_sigma;
-    let path = common::data::file(&format!("rgbd/livingroom/{folder}/{k:05}.png")).unwrap();
+    let path = presight_testkit::data::file(&format!("rgbd/livingroom/{folder}/{k:05}.png")).unwrap();
     let depth = image::open(Path::new(&path)).unwrap().into_luma16();
     let metres = |mm: &u16| if *mm == 0 { f32::NAN } else { f32::from(*mm) * 1e-3 };
     let sensed = Sensed::DepthZ(depth.as_raw().iter().map(metres).collect());
@@ -55,15 +55,16 @@ fn against_exact_poses() {
 }
 
 /// Disturbances of exactly 0.2 m and 10 degrees, and of 0.3 m and 20 degrees: they come back to where the estimator goes from
-/// the reference, or are undetermined.
+/// the reference, or are undetermined. Every 20th frame; PRESIGHT_LIVINGROOM_EVERY=2 takes all odd ones.
 #[test]
 fn from_far_off() {
     let Some(map) = map() else { return };
     let (reference, mut random) = (poses("poses.txt"), Random(9));
+    let every = presight_testkit::env_number("PRESIGHT_LIVINGROOM_EVERY", 20) as usize;
     let mut found = estimator(EstimateOptions::default());
-    for (metres, degrees) in [(0.2, 10.0), (0.3, 20.0)] {
+    for (metres, degrees, least) in [(0.2, 10.0, 98), (0.3, 20.0, 93)] {
         let (mut right, mut predictions) = (0, Vec::new());
-        for k in (7..200).step_by(20) {
+        for k in (1..200).step_by(every) {
             let frame = frame("depth", k, 0.005);
             let there = found.estimate(&map, &[&frame], &Prior::of_sigmas(reference[k], 0.03, 0.02)).unwrap();
             let off = off_by(&reference[k], metres, degrees, &mut random);
@@ -77,6 +78,8 @@ fn from_far_off() {
             assert!(ok || !answer.is_determined(), "frame {k}, wrong and certain: {m} m {d} deg");
         }
         predictions.sort_unstable();
-        assert!(right >= 9 && predictions[5] <= 4, "{metres} m {degrees} deg: {right} of 10, {predictions:?} predictions");
+        let count = predictions.len();
+        assert!(100 * right >= least * count, "{metres} m {degrees} deg: {right} of {count}");
+        assert!(predictions[count / 2] <= 4, "{predictions:?} predictions");
     }
 }

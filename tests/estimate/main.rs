@@ -1,14 +1,11 @@
 //! Poses from frames: truths worked out by hand, simulated rooms, real depth images, and what must not be claimed.
 
-#[path = "../common/mod.rs"]
-mod common;
-
+mod drives;
 mod livingroom;
 mod rooms;
 mod singular;
 mod verdicts;
 
-use common::Random;
 use glam::{DVec3, Vec3};
 use presight::estimate::{EstimateOptions, Estimator, moved};
 use presight::frame::{Frame, Sensed};
@@ -16,6 +13,7 @@ use presight::{
     Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose,
     Predictor, Request, Scanner, Sensor, SensorSpec, World,
 };
+use presight_testkit::Random;
 use std::sync::Arc;
 
 /// A box from corner to corner as an object of its own; `inwards` is a room.

@@ -27,7 +27,15 @@ fn a_corner_of_three_planes() {
     let prior = Prior {
         pose: Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0),
         covariance: std::array::from_fn(|i| {
-            std::array::from_fn(|j| if i != j { 0.0 } else if i < 3 { 0.04 } else { 1e-12 })
+            std::array::from_fn(|j| {
+                if i != j {
+                    0.0
+                } else if i < 3 {
+                    0.04
+                } else {
+                    1e-12
+                }
+            })
         }),
     };
     let found = estimator(exact()).estimate(&world, &[&frame], &prior).unwrap();
@@ -70,8 +78,7 @@ fn jacobians_are_those_of_differences() {
         let frame = Frame::new(0.0, sensor.clone(), Sensed::Range(vec![range, f32::NAN])).unwrap();
         let points = measured_points(&frame);
         let source = RangeSource::new(&expected, &points, RangeNoise::of(&sensor));
-        let gate =
-            Gate { translation: 0.01, rotation: 0.0, kernel: Kernel::Wide, points: usize::MAX, finally: true };
+        let gate = Gate { translation: 0.01, rotation: 0.0, kernel: Kernel::Wide, points: usize::MAX, finally: true };
         let said = source.linearize(&robot, &gate);
         // Plane in the world, and the distance of the moved point from it.
         let normal = (robot * mount).rotation * pixel.normal.as_dvec3();
@@ -132,7 +139,11 @@ fn a_planar_robot_is_found_by_its_scanner() {
         let off = moved(&truth, &[0.1, -0.12, 0.0, 0.0, 0.0, 0.12]);
         let answer = found.estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.1, 0.1)).unwrap();
         let (metres, degrees) = apart(&answer.pose, &truth);
-        assert!(answer.is_determined() && metres < 0.01 && degrees < 0.3, "{metres} m {degrees} deg {:?}", answer.state);
+        assert!(
+            answer.is_determined() && metres < 0.01 && degrees < 0.3,
+            "{metres} m {degrees} deg {:?}",
+            answer.state
+        );
         assert_eq!(answer.pose.translation.z, 0.4, "a planar robot keeps its height");
     }
 }

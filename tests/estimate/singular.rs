@@ -24,9 +24,8 @@ fn floor_only() {
     let truth = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.5), 0.0, 1.2, 0.3);
     let frame = sense(&world, &camera(0.01), &truth, &mut Random(1));
     let off = moved(&truth, &[0.15, -0.1, 0.05, 0.02, 0.03, 0.1]);
-    let answer = estimator(EstimateOptions::default())
-        .estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.2, 0.1))
-        .unwrap();
+    let answer =
+        estimator(EstimateOptions::default()).estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.2, 0.1)).unwrap();
     assert_eq!(names(&answer).len(), 3, "{:?}", answer.weak);
     assert!(names(&answer).iter().all(|n| n.split('+').all(|a| ["x", "y", "yaw"].contains(&a))), "{:?}", answer.weak);
     for (axis, before) in [(0, 0.2), (1, 0.2), (5, 0.1)] {

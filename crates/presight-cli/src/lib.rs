@@ -12,6 +12,7 @@ mod frame_args;
 mod index;
 mod inspect;
 mod layers;
+mod localize;
 mod outputs;
 pub mod pose;
 pub mod pose_cov;
@@ -70,6 +71,7 @@ enum Command {
     Compare(compare::Args),
     Features(Box<features::Args>),
     Doctor(doctor::Args),
+    Localize(Box<localize::Args>),
     #[cfg(feature = "report")]
     Report(report::Args),
     /// Measure error against run time: not in this build
@@ -117,6 +119,7 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Localize(args) => localize::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
         #[cfg(not(feature = "report"))]
