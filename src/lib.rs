@@ -115,6 +115,7 @@ mod random;
 pub mod reference;
 mod scene;
 pub mod sensor;
+pub mod simulate;
 mod threads;
 pub mod verdict;
 pub mod virtual_sensors;

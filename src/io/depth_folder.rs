@@ -128,6 +128,56 @@ impl Iterator for DepthFolder {
     }
 }
 
+/// The text of `camera.json` for a camera whose depths are written in millimetres.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] for a sensor that is no camera, or whose lens is no plumb-bob one.
+pub fn camera_json(sensor: &Sensor) -> Result<String> {
+    let name = &sensor.spec().name;
+    let Geometry::Camera(c) = &sensor.spec().geometry else {
+        return Err(Error::usage(format!("sensor {name:?} is no camera and has no depth images"), "give a camera"));
+    };
+    let lens = match &c.distortion {
+        Distortion::None => [0.0; 5],
+        Distortion::PlumbBob(k) => *k,
+        _ => {
+            let remedy = "give a camera without distortion, or with a plumb-bob lens";
+            return Err(Error::usage(format!("the lens of sensor {name:?} has no place in camera.json"), remedy));
+        }
+    };
+    let json = serde_json::json!({
+        "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
+        "distortion": lens, "depth_unit_m": 1e-3,
+    });
+    Ok(format!("{json}\n"))
+}
+
+/// The name of the image of a time, seconds of at least 0: names sort as times do.
+pub fn image_name(time: f64) -> String {
+    format!("{time:018.6}.png")
+}
+
+/// The text of `poses.txt` for poses of the robot on which a sensor is mounted.
+pub fn poses_txt(sensor: &Sensor, world_from_robot: &[Stamped]) -> String {
+    let (y_up, body_from_optical) = (z_up_from_y_up().inverse(), optical_from_body().inverse());
+    let mut text = String::from("# time tx ty tz qx qy qz qw: world_from_camera, optical axes, y up, metres\n");
+    for s in world_from_robot {
+        let pose = y_up * s.pose * sensor.spec().mount * body_from_optical;
+        let (t, q) = (pose.translation, pose.rotation);
+        // The time as the image's name tells it.
+        text += &format!("{:.6} {} {} {} {} {} {} {}\n", s.time, t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+    }
+    text
+}
+
+fn z_up_from_y_up() -> Pose {
+    Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0)
+}
+
+fn optical_from_body() -> Pose {
+    Pose { rotation: body_from_optical_rotation().conjugate(), translation: DVec3::ZERO }
+}
+
 fn camera(text: &str) -> Result<(Sensor, f64)> {
     let file: File = serde_json::from_str(text).map_err(|e| {
         let remedy = "give width, height, fx, fy, cx, cy, and optionally distortion and depth_unit_m";
@@ -153,10 +203,8 @@ fn reference(path: &Path) -> Result<Vec<Stamped>> {
         .lines()
         .map(|line| if line.trim_start().starts_with('#') { String::new() } else { first_eight(line) })
         .collect();
-    let z_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
-    let optical_from_body = Pose { rotation: body_from_optical_rotation().conjugate(), translation: DVec3::ZERO };
     let mut poses = super::tum::parse(&kept.join("\n")).map_err(|e| e.in_file(path))?;
-    poses.iter_mut().for_each(|s| s.pose = z_up * s.pose * optical_from_body);
+    poses.iter_mut().for_each(|s| s.pose = z_up_from_y_up() * s.pose * optical_from_body());
     Ok(poses)
 }
 

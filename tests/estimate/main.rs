@@ -3,6 +3,7 @@
 mod drives;
 mod livingroom;
 mod rooms;
+mod simulated;
 mod singular;
 mod verdicts;
 

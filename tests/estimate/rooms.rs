@@ -18,12 +18,15 @@ fn a_corner_of_three_planes() {
     environment.add_material(Material::named("m")).unwrap();
     add_box(&mut environment, "room", Vec3::ZERO, Vec3::new(6.0, 4.0, 2.6));
     let world = World::new(environment);
-    let rays = RayTable::new(3, 1, vec![DVec3::X, DVec3::Y, DVec3::NEG_Z]).unwrap();
-    let mut spec = SensorSpec::new("three rays", "laser", Geometry::Rays(rays));
-    spec.noise.range_sigma = 0.01;
-    let sensor = Sensor::new(spec).unwrap();
+    // A second ray beside each gives the table its spacing; it measures nothing.
+    let ray = |along: DVec3, range: f32| {
+        let aside = along + 0.01 * along.any_orthonormal_vector();
+        let mut spec = SensorSpec::new("ray", "laser", Geometry::Rays(RayTable::new(2, 1, vec![along, aside]).unwrap()));
+        spec.noise.range_sigma = 0.01;
+        Frame::new(0.0, Sensor::new(spec).unwrap(), Sensed::Range(vec![range, f32::NAN])).unwrap()
+    };
     // The robot stands at (2.02, 1.97, 1.01): 3.98 m before the wall x = 6, 2.03 m before y = 4, 1.01 m above the floor.
-    let frame = Frame::new(0.0, sensor, Sensed::Range(vec![3.98, 2.03, 1.01])).unwrap();
+    let frames = [ray(DVec3::X, 3.98), ray(DVec3::Y, 2.03), ray(DVec3::NEG_Z, 1.01)];
     let prior = Prior {
         pose: Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0),
         covariance: std::array::from_fn(|i| {
@@ -38,7 +41,7 @@ fn a_corner_of_three_planes() {
             })
         }),
     };
-    let found = estimator(exact()).estimate(&world, &[&frame], &prior).unwrap();
+    let found = estimator(exact()).estimate(&world, &frames.each_ref(), &prior).unwrap();
     // The prior pulls each axis back by 0.0001 / 0.0401 of the way.
     let kept = 1.0 - 0.0001 / 0.0401;
     let expected = DVec3::new(2.0 + 0.02 * kept, 2.0 - 0.03 * kept, 1.0 + 0.01 * kept);

@@ -23,6 +23,7 @@ mod print;
 mod report;
 mod sensors;
 mod signals;
+mod simulate;
 mod statistics;
 mod summary;
 mod virtual_sensor;
@@ -72,6 +73,7 @@ enum Command {
     Features(Box<features::Args>),
     Doctor(doctor::Args),
     Localize(Box<localize::Args>),
+    Simulate(simulate::Args),
     #[cfg(feature = "report")]
     Report(report::Args),
     /// Measure error against run time: not in this build
@@ -120,6 +122,7 @@ pub fn main() -> ExitCode {
         Command::Features(args) => features::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Localize(args) => localize::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
         #[cfg(not(feature = "report"))]

@@ -52,3 +52,29 @@ fn what_is_wrong_is_named() {
     let mut log = DepthFolder::open(broken.path(), None).unwrap();
     assert!(log.next().unwrap().unwrap_err().to_string().contains("0.png"));
 }
+
+/// What the simulator writes is what is read.
+#[test]
+fn written_cameras_and_poses_are_read_again() {
+    let camera = Camera {
+        distortion: Distortion::PlumbBob([0.1, -0.02, 1e-3, 0.0, 0.0]),
+        ..Camera::pinhole(3, 2, 4.0, 5.0, 1.1, 0.5)
+    };
+    let mut spec = SensorSpec::new("c", "laser", Geometry::Camera(camera));
+    spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 1.0), 0.0, 0.1, 0.3);
+    let sensor = Sensor::new(spec).unwrap();
+    let robot = Stamped { time: 12.5, pose: Pose::from_xyz_rpy(DVec3::new(3.0, -1.0, 0.2), 0.01, 0.02, 2.0) };
+    let folder = folder(&camera_json(&sensor).unwrap(), &[(&image_name(12.5), 3, 1500)]);
+    std::fs::write(folder.path().join("poses.txt"), poses_txt(&sensor, &[robot])).unwrap();
+    let log = DepthFolder::open(folder.path(), Some(&sensor)).unwrap();
+    let there = log.reference()[0];
+    let expected = robot.pose * sensor.spec().mount;
+    assert!(there.pose.translation.distance(expected.translation) < 1e-12);
+    assert!(there.pose.rotation.angle_between(expected.rotation) < 1e-7 && there.time == 12.5);
+    let own = DepthFolder::open(folder.path(), None).unwrap();
+    assert_eq!(own.sensor().spec().geometry, sensor.spec().geometry);
+    let frames: Vec<Frame> = log.map(|f| f.unwrap()).collect();
+    assert_eq!((frames.len(), frames[0].stamp, frames[0].sensed()), (1, 12.5, &Sensed::DepthZ(vec![1.5; 6])));
+    assert!(image_name(9.0) < image_name(10.0));
+    assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
+}
