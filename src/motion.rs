@@ -86,21 +86,63 @@ pub fn directions(m: &Matrix, axes: &[usize], reach: f64) -> Vec<(f64, Vector)> 
     (0..n).map(|k| (values[k], vector(k))).collect()
 }
 
-/// Information below this part of the largest is none.
-const OPEN: f64 = 1e-10;
+/// An eigenvalue below this, with ones on the diagonal, is rounding.
+const OPEN: f64 = 1e-12;
 
-/// The inverse on the axes that are looked for, without the directions that are open: along these it is 0.
-pub fn inverse(m: &Matrix, axes: &[usize], reach: f64) -> Matrix {
-    let scale = |i: usize| if i >= 3 { reach } else { 1.0 };
-    let found = directions(m, axes, reach);
-    let most = found.iter().map(|(value, _)| *value).fold(0.0, f64::max);
+/// The inverse on the axes that are looked for, without the directions that are open: along these it is 0. Axes are scaled by
+/// their own diagonal first, so that what is known far better does not make the rest look open.
+pub fn inverse(m: &Matrix, axes: &[usize]) -> Matrix {
+    let root: [f64; 6] = std::array::from_fn(|i| if m[i][i] > 0.0 { m[i][i].sqrt() } else { 1.0 });
+    let even = std::array::from_fn(|i| std::array::from_fn(|j| m[i][j] / (root[i] * root[j])));
+    let found = directions(&even, axes, 1.0);
     let mut sum = [[0.0; 6]; 6];
-    for (value, v) in found.iter().filter(|(value, _)| *value > OPEN * most && *value > 0.0) {
+    for (value, v) in found.iter().filter(|(value, _)| *value > OPEN) {
         for i in 0..6 {
             for j in 0..6 {
-                sum[i][j] += v[i] * v[j] / (value * scale(i) * scale(j));
+                sum[i][j] += v[i] * v[j] / (value * root[i] * root[j]);
             }
         }
     }
     sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn diagonal(d: [f64; 6]) -> Matrix {
+        std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))
+    }
+
+    #[test]
+    fn motions_lead_from_pose_to_pose() {
+        let a = Pose::from_xyz_rpy(DVec3::new(1.0, -2.0, 0.5), 0.3, -0.2, 2.0);
+        let motion = [0.1, 0.2, -0.3, 0.4, -0.5, 0.6];
+        let back = motion_between(&a, &moved(&a, &motion));
+        assert!(motion.iter().zip(back).all(|(m, b)| (m - b).abs() < 1e-12), "{back:?}");
+    }
+
+    /// What is known a million times better does not make the rest look open; what nothing is known of stays 0.
+    #[test]
+    fn inverses_keep_all_that_is_known() {
+        let all = [0, 1, 2, 3, 4, 5];
+        let m = diagonal([4e-2, 1.0, 1e-12, 1e12, 0.0, 2.0]);
+        let inverse = inverse(&m, &all);
+        for (i, expected) in [25.0, 1.0, 1e12, 1e-12, 0.0, 0.5].into_iter().enumerate() {
+            assert!((inverse[i][i] - expected).abs() <= 1e-9 * expected, "{i}: {}", inverse[i][i]);
+        }
+        // Two axes of which only the sum is known.
+        let mut m = diagonal([1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+        (m[0][1], m[1][0]) = (1.0, 1.0);
+        let inverse = super::inverse(&m, &all);
+        assert!((inverse[0][0] - 0.25).abs() < 1e-12 && (inverse[0][1] - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn turned_motions_are_those_in_other_axes() {
+        let rotation = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
+        let turned = apply(&turn(rotation), &[1.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+        let expected = [0.0, 1.0, 0.0, -2.0, 0.0, 0.0];
+        assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
+    }
 }

@@ -84,7 +84,6 @@ pub(crate) fn covariance(
     normal: &Normal,
     prior: Option<&Matrix>,
     freedom: Freedom,
-    reach: f64,
     spread: f64,
     shared: &impl Fn(Shared) -> Matrix,
 ) -> Matrix {
@@ -95,7 +94,7 @@ pub(crate) fn covariance(
         add_to(&mut information, &restricted(prior, axes));
         add_to(&mut middle, &restricted(prior, axes));
     }
-    let bread = inverse(&information, axes, reach);
+    let bread = inverse(&information, axes);
     symmetric(&sandwich(&bread, &middle))
 }
 

@@ -190,7 +190,7 @@ impl Estimator {
             world,
             measured: measured.collect(),
             prior: *prior,
-            prior_information: inverse(&prior.covariance, axes, 1.0),
+            prior_information: inverse(&prior.covariance, axes),
             extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
             predictions: 0,
         };
@@ -299,7 +299,7 @@ impl Estimator {
         };
         let reach = reach_of(&run.measured);
         let prior = Some(&run.prior_information);
-        let mut covariance = covariance(&best.normal, prior, freedom, reach, best.spread, &shared);
+        let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
         let mut information = best.normal.information;
         add_to(&mut information, &run.prior_information);
         let weak = weak_directions(
@@ -451,7 +451,7 @@ fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector
     add_to(&mut h, &run.prior_information);
     let pull = apply(&run.prior_information, &off);
     (0..6).for_each(|i| g[i] += pull[i]);
-    apply(&inverse(&h, axes, 1.0), &g).map(|x| -x)
+    apply(&inverse(&h, axes), &g).map(|x| -x)
 }
 
 fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> State {

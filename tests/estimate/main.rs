@@ -63,10 +63,12 @@ pub fn scanner(range_sigma: f64) -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
+/// Predicts on two threads.
 pub fn predictor() -> Predictor {
     Predictor::new(Options { backend: Backend::Cpu, threads: 2.into() }).unwrap()
 }
 
+/// An estimator on two threads.
 pub fn estimator(options: EstimateOptions) -> Estimator {
     Estimator::new(predictor(), options)
 }

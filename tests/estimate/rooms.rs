@@ -21,7 +21,8 @@ fn a_corner_of_three_planes() {
     // A second ray beside each gives the table its spacing; it measures nothing.
     let ray = |along: DVec3, range: f32| {
         let aside = along + 0.01 * along.any_orthonormal_vector();
-        let mut spec = SensorSpec::new("ray", "laser", Geometry::Rays(RayTable::new(2, 1, vec![along, aside]).unwrap()));
+        let mut spec =
+            SensorSpec::new("ray", "laser", Geometry::Rays(RayTable::new(2, 1, vec![along, aside]).unwrap()));
         spec.noise.range_sigma = 0.01;
         Frame::new(0.0, Sensor::new(spec).unwrap(), Sensed::Range(vec![range, f32::NAN])).unwrap()
     };
