@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::estimate::moved;
 use crate::frame::{Frame, Motion, RangeNoise, Sensed};
 use crate::geometry::Pose;
-use crate::plan::{Output, Outputs, Request};
+use crate::plan::{Images, Output, Outputs};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::sensor::Sensor;
@@ -79,13 +79,13 @@ impl Simulator {
     /// What the sensor measures with the robot at a pose, and the odometry since the frame before.
     ///
     /// # Errors
-    /// Those of [`Predictor::predict`], and a stamp that is no number.
+    /// Those of [`Predictor::predict_images`], and a stamp that is no number.
     pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
         let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
-        let request = Request { outputs, ..Request::default() };
         let world_from_sensor = *world_from_robot * self.sensor.spec().mount;
-        let seen = self.predictor.predict(world, &self.sensor, &world_from_sensor, &request)?;
-        let ranges = self.measure(&seen.images.range, &seen.images.cos_incidence);
+        let mut seen = Images::default();
+        self.predictor.predict_images(world, &self.sensor, &world_from_sensor, outputs, &mut seen)?;
+        let ranges = self.measure(&seen.range, &seen.cos_incidence);
         let mut frame = Frame::new(stamp, self.sensor.clone(), Sensed::Range(ranges))?;
         frame.motion = self.before.replace(*world_from_robot).map(|before| self.odometry(&before, world_from_robot));
         Ok(frame)

@@ -3,7 +3,7 @@
 use super::Surfaces;
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::plan::{IdScheme, Images, Output, Outputs, Request};
+use crate::plan::{Images, Output, Outputs};
 use crate::predict::Predictor;
 use crate::sensor::{Geometry, Sensor, body_from_optical_rotation};
 use crate::world::World;
@@ -57,7 +57,7 @@ impl Expected {
     /// Predicts what a sensor should see at a pose (body axes), with the plane of each pixel's polygon.
     ///
     /// # Errors
-    /// Those of [`Predictor::predict`].
+    /// Those of [`Predictor::predict_images`].
     pub fn predict(
         predictor: &mut Predictor,
         world: &World,
@@ -67,8 +67,7 @@ impl Expected {
     ) -> Result<Self> {
         let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
         let mut images = Images::default();
-        let request = Request { outputs, ids: IdScheme::Model };
-        predictor.predict_into(world, sensor, world_from_sensor, &request, &mut images)?;
+        predictor.predict_images(world, sensor, world_from_sensor, outputs, &mut images)?;
         surfaces.follow(world);
         let world_from_image = *world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();

@@ -2,7 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
-use super::{Verdict, load, print};
+use super::{Verdict, open_scene, print};
 use presight::estimate::{EstimateOptions, Estimator, Prior};
 use presight::frame::Frame;
 use presight::index::Scheme;
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let start = start(args, &log)?;
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = load::scene(&args.map, &import, Scheme::default())?;
+    let scene = open_scene(&args.map, &import, Scheme::default())?;
     let predictor = Predictor::new(Options { backend: Backend::Cpu, threads })?;
     let estimator = Estimator::new(predictor, EstimateOptions::default());
     let prior = Prior::of_sigmas(start, args.init_sigma, args.init_sigma_deg.to_radians());

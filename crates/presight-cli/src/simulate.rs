@@ -1,7 +1,7 @@
 //! `presight simulate`: a log of what a robot's depth camera would measure on a drive.
 
 use super::outputs::OutputFiles;
-use super::{Verdict, folder, load};
+use super::{Verdict, folder, open_scene};
 use presight::frame::Frame;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     }
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = load::scene(&args.scene, &import, Scheme::default())?;
+    let scene = open_scene(&args.scene, &import, Scheme::default())?;
     let predictor = Predictor::new(Options { backend: Backend::Cpu, threads })?;
     let disturbances =
         Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
