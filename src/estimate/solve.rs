@@ -172,7 +172,7 @@ impl Estimator {
     /// Where the robot is, by frames of its sensors taken at one time.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a frame, or for a prior that is none; those of [`Predictor::predict`].
+    /// [`crate::ErrorKind::Usage`] without a frame, or for a prior that is none; those of [`Predictor::predict_images`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
         prior.check(self.options.freedom)?;
         if frames.is_empty() {

@@ -2,6 +2,7 @@
 
 mod features;
 mod frames;
+mod localize;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;
