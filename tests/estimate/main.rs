@@ -65,7 +65,7 @@ pub fn scanner(range_sigma: f64) -> Sensor {
 
 /// Predicts on two threads.
 pub fn predictor() -> Predictor {
-    Predictor::new(Options { backend: Backend::Cpu, threads: 2.into() }).unwrap()
+    Predictor::new(Options::new(Backend::Cpu).with_threads(2)).unwrap()
 }
 
 /// An estimator on two threads.

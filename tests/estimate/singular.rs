@@ -94,3 +94,41 @@ fn a_blind_sensor_keeps_the_prior() {
         assert_eq!(answer.weak.len(), 6);
     }
 }
+
+/// Pillars that repeat every metre look the same a metre on. Both places are told, and neither is claimed; one crate that stands
+/// nowhere else decides.
+#[test]
+fn a_repeating_corridor_has_two_places() {
+    let corridor = |crate_too: bool| {
+        let mut environment = Environment::new();
+        environment.add_material(Material::named("m")).unwrap();
+        add_box(&mut environment, "corridor", Vec3::new(-40.0, -1.0, 0.0), Vec3::new(40.0, 1.0, 2.5));
+        for k in -30..=30 {
+            let x = k as f32;
+            add_box(&mut environment, &format!("left {k}"), Vec3::new(x, 0.75, 0.0), Vec3::new(x + 0.25, 1.0, 2.5));
+            add_box(&mut environment, &format!("right {k}"), Vec3::new(x, -1.0, 0.0), Vec3::new(x + 0.25, -0.75, 2.5));
+        }
+        if crate_too {
+            add_box(&mut environment, "crate", Vec3::new(2.4, -0.5, 0.0), Vec3::new(2.8, 0.75, 1.5));
+        }
+        World::new(environment)
+    };
+    let mut spec = scanner(0.01).spec().clone();
+    spec.range_max = 8.0;
+    let sensor = Sensor::new(spec).unwrap();
+    let truth = Pose::from_xyz_rpy(DVec3::new(0.6, 0.1, 1.0), 0.0, 0.0, 0.05);
+    let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
+    let mut prior = Prior::of_sigmas(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.5, 0.02);
+    prior.covariance[1][1] = 0.01;
+    let mut answer = |crate_too: bool| {
+        let world = corridor(crate_too);
+        let frame = sense(&world, &sensor, &truth, &mut Random(5));
+        estimator(options).estimate(&world, &[&frame], &prior).unwrap()
+    };
+    let open = answer(false);
+    assert!(!open.is_determined() && open.hypotheses.len() > 1, "{:?} {:?}", open.state, open.hypotheses);
+    assert!(sigma(&open, 0) > 0.4, "{} m claimed", sigma(&open, 0));
+    let decided = answer(true);
+    assert!(decided.is_determined(), "{:?}", decided.state);
+    assert!(apart(&decided.pose, &truth).0 < 0.02 && sigma(&decided, 0) < 0.05);
+}

@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let scene = open_scene(&args.map, &import, Scheme::default())?;
-    let predictor = Predictor::new(Options { backend: Backend::Cpu, threads })?;
+    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let estimator = Estimator::new(predictor, EstimateOptions::default());
     let prior = Prior::of_sigmas(start, args.init_sigma, args.init_sigma_deg.to_radians());
     let mut localizer = Localizer::new(estimator, prior, LocalizeOptions::default());

@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let scene = open_scene(&args.scene, &import, Scheme::default())?;
-    let predictor = Predictor::new(Options { backend: Backend::Cpu, threads })?;
+    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let disturbances =
         Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
     let mut simulator = Simulator::new(predictor, sensor.clone(), disturbances, args.seed)?;
