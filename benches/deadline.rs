@@ -4,7 +4,7 @@
 
 use presight::free_poses::free_poses;
 use presight::io::gltf::{ImportOptions, import};
-use presight::{Backend, ErrorKind, Images, Options, Pose, Predictor, Request, Sensor, Stats, World};
+use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request, Sensor, Stats, World};
 use std::error::Error;
 use std::time::{Duration, Instant};
 
@@ -32,17 +32,17 @@ struct Bench {
     world: World,
     sensor: Sensor,
     predictor: Predictor,
-    images: Images,
 }
 
 impl Bench {
     /// Milliseconds of one prediction from outside, and what it says.
     fn frame(&mut self, pose: &Pose, deadline_ms: Option<f64>) -> (f64, presight::Result<Stats>) {
         let deadline = deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3));
-        let request = Request { deadline, ..Request::default() };
+        let mut request = Request::default();
+        request.deadline = deadline;
         let start = Instant::now();
-        let stats = self.predictor.predict_into(&self.world, &self.sensor, pose, &request, &mut self.images);
-        (start.elapsed().as_secs_f64() * 1e3, stats)
+        let prediction = self.predictor.predict(&self.world, &self.sensor, pose, &request);
+        (start.elapsed().as_secs_f64() * 1e3, prediction.map(|p| p.stats))
     }
 }
 
@@ -57,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let world = World::new(import(scene, &ImportOptions::default())?.environment);
     let poses = free_poses(&world, POSES, 7)?;
     let predictor = Predictor::new(Options::new(Backend::Cpu))?;
-    let mut bench = Bench { world, sensor, predictor, images: Images::default() };
+    let mut bench = Bench { world, sensor, predictor };
     println!("{scene}, {}, {frames} frames", bench.sensor.spec().name);
 
     // Without a deadline, and with one that asks for nothing to be given up, in turns.
@@ -117,7 +117,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                     continue;
                 };
                 let lost = stats.given_up().map_or(0, |given_up| given_up.samples);
-                there.push(1.0 - lost as f64 / bench.images.pixels() as f64);
+                there.push(1.0 - lost as f64 / (bench.sensor.width() * bench.sensor.height()) as f64);
                 complete.push(stats.given_up().map_or(f64::INFINITY, |given_up| given_up.complete_to));
             }
         }

@@ -3,6 +3,7 @@
 mod deadline;
 mod features;
 mod frames;
+mod localize;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;
