@@ -11,6 +11,7 @@ pub mod gltf;
 pub(crate) mod inputs;
 pub mod layer;
 mod load;
+pub mod log;
 pub mod materials;
 pub mod pcd;
 pub mod ply;
