@@ -56,6 +56,7 @@
 //! works without them.
 
 pub mod acquire;
+pub mod batch;
 mod change;
 pub mod compare;
 pub mod cost;
@@ -83,6 +84,7 @@ mod printable;
 pub mod probe;
 mod random;
 pub mod reference;
+mod row;
 pub mod sensor;
 mod threads;
 pub mod virtual_sensors;
@@ -95,7 +97,7 @@ pub use geometry::{Aabb, Pose};
 pub use io::preset;
 pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, StageRow, Stats, Work};
 pub use predict::{Backend, Options, Prediction, Predictor};
-pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
+pub use sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;
 pub use world::World;
 

@@ -9,6 +9,7 @@ use crate::features::{
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, Images, Output, PlanBuffers, Request, Stats};
 use crate::probe::{Probe, Task, Told};
+use crate::row::RowCuts;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
@@ -73,6 +74,7 @@ pub struct Predictor {
     last: Option<LastFrame>,
     /// What happened to the GPU, if something did.
     notice: Option<String>,
+    row_cuts: RowCuts,
 }
 
 /// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
@@ -113,6 +115,7 @@ impl Predictor {
             buffers: PlanBuffers::default(),
             last: None,
             notice: None,
+            row_cuts: RowCuts::default(),
         }
     }
 
@@ -120,6 +123,19 @@ impl Predictor {
     #[doc(hidden)]
     pub fn engine(&self) -> &dyn Engine {
         &*self.engine
+    }
+
+    /// The threads for tasks of batches, running.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if they cannot be started.
+    pub(crate) fn task_threads(&mut self) -> Result<Threads> {
+        self.threads = self.threads.started()?;
+        Ok(self.threads.clone())
+    }
+
+    pub(crate) fn row_cuts(&self) -> &RowCuts {
+        &self.row_cuts
     }
 
     /// Name of the engine: `cpu`, or `gpu` with its adapter.

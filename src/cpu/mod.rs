@@ -34,6 +34,8 @@ use std::time::{Duration, Instant};
 /// The CPU engine with its threads and buffers.
 pub struct Engine {
     pool: Arc<rayon::ThreadPool>,
+    /// All work of a frame is done by the thread that asks.
+    alone: bool,
     batches: Vec<Batch>,
     winners: Winners,
     canvas: Vec<Buffer>,
@@ -55,7 +57,13 @@ impl Engine {
     /// As [`Threads::new`].
     pub fn new(threads: impl Into<Threads>) -> Result<Self> {
         let pool = threads.into().pool()?;
-        Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+        Ok(Self { pool, alone: false, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+    }
+
+    /// Another one that hands no work to other threads, for a task on one of the pool's.
+    pub(crate) fn on_one_thread(&self) -> Self {
+        let pool = self.pool.clone();
+        Self { pool, alone: true, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() }
     }
 
     /// Fills the asked images.
@@ -67,8 +75,8 @@ impl Engine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "cpu".into();
-        stats.threads = self.pool.current_num_threads();
-        let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
+        stats.threads = if self.alone { 1 } else { self.pool.current_num_threads() };
+        let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
         // Winners are numbered in 32 bits, and a polygon over the azimuth seam is set up twice.
@@ -88,14 +96,16 @@ impl Engine {
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
-        let Self { pool, batches, winners, canvas } = self;
+        let Self { pool, alone, batches, winners, canvas } = self;
         let canvas = &mut canvas[..bands.count()];
         for (band, buffer) in canvas.iter_mut().enumerate() {
             buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
         }
+        // What is never split never waits for another task, and no other one comes between.
+        let least = if *alone { usize::MAX } else { 1 };
         // The whole frame on the pool: between two stages its threads stay awake.
         pool.install(|| {
-            let used = draw_waves(plan, &bands, (batches, winners), canvas, images, stats);
+            let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
             stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
         });
@@ -122,10 +132,12 @@ impl Engine {
     }
 }
 
-/// Sets up and draws all runs, nearest first; the answer is the number of batches in use.
+/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads; the answer is the
+/// number of batches in use.
 fn draw_waves(
     plan: &FramePlan,
     bands: &Bands,
+    least: usize,
     (batches, winners): (&mut Vec<Batch>, &mut Winners),
     canvas: &mut [Buffer],
     images: &mut Images,
@@ -145,7 +157,7 @@ fn draw_waves(
         } else {
             sifted = true;
             let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
-            plan.runs[wave.clone()].par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat()
+            plan.runs[wave.clone()].par_chunks(SIFTED).with_min_len(least).map(sift).collect::<Vec<_>>().concat()
         };
         hidden += wave.len() - runs.len();
         done = wave.end;
@@ -158,7 +170,7 @@ fn draw_waves(
         times[0] += start.elapsed();
 
         let start = Instant::now();
-        batches[first..used].par_iter_mut().zip(&groups).for_each(|(batch, group)| {
+        batches[first..used].par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
             arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
         });
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
@@ -167,7 +179,7 @@ fn draw_waves(
         let start = Instant::now();
         let batches = &batches[first..used];
         let last = done == plan.runs.len();
-        canvas.par_iter_mut().zip(&mut targets).enumerate().for_each(|(band, (buffer, target))| {
+        canvas.par_iter_mut().zip(&mut targets).enumerate().with_min_len(least).for_each(|(band, (buffer, target))| {
             let target = last.then_some(target);
             arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear });
         });

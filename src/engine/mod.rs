@@ -45,6 +45,12 @@ pub trait Engine: Any + Send {
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
+    /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
+    /// `None` for an engine that cannot be one of several.
+    fn for_task(&self) -> Option<Box<dyn Engine>> {
+        None
+    }
+
     /// The device that it works on, if it works on one.
     fn device(&mut self) -> Option<&mut dyn Device> {
         None
@@ -175,6 +181,10 @@ impl Engine for cpu::Engine {
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         Self::render(self, plan, images, stats)
+    }
+
+    fn for_task(&self) -> Option<Box<dyn Engine>> {
+        Some(Box::new(self.on_one_thread()))
     }
 }
 
