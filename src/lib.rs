@@ -84,7 +84,8 @@ mod printable;
 pub mod probe;
 mod random;
 pub mod reference;
-mod row;
+#[doc(hidden)]
+pub mod row;
 pub mod sensor;
 mod threads;
 pub mod virtual_sensors;

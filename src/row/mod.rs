@@ -8,6 +8,7 @@ pub(crate) use cut::RowCut;
 pub(crate) use view::RowView;
 
 use crate::geometry::Pose;
+use crate::sensor::Sensor;
 use crate::world::World;
 use glam::DVec3;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -52,4 +53,13 @@ impl RowCuts {
         }
         cut
     }
+}
+
+/// The images of range and cos_incidence by a cut of the world, for tests; `None` for other sensors and poses that lean.
+pub fn see(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Option<(Vec<f32>, Vec<f32>)> {
+    let mut view = RowView::new(sensor).filter(|_| is_level(world_from_sensor))?;
+    let cut = RowCut::new(world, &sensor.spec().class, world_from_sensor.translation.z);
+    let (mut range, mut cos_incidence) = (Vec::new(), Vec::new());
+    view.see(&cut, world_from_sensor, &mut range, &mut cos_incidence);
+    Some((range, cos_incidence))
 }
