@@ -57,7 +57,8 @@ impl Headings {
             let what = format!("{count} headings are no multiples of its step of {step_deg} deg");
             return wrong(&what, &format!("give a number that divides {beams}"));
         }
-        let azimuth = Angles::Uniform { start_deg, step_deg: 360f64.copysign(step_deg) / f64::from(beams), count: beams };
+        let azimuth =
+            Angles::Uniform { start_deg, step_deg: 360f64.copysign(step_deg) / f64::from(beams), count: beams };
         let geometry = Geometry::Scanner(Scanner { azimuth, ..scanner.clone() });
         let stride = (beams / count) as usize;
         let stride = if step_deg > 0.0 { stride } else { beams as usize - stride };
@@ -232,16 +233,16 @@ impl pulp::WithSimd for Shift<'_> {
 
 /// The logarithm of the product of the factors of all ranges of a row, whose first beam is the panorama's `first`.
 #[inline(always)]
-fn ranges(row: &Row, panorama: &Panorama, first: usize) -> f64 {
+fn ranges<'a>(row: &Row, panorama: &'a Panorama, first: usize) -> f64 {
     const MANTISSA: u32 = 0x007f_ffff;
     const ONE: u32 = 0x3f80_0000;
-    let part = first..first + row.sensed.len();
-    let (range, peak) = (&panorama.range[part.clone()], &panorama.peak[part.clone()]);
-    let (sharpness, short) = (&panorama.sharpness[part.clone()], &panorama.short[part]);
+    let sensed = row.sensed.as_chunks::<LANES>().0;
+    let part = |table: &'a [f32]| table[first..first + row.sensed.len()].as_chunks::<LANES>().0;
+    let (range, peak) = (part(&panorama.range), part(&panorama.peak));
+    let (sharpness, short) = (part(&panorama.sharpness), part(&panorama.short));
     let mut product = [1f32; LANES];
     let mut exponent = [0u32; LANES];
-    let chunks = row.sensed.chunks_exact(LANES).zip(range.chunks_exact(LANES)).zip(peak.chunks_exact(LANES));
-    let chunks = chunks.zip(sharpness.chunks_exact(LANES)).zip(short.chunks_exact(LANES));
+    let chunks = sensed.iter().zip(range).zip(peak).zip(sharpness).zip(short);
     let mut left = panorama.steps;
     for ((((sensed, range), peak), sharpness), short) in chunks {
         for l in 0..LANES {

@@ -58,7 +58,9 @@ impl Sensed {
         };
         if let Some(i) = range.iter().position(|r| !possible(*r)) {
             let what = format!("sensor {:?} cannot sense {} m", spec.name, range[i]);
-            return Err(Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}")));
+            return Err(
+                Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}"))
+            );
         }
         Ok(Self { sensor: sensor.clone(), range, model })
     }
@@ -141,7 +143,10 @@ impl BeamModel {
         }
         let widths = [cell.side, cell.turn];
         if !widths.iter().all(|w| *w >= 0.0 && *w <= 1e6) {
-            return Err(Error::invalid(format!("pose cell {cell:?}"), "give widths of 0 or more, in metres and radians"));
+            return Err(Error::invalid(
+                format!("pose cell {cell:?}"),
+                "give widths of 0 or more, in metres and radians",
+            ));
         }
         // Variance of what lies anywhere within a width.
         let variance = |width: f64| width * width / 12.0;
@@ -164,7 +169,15 @@ impl BeamModel {
         if range == f32::INFINITY {
             let (peak, sharpness, short_at) = (0.0, 0.0, short / self.range_max);
             let near = (below + short_at * self.range_min).max(LEAST);
-            return Beam { range: 2.0 * self.range_max, peak, sharpness, short: short_at, any: anywhere, none: none + hit, near };
+            return Beam {
+                range: 2.0 * self.range_max,
+                peak,
+                sharpness,
+                short: short_at,
+                any: anywhere,
+                none: none + hit,
+                near,
+            };
         }
         if range == f32::NEG_INFINITY {
             let near = below + short + hit;
@@ -177,7 +190,15 @@ impl BeamModel {
         let sharpness = 0.5 / variance;
         let peak = hit * (sharpness / std::f64::consts::PI).sqrt();
         let short = if r > 0.0 { short / r.max(LEAST_RANGE) } else { 0.0 };
-        Beam { range: r, peak, sharpness, short, any: anywhere, none, near: (below + short * self.range_min).max(LEAST) }
+        Beam {
+            range: r,
+            peak,
+            sharpness,
+            short,
+            any: anywhere,
+            none,
+            near: (below + short * self.range_min).max(LEAST),
+        }
     }
 }
 

@@ -164,7 +164,17 @@ impl Predictor {
         };
         let lanes = (0..count).map(lane).collect();
         let poses = poses.into_iter();
-        Ok(Batch { predictor: self, poses, task, threads, lanes, chunk, next: 0, done: Vec::new().into_iter(), ended: false })
+        Ok(Batch {
+            predictor: self,
+            poses,
+            task,
+            threads,
+            lanes,
+            chunk,
+            next: 0,
+            done: Vec::new().into_iter(),
+            ended: false,
+        })
     }
 }
 
@@ -296,7 +306,9 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
                 };
                 threads.run(|| poses.par_iter().map(work).collect())
             }
-            None => Ok(poses.iter().map(|given| self.single(given.0, &given.1).map_err(|e| placed(given, e))).collect()),
+            None => {
+                Ok(poses.iter().map(|given| self.single(given.0, &given.1).map_err(|e| placed(given, e))).collect())
+            }
         };
         self.done = done.unwrap_or_else(|e| vec![Err(e)]).into_iter();
         true

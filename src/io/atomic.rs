@@ -103,7 +103,7 @@ fn open_through(path: &Path) -> io::Result<File> {
     File::options().write(true).append(is_given(path)).open(path)
 }
 
-fn refused(path: &Path, e: io::Error) -> Error {
+pub(super) fn refused(path: &Path, e: io::Error) -> Error {
     use io::ErrorKind as Io;
     let remedy = match e.kind() {
         Io::NotFound | Io::NotADirectory => "create the folder first, or write elsewhere",

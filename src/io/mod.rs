@@ -19,6 +19,7 @@ pub mod png;
 mod points;
 pub mod prediction_json;
 pub mod robot_toml;
+pub mod rows;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;

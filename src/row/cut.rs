@@ -1,11 +1,14 @@
 //! The world cut at one height: what a level scanner of one row can meet, as segments in a tree.
 
-use crate::index::{Found, Region};
-use crate::plan::facings;
 use crate::environment::Object;
 use crate::geometry::Aabb;
+use crate::index::{Found, Region};
+use crate::plan::facings;
 use crate::world::World;
 use glam::{DVec2, DVec3};
+
+/// Corners this near their plane, relatively, are on it: far less than f32 rounds ranges, far more than f64 rounds places.
+const PLANE: f64 = 1e-10;
 
 /// Segments in a leaf.
 const LEAF: usize = 4;
@@ -16,6 +19,8 @@ pub(crate) struct RowCut {
     pub segments: Vec<Segment>,
     /// The first is the root; the left child of a node follows it.
     pub nodes: Vec<Node>,
+    /// In the world, with the offset of the plane through each.
+    pub corners: Vec<(DVec3, f64)>,
 }
 
 /// Where a polygon meets the height.
@@ -25,6 +30,11 @@ pub(crate) struct Segment {
     pub b: DVec2,
     /// Of the polygon's unit normal, which need not be level.
     pub normal: DVec2,
+    /// The polygon's plane at the height is where `normal . p` is this.
+    pub offset: f64,
+    /// Of a polygon that is not quite plane: its corners in [`RowCut::corners`]. As in images its plane then goes through the corner
+    /// that is nearest to the scanner.
+    pub corners: (u32, u32),
     /// Seen only from where the normal points.
     pub one_sided: bool,
 }
@@ -62,7 +72,16 @@ impl RowCut {
                 let ends = if facing.opaque { cross(object, polygon, height) } else { None };
                 let Some([a, b]) = ends else { continue };
                 let normal = (normal_from_mesh * object.mesh.plane(polygon).normal).normalize();
-                let segment = Segment { a, b, normal: normal.truncate(), one_sided: facing.one_sided };
+                let first = cut.corners.len();
+                let corners = object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p));
+                cut.corners.extend(corners.map(|p| (p, normal.dot(p) - normal.z * height)));
+                let offset = cut.corners[first].1;
+                let spread = cut.corners[first..].iter().map(|(_, o)| (o - offset).abs()).fold(0.0, f64::max);
+                if spread <= PLANE * (1.0 + offset.abs()) {
+                    cut.corners.truncate(first);
+                }
+                let corners = (first as u32, cut.corners.len() as u32);
+                let segment = Segment { a, b, normal: normal.truncate(), offset, corners, one_sided: facing.one_sided };
                 // Level polygons are edge-on to the row.
                 if segment.normal != DVec2::ZERO {
                     cut.segments.push(segment);

@@ -3,7 +3,7 @@
 use super::cut::{Node, RowCut, Segment};
 use crate::geometry::Pose;
 use crate::sensor::{Geometry, Sensor};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use std::ops::Range;
 
 /// Beams whose farthest is kept.
@@ -53,7 +53,8 @@ impl RowView {
         let mut turns: Vec<f64> = rays.iter().map(|ray| since(turn_of(*ray), first_turn)).collect();
         turns[0] = 0.0;
         let count = (2 * n).next_power_of_two();
-        let slices = (0..=count).map(|s| turns.partition_point(|t| *t < 4.0 * s as f64 / count as f64) as u32).collect();
+        let slices =
+            (0..=count).map(|s| turns.partition_point(|t| *t < 4.0 * s as f64 / count as f64) as u32).collect();
         let (range_min, range_max) = (sensor.spec().range_min, sensor.spec().range_max);
         let blocks = n.div_ceil(BLOCK);
         Some(Self {
@@ -93,7 +94,7 @@ impl RowView {
             }
             if node.count > 0 {
                 for s in node.at..node.at + node.count {
-                    self.draw(&eye, &cut.segments[s as usize], s);
+                    self.draw(&eye, cut, s);
                 }
                 continue;
             }
@@ -120,7 +121,9 @@ impl RowView {
                 true => exact as f32,
             };
             cos_incidence[pixel] = match seen {
-                true => (eye.turned(cut.segments[self.winner[i] as usize].normal).dot(self.rays[i]).abs() as f32).min(1.0),
+                true => {
+                    (eye.turned(cut.segments[self.winner[i] as usize].normal).dot(self.rays[i]).abs() as f32).min(1.0)
+                }
                 false => f32::NAN,
             };
         }
@@ -161,22 +164,25 @@ impl RowView {
         low + self.turns[low..high].iter().take_while(|t| **t < turn).count()
     }
 
-    fn draw(&mut self, eye: &Eye, segment: &Segment, number: u32) {
+    fn draw(&mut self, eye: &Eye, cut: &RowCut, number: u32) {
         self.tested += 1;
+        let segment = &cut.segments[number as usize];
         let (mut a, mut b) = (eye.seen(segment.a), eye.seen(segment.b));
-        let mut doubled = a.perp_dot(b);
+        // Negative where the scanner is on the normal's side.
+        let distance = eye.offset(cut, segment) - segment.normal.dot(eye.place);
+        if segment.one_sided && distance >= 0.0 {
+            return;
+        }
+        let doubled = a.perp_dot(b);
         if doubled < 0.0 {
-            (a, b, doubled) = (b, a, -doubled);
+            (a, b) = (b, a);
         }
         // As flat as rounding: edge-on, it covers no ray.
-        if !(doubled > 8.0 * f64::EPSILON * a.length() * b.length()) {
+        let (near, far) = (a.length().min(b.length()), a.length().max(b.length()));
+        if !(doubled.abs() > 8.0 * f64::EPSILON * near * far && distance.abs() > 8.0 * f64::EPSILON * near) {
             return;
         }
-        if segment.one_sided && segment.normal.dot(eye.place - segment.a) <= 0.0 {
-            return;
-        }
-        let along = b - a;
-        let m = DVec2::new(along.y, -along.x) / doubled;
+        let m = eye.turned(segment.normal) / distance;
         let (first, count) = self.between(turn_of(a), turn_of(b));
         let n = self.rays.len();
         let mut drawn = false;
@@ -203,6 +209,7 @@ impl RowView {
 /// Where the scanner is, and how it is turned.
 struct Eye {
     place: DVec2,
+    height: f64,
     /// Its x axis in the world.
     ahead: DVec2,
 }
@@ -210,7 +217,8 @@ struct Eye {
 impl Eye {
     fn new(world_from_sensor: &Pose) -> Self {
         let ahead = world_from_sensor.rotation_matrix().x_axis.truncate().normalize();
-        Self { place: world_from_sensor.translation.truncate(), ahead }
+        let DVec3 { x, y, z } = world_from_sensor.translation;
+        Self { place: DVec2::new(x, y), height: z, ahead }
     }
 
     fn turned(&self, direction: DVec2) -> DVec2 {
@@ -220,6 +228,14 @@ impl Eye {
     /// A point of the world in the sensor's frame.
     fn seen(&self, point: DVec2) -> DVec2 {
         self.turned(point - self.place)
+    }
+
+    /// That of the plane of a segment's polygon.
+    fn offset(&self, cut: &RowCut, segment: &Segment) -> f64 {
+        let corners = &cut.corners[segment.corners.0 as usize..segment.corners.1 as usize];
+        let apart = |p: &DVec3| p.distance_squared(self.place.extend(self.height));
+        let nearest = corners.iter().min_by(|(a, _), (b, _)| apart(a).total_cmp(&apart(b)));
+        nearest.map_or(segment.offset, |(_, offset)| *offset)
     }
 
     /// Distance of a box.

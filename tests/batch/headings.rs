@@ -26,7 +26,11 @@ fn scanner(start_deg: f64, step_deg: f64, count: u32, rows: &[f64], limits: (f64
 fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     let (mut random, mut engine) = (Random(2), predictor(2));
     let headings = Headings::new(sensor, count).unwrap();
-    let sensed = disturbed(&mut random, sensor.spec(), &single(&mut engine, world, sensor, &headings.pose(place.translation, 1)).0);
+    let sensed = disturbed(
+        &mut random,
+        sensor.spec(),
+        &single(&mut engine, world, sensor, &headings.pose(place.translation, 1)).0,
+    );
     let cell = PoseCell { side: 0.05, turn: 0.01 };
     let request = BatchRequest {
         likelihood: Some(Sensed::new(sensor, sensed.clone(), cell).unwrap()),
@@ -102,7 +106,11 @@ fn real_scans_are_found_in_their_map() {
     let options = presight::io::gltf::ImportOptions::default();
     let world = World::new(presight::io::gltf::import(map, &options).unwrap().environment);
     let log = log::open(&log).unwrap();
-    let noise = Noise { range_sigma: 0.05, mixture: Mixture { beam_dependence: 5.0, ..Mixture::default() }, ..Noise::default() };
+    let noise = Noise {
+        range_sigma: 0.05,
+        mixture: Mixture { beam_dependence: 5.0, ..Mixture::default() },
+        ..Noise::default()
+    };
     let sensor = noisy(log.sensor(), noise);
     let headings = Headings::new(&sensor, 360).unwrap();
     let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
@@ -115,7 +123,8 @@ fn real_scans_are_found_in_their_map() {
         let places = (-8..=8).flat_map(|i| (-8..=8).map(move |k| (i, k))).map(|(i, k)| at(i, k) + off);
         let places = places.map(|translation| Pose { translation, ..Pose::IDENTITY });
         let sensed = Sensed::new(&sensor, frame.range.clone(), cell).unwrap();
-        let request = BatchRequest { likelihood: Some(sensed), headings: Some(headings.clone()), ..BatchRequest::default() };
+        let request =
+            BatchRequest { likelihood: Some(sensed), headings: Some(headings.clone()), ..BatchRequest::default() };
         let mut best = (f32::NEG_INFINITY, Pose::IDENTITY);
         for item in predictor(2).batch(&world, &sensor, places.collect::<Vec<_>>(), &request).unwrap() {
             let item = item.unwrap();

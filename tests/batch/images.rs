@@ -93,3 +93,30 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
     let mut predictor = predictor(1);
     assert_eq!(predictor.batch(&world, &sensor, [], &BatchRequest::default()).unwrap().count(), 0);
 }
+
+/// The GPU engine goes from pose to pose.
+#[test]
+fn the_gpu_engine_makes_its_single_predictions() {
+    let options = presight::Options { backend: presight::Backend::Gpu, threads: 2.into() };
+    let mut gpu = match presight::Predictor::new(options) {
+        Ok(gpu) => gpu,
+        Err(e) => return common::skip::no_adapter(e),
+    };
+    let world = World::new(scenes::room(2, 40));
+    let sensor = super::noisy(
+        &presight::preset("laser-range-camera").unwrap(),
+        presight::Noise { range_sigma: 0.02, ..Default::default() },
+    );
+    let asked = Request::default();
+    let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses(1)[0]);
+    let sensed = presight::batch::Sensed::new(&sensor, range, Default::default()).unwrap();
+    let request = BatchRequest { images: Some(asked), likelihood: Some(sensed.clone()), ..BatchRequest::default() };
+    let items: Vec<_> = gpu.batch(&world, &sensor, poses(5), &request).unwrap().map(|item| item.unwrap()).collect();
+    for (item, pose) in items.iter().zip(poses(5)) {
+        let single = gpu.predict(&world, &sensor, &pose, &asked).unwrap();
+        assert!(bits(&item.images) == bits(&single.images));
+        let (range, cos) = super::single(&mut predictor(1), &world, &sensor, &pose);
+        let (ours, truth) = (item.log_likelihood.unwrap(), sensed.log_likelihood(&range, &cos));
+        assert!((ours / truth - 1.0).abs() < 1e-4, "{ours}, on the CPU {truth}");
+    }
+}

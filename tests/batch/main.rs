@@ -1,13 +1,13 @@
 //! Batches: against single predictions, and against the formula written down as plainly as it can be.
 
-#[path = "../common/mod.rs"]
-mod common;
 mod headings;
 mod images;
 mod likelihood;
 mod logs;
 mod oracle;
 mod row;
+
+use presight_testkit as common;
 
 use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
 

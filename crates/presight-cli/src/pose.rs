@@ -64,12 +64,8 @@ impl PoseArgs {
     /// # Errors
     /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
     pub fn parse(&self) -> Result<GivenPose> {
-        if self.pose_of == PoseOf::Robot && self.pose_frame == PoseFrame::Optical {
-            let remedy = "drop --pose-frame optical, or give the pose of the sensor";
-            return Err(Error::usage("--pose-of robot: a robot has no optical frame", remedy));
-        }
         let pose = parse_pose(&self.pose).map_err(|e| e.at(format!("--pose {}", self.pose)))?;
-        Ok(GivenPose { pose, frame: self.pose_frame, of: self.pose_of, world: self.world_frame })
+        GivenPose::new(pose, self.pose_frame, self.pose_of, self.world_frame)
     }
 }
 
@@ -83,6 +79,18 @@ pub struct GivenPose {
 }
 
 impl GivenPose {
+    /// A pose from a file, in the frame that flags name.
+    ///
+    /// # Errors
+    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
+    pub fn new(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<Self> {
+        if of == PoseOf::Robot && frame == PoseFrame::Optical {
+            let remedy = "drop --pose-frame optical, or give the pose of the sensor";
+            return Err(Error::usage("--pose-of robot: a robot has no optical frame", remedy));
+        }
+        Ok(Self { pose, frame, of, world })
+    }
+
     /// world_from_sensor, body axes, in presight's world.
     pub fn of_sensor(&self, sensor: &SensorSpec, world_from_gltf: &Pose) -> Pose {
         let mut pose = self.pose;

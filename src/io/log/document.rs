@@ -144,7 +144,8 @@ impl Log for Document {
 }
 
 fn spec(file: &File, name: String) -> Result<SensorSpec> {
-    let missing = |key: &str| Error::invalid(format!("{key} is missing"), "docs/formats.md lists what a document of scans has");
+    let missing =
+        |key: &str| Error::invalid(format!("{key} is missing"), "docs/formats.md lists what a document of scans has");
     let (azimuth, range_max, mount) = match &file.scan {
         Some(scan) => {
             let azimuth = Angles::Uniform { start_deg: scan.angle_min_deg, step_deg: scan.step_deg, count: scan.beams };

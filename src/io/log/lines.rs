@@ -13,10 +13,11 @@
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, written the same way.
 
-use super::{Frame, Log, check_time, read_line};
+use super::{Frame, Log, check_time};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::io::sensor_toml;
+use crate::io::text::read_line;
 use crate::sensor::{Sensor, SensorSpec};
 use glam::{DQuat, DVec3};
 use serde::de::{Deserialize, Deserializer, Visitor};
@@ -134,7 +135,8 @@ impl Log for Lines {
 }
 
 fn read_header(line: &str, path: &Path) -> Result<Sensor> {
-    let header: Header = serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
+    let header: Header =
+        serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
     match header.format {
         Some(FORMAT) => {}
         Some(newer) if newer > FORMAT => {
@@ -172,7 +174,11 @@ fn pose(numbers: &[f64]) -> Result<Pose> {
         [x, y, z, qx, qy, qz, qw] => {
             let given = Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) };
             // One of unit length keeps its bits.
-            if given.check().is_ok() { given } else { Pose::new(given.translation, given.rotation).map_err(|_| wrong())? }
+            if given.check().is_ok() {
+                given
+            } else {
+                Pose::new(given.translation, given.rotation).map_err(|_| wrong())?
+            }
         }
         _ => return Err(wrong()),
     };

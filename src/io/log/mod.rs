@@ -13,11 +13,12 @@ pub mod lines;
 mod tests;
 
 use super::file;
+use super::text::read_line;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::sensor::{Sensor, SensorSpec};
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// What a sensor measured at one time.
@@ -55,7 +56,9 @@ impl Frame {
         for (i, &range) in self.range.iter().enumerate().filter(|(_, r)| r.is_finite()) {
             if !limits.contains(&range) {
                 let what = format!("{range} m is outside {}..{} m", sensor.range_min, sensor.range_max);
-                return Err(Error::invalid(what, "give inf or -inf, or the sensor's own limits").at(format!("range {i}")));
+                return Err(
+                    Error::invalid(what, "give inf or -inf, or the sensor's own limits").at(format!("range {i}"))
+                );
             }
         }
         let poses = [("odometry", self.odometry), ("reference", self.reference)];
@@ -95,7 +98,8 @@ pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
     let mut reader = BufReader::new(file::open_or_given(path)?);
     let placed = |e: Error| e.in_file(path);
     let first = read_line(&mut reader, 1).map_err(placed)?;
-    let first = first.ok_or_else(|| Error::invalid("the log is empty", "give a header and a frame a line")).map_err(placed)?;
+    let first =
+        first.ok_or_else(|| Error::invalid("the log is empty", "give a header and a frame a line")).map_err(placed)?;
     if lines::is_header(&first) {
         return Ok(Box::new(lines::Lines::new(path, reader, &first)?));
     }
@@ -122,24 +126,6 @@ pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, Frame)> {
         }
     }
     unreachable!("the loop ends with a frame or without one")
-}
-
-/// The next line, without its end; `None` at the end of the file.
-fn read_line(reader: &mut impl BufRead, number: usize) -> Result<Option<String>> {
-    let mut line = Vec::new();
-    let read = reader.by_ref().take(limits::MAX_LINE_BYTES + 1).read_until(b'\n', &mut line);
-    let at = |e: Error| e.at(format!("line {number}"));
-    if read.map_err(|e| at(Error::io("", "read it", e)))? == 0 {
-        return Ok(None);
-    }
-    if line.len() as u64 > limits::MAX_LINE_BYTES {
-        let remedy = "split it; presight's own logs have a line for each frame";
-        let what = format!("the line is longer than {} bytes", limits::MAX_LINE_BYTES);
-        return Err(at(Error::invalid(what, remedy)));
-    }
-    let text = String::from_utf8(line).map_err(|_| at(Error::invalid("it is not UTF-8", "save the file as UTF-8 text")))?;
-    let text = if number == 1 { file::without_mark(text) } else { text };
-    Ok(Some(text))
 }
 
 /// That times rise.
