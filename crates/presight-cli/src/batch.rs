@@ -123,9 +123,12 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let (sensor, notices) = load_sensor(&args.sensor)?;
     print::notices(&notices);
     let request = args.request(&sensor)?;
-    let poses = PoseFile::read(&args.poses, |pose| args.given(pose).map(drop))?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let scene = load::scene(&args.scene, &import, Scheme::default())?;
+    let poses = PoseFile::read(&args.poses, |pose| {
+        let pose = args.given(pose)?.of_sensor(sensor.spec(), &scene.world_from_gltf);
+        request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))
+    })?;
     let items = args.items(poses.count);
     args.check_inputs()?;
     folder::ready(&args.out)?;
@@ -316,7 +319,7 @@ impl PoseFile {
         let mut count = 0;
         for stamped in tum::stream(path)? {
             let tum::Stamped { time, pose } = stamped?;
-            check(pose)?;
+            check(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             count += 1;
             let numbers = [&[time][..], &pose.translation.to_array(), &pose.rotation.to_array()].concat();
             for number in numbers {

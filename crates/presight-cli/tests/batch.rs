@@ -231,6 +231,8 @@ fn what_is_wrong_is_told_before_anything_is_written() {
     place.fails(&format!("{weigh} --headings 7"), 2, "7 headings");
     place.fails(&format!("{weigh} --headings 360 --pose-of robot"), 2, "--headings");
     place.fails(&format!("{weigh} --cell-m=-1"), 1, "pose cell");
+    place.write("b.tum", &format!("{good}9 0 0 1 0 0.1 0 1\n"));
+    place.fails(&format!("{} --headings 360", weigh.replace("a.tum", "b.tum")), 2, "b.tum: pose 3: all headings");
     place.fails(&format!("{line} --outputs depth_z"), 2, "no camera");
     place.fails(&format!("{line} --outputs feature_id"), 2, "no features");
     for shard in ["0/3", "4/3", "1", "a/b"] {
