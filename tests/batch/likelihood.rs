@@ -82,7 +82,7 @@ fn every_preset_is_weighed_as_the_formula_says() {
 #[test]
 fn real_scenes_are_weighed_as_the_formula_says() {
     let Some(world) = data::scene("factory_hall", true) else { return };
-    let poses: Vec<Pose> = data::poses(&world, 8, 4).iter().map(|p| lean(p)).collect();
+    let poses: Vec<Pose> = data::poses(&world, 8, 4).iter().map(lean).collect();
     let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight::preset(name).unwrap());
     check(&world, &poses, &sensors, 1e-9);
 }
