@@ -33,8 +33,8 @@ fn world(name: &str) -> World {
 }
 
 fn predictor() -> Predictor {
-    let threads = number("PRESIGHT_THREADS", 2).into();
-    Predictor::new(Options { backend: Backend::Cpu, threads }).expect("threads start")
+    let threads = number("PRESIGHT_THREADS", 2);
+    Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
 }
 
 fn noisy(spec: &SensorSpec) -> Sensor {
@@ -102,9 +102,9 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let sensor = noisy(presight::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
-    let asked = Request { outputs, ..Request::default() };
+    let asked = Request::of(outputs);
     let mut images = Images::default();
-    predictor.predict_into(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
+    predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
     let sensed = Sensed::new(&sensor, images.range.clone(), PoseCell::default()).expect("a sound image");
     let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let mut sums = [0.0, 0.0];
@@ -115,7 +115,7 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let single = least(3, || {
         sums[1] = 0.0;
         for pose in poses {
-            predictor.predict_into(world, &sensor, pose, &asked, &mut images).expect("it predicts");
+            predictor.predict_images(world, &sensor, pose, &asked, &mut images).expect("it predicts");
             sums[1] += sensed.log_likelihood(&images.range, &images.cos_incidence);
         }
     });
@@ -144,8 +144,9 @@ fn main() {
             }
             std::fs::write(folder.join(format!("{name}.tum")), text).expect("the poses are written");
         }
-        // One-row scanners stand level on a robot.
-        let yaw = |pose: &Pose| Pose::from_xyz_rpy(pose.translation, 0.0, 0.0, pose.rpy().2);
+        // One-row scanners stand level on a robot, all at one height.
+        let height = poses[0].translation.z;
+        let yaw = |pose: &Pose| Pose::from_xyz_rpy(pose.translation.with_z(height), 0.0, 0.0, pose.rpy().2);
         let level: Vec<Pose> = poses.iter().map(yaw).collect();
         scene(name, "laser-range-camera", &poses, &world);
         scene(name, "laser-scanner", &level, &world);

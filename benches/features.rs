@@ -16,12 +16,11 @@ use glam::{DMat3, DVec3};
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::FeatureShape;
 use presight::features::{
-    BoxOptions, FeatureOptions, Piece, PlacedFeature, Sampler, Visibility, place, predict_features,
+    BoxOptions, FeatureOptions, FeatureSettings, Piece, PlacedFeature, Sampler, Visibility, place, predict_features,
 };
 use presight::io::gltf::{ImportOptions, import};
-use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World, preset};
+use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 const SCENES: [&str; 2] = ["hospital", "factory_hall"];
 const SENSORS: [&str; 2] = ["video-camera", "microwave-radar-image"];
@@ -67,9 +66,8 @@ fn main() {
 
 fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[PlacedFeature]) {
     let sensor = preset(sensor).expect("a preset");
-    let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
-    let mut predictor =
-        Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).expect("the CPU engine starts");
+    let request = Request::of(Outputs::of(&[Output::PolygonId]));
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("the CPU engine starts");
     let image_ms = fastest(|| {
         let seen = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
         assert!(!seen.images.polygon_id.is_empty());
@@ -78,7 +76,7 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let cut = pieces(world, &sensor, pose, placed);
     let predict = |list: &[PlacedFeature], visibility| {
-        let options = FeatureOptions { visibility, ..FeatureOptions::default() };
+        let options = FeatureSettings { visibility, ..FeatureSettings::default() };
         one.install(|| predict_features(world, &sensor, pose, &images, list, &options)).expect("it predicts")
     };
     let all = predict(&cut, Visibility::Image);
@@ -94,10 +92,10 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
         let rays = || fastest(|| assert_eq!(predict(&list, Visibility::Rays).stats.samples, samples));
         let by_rays = if no_rays { f64::NAN } else { rays() };
         let each = |ms: f64| ms * 1e6 / samples as f64;
-        let region_us = with_regions(Options { backend: Backend::Cpu, threads: 1.into() }, world, &sensor, pose, &list)
+        let region_us = with_regions(Options::new(Backend::Cpu).with_threads(1), world, &sensor, pose, &list)
             .map_or(f64::NAN, |[features, both]| (both - features) * 1e3 / count as f64);
         let all_threads = [Backend::Cpu, Backend::Gpu].map(|backend| {
-            let both = with_regions(Options { backend, threads: 0.into() }, world, &sensor, pose, &list);
+            let both = with_regions(Options::new(backend), world, &sensor, pose, &list);
             both.map_or(f64::NAN, |[_, both]| both)
         });
         println!(
@@ -122,21 +120,21 @@ fn with_regions(
     list: &[PlacedFeature],
 ) -> Option<[f64; 2]> {
     let mut predictor = Predictor::new(options).ok()?;
-    let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
-    let mut boxes = BoxOptions::default();
     // 1 cm and 0.5 degrees.
-    (0..3).for_each(|i| (boxes.sensor[i][i], boxes.sensor[3 + i][3 + i]) = (1e-4, 7.6e-5));
-    let (mut images, mut stats) = (Images::default(), Stats::default());
+    let turn = 7.6e-5f64.sqrt();
+    let boxes = BoxOptions::default().with_sensor_sigmas([0.01, 0.01, 0.01, turn, turn, turn]);
+    let request = Request::of(Outputs::of(&[Output::PolygonId]))
+        .with_features(FeatureOptions::default().with_placed(list.to_vec()))
+        .with_regions(boxes);
+    let mut prediction = predictor.predict(world, sensor, pose, &request).expect("it predicts");
     let mut least = [f64::INFINITY; 2];
     for _ in 0..12 {
-        predictor.predict_into(world, sensor, pose, &request, &mut images).expect("it predicts");
-        let options = FeatureOptions::default();
-        let start = Instant::now();
-        let seen = predictor.predict_features(world, sensor, pose, &images, list, &options, &mut stats);
-        let mut seen = seen.expect("features");
-        let features = start.elapsed().as_secs_f64() * 1e3;
-        predictor.add_boxes(&mut seen, list, world, sensor, pose, &boxes, &mut stats).expect("regions");
-        let both = start.elapsed().as_secs_f64() * 1e3;
+        predictor.predict_again(world, pose, &mut prediction).expect("it predicts");
+        let of =
+            |name: &str| prediction.stats.stages_ms.iter().filter(|(n, _)| n == name).map(|(_, ms)| ms).sum::<f64>();
+        let features = of("features") + of("features on the device");
+        let both = features + of("regions of interest");
+        let seen = prediction.features.as_ref().expect("features");
         assert!(seen.features.iter().all(|f| f.visible_fraction == 0.0 || f.roi.is_some() || f.roi_flag.is_some()));
         least = [least[0].min(features), least[1].min(both)];
     }

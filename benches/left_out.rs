@@ -5,15 +5,15 @@
 #![expect(clippy::print_stdout, reason = "the table is the result")]
 
 use presight::acquire::features::{GenerateOptions, generate};
-use presight::features::{BoxOptions, FeatureOptions, PlacedFeature, place};
+use presight::features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
 use presight::free_poses::free_poses;
 #[cfg(feature = "gpu")]
 use presight::gpu::testing::{self, Setup};
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{
-    Backend, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Options, Output, Outputs,
-    Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, World, preset,
+    Backend, Distortion, Environment, Geometry, Images, Material, Mesh, NewObject, Options, Output, Outputs, Polygon,
+    PolygonOrder, Pose, Prediction, Predictor, Request, Sensor, SensorSpec, Stats, World, preset,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -35,32 +35,34 @@ struct Side<'a> {
 #[derive(Clone, Copy)]
 enum After<'a> {
     Nothing,
-    Features(&'a [PlacedFeature]),
-    FeatureId(&'a [PlacedFeature]),
-    Boxes(&'a [PlacedFeature]),
+    Features(&'a PlacedFeatures),
+    FeatureId(&'a PlacedFeatures),
+    Boxes(&'a PlacedFeatures),
 }
 
 impl Side<'_> {
-    fn run(&mut self, pose: &Pose, images: &mut Images) -> (f64, Stats) {
+    fn run(&mut self, pose: &Pose, prediction: &mut Option<Prediction>) -> (f64, Stats) {
         let Self { predictor, world, sensor, outputs, after } = self;
-        let request = Request { outputs: *outputs, ids: IdScheme::Model };
-        let start = Instant::now();
-        let mut stats = predictor.predict_into(world, sensor, pose, &request, images).expect("a prediction");
-        let placed = match *after {
-            After::Nothing => &[],
-            After::Features(placed) | After::FeatureId(placed) | After::Boxes(placed) => placed,
-        };
-        if !matches!(after, After::Nothing) {
-            let feature_id = matches!(after, After::FeatureId(_));
-            let options = FeatureOptions { feature_id, ..FeatureOptions::default() };
-            let seen = predictor.predict_features(world, sensor, pose, images, placed, &options, &mut stats);
-            let mut seen = seen.expect("features");
-            if matches!(after, After::Boxes(_)) {
-                let mut options = BoxOptions::default();
-                (0..3).for_each(|i| (options.sensor[i][i], options.sensor[3 + i][3 + i]) = (1e-3, 1e-4));
-                predictor.add_boxes(&mut seen, placed, world, sensor, pose, &options, &mut stats).expect("boxes");
+        let placed = |placed: &PlacedFeatures| FeatureOptions::default().with_placed(placed.clone());
+        let plain = Request::of(*outputs);
+        let request = match after {
+            After::Nothing => plain,
+            After::Features(of) => plain.with_features(placed(of)),
+            After::FeatureId(of) => plain.with_outputs(outputs.with(Output::FeatureId)).with_features(placed(of)),
+            After::Boxes(of) => {
+                let deviation = |i: usize| if i < 3 { 1e-3f64.sqrt() } else { 1e-2 };
+                let boxes = BoxOptions::default().with_sensor_sigmas(std::array::from_fn(deviation));
+                plain.with_features(placed(of)).with_regions(boxes)
             }
+        };
+        let same =
+            prediction.as_ref().is_some_and(|p| p.request == request && std::ptr::eq(p.sensor.grid(), sensor.grid()));
+        let start = Instant::now();
+        match prediction {
+            Some(last) if same => predictor.predict_again(world, pose, last).expect("a prediction"),
+            _ => *prediction = Some(predictor.predict(world, sensor, pose, &request).expect("a prediction")),
         }
+        let stats = prediction.as_ref().map(|p| p.stats.clone()).unwrap_or_default();
         (start.elapsed().as_secs_f64() * 1e3, stats)
     }
 }
@@ -72,10 +74,10 @@ fn median(mut times: Vec<f64>) -> f64 {
 
 /// A row: both medians and that of the differences.
 fn row(what: &str, left_out_by: &str, pose: &Pose, with: &mut Side<'_>, without: &mut Side<'_>) {
-    let (mut images, mut others) = (Images::default(), Images::default());
+    let (mut last, mut others) = (None, None);
     let mut all: [Vec<f64>; 3] = Default::default();
     for i in 0..PAIRS + 2 {
-        let (a, b) = (with.run(pose, &mut images).0, without.run(pose, &mut others).0);
+        let (a, b) = (with.run(pose, &mut last).0, without.run(pose, &mut others).0);
         // The first ones warm up.
         if i >= 2 {
             (0..3).for_each(|k| all[k].push([a, b, a - b][k]));
@@ -89,7 +91,7 @@ struct Scene {
     name: &'static str,
     world: World,
     pose: Pose,
-    placed: Vec<PlacedFeature>,
+    placed: PlacedFeatures,
 }
 
 fn scenes() -> Vec<Scene> {
@@ -106,7 +108,7 @@ fn scenes() -> Vec<Scene> {
         let world = World::new(environment);
         let placed = place(&world, &generated.layer).expect("features lie on their polygons");
         let pose = free_poses(&world, 1, 1).expect("a free pose")[0];
-        Scene { name, world, pose, placed: placed.into_iter().take(5000).collect() }
+        Scene { name, world, pose, placed: placed.into_iter().take(5000).collect::<Vec<_>>().into() }
     };
     paths.into_iter().map(scene).collect()
 }
@@ -167,7 +169,7 @@ fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
         let without = &mut side(&mut second, scene, &sensor, (range, After::Nothing));
         row(&format!("{} image besides range", output.name()), "requests that do not ask for it", pose, with, without);
     }
-    let features = format!("features ({})", scene.placed.len());
+    let features = format!("features ({})", scene.placed.features.len());
     let placed = &scene.placed;
     let rows = [
         (features.as_str(), "requests without a layer", After::Features(placed), After::Nothing),
@@ -199,8 +201,8 @@ fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
 
 /// Medians of the stages of one request, in one line.
 fn stages(side: &mut Side<'_>, pose: &Pose) {
-    let mut images = Images::default();
-    let runs: Vec<Stats> = (0..PAIRS).map(|_| side.run(pose, &mut images).1).collect();
+    let mut last = None;
+    let runs: Vec<Stats> = (0..PAIRS).map(|_| side.run(pose, &mut last).1).collect();
     let of_stage = |at: usize, name: &str| {
         let times = runs.iter().filter_map(|s| s.stages_ms.get(at)).map(|(_, ms)| *ms).collect();
         format!("{name} {:.2}", median(times))
@@ -245,13 +247,13 @@ fn device(scene: &Scene) {
 
 fn main() {
     for scene in scenes() {
-        let cpu = || Predictor::new(Options { backend: Backend::Cpu, threads: 0.into() }).expect("threads");
+        let cpu = || Predictor::new(Options::new(Backend::Cpu)).expect("threads");
         table(&scene, &cpu);
         #[cfg(feature = "gpu")]
-        if Predictor::new(Options { backend: Backend::Gpu, threads: 0.into() }).is_ok() {
+        if Predictor::new(Options::new(Backend::Gpu)).is_ok() {
             let gpu = || {
                 let engine = testing::open(Default::default(), Setup::ALL_ON_DEVICE).expect("an adapter");
-                Predictor::with_engine(Options { backend: Backend::Gpu, threads: 0.into() }, Box::new(engine))
+                Predictor::with_engine(Options::new(Backend::Gpu), Box::new(engine))
             };
             table(&scene, &gpu);
             device(&scene);

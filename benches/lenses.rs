@@ -102,7 +102,7 @@ fn main() {
     let gpu = std::env::var("PRESIGHT_ENGINE").is_ok_and(|e| e == "gpu");
     let wanted = std::env::var("PRESIGHT_SENSORS").unwrap_or_default();
     let backend = if gpu { Backend::Gpu } else { Backend::Cpu };
-    let mut predictor = Predictor::new(Options { backend, ..Options::default() }).expect("the engine starts");
+    let mut predictor = Predictor::new(Options::new(backend)).expect("the engine starts");
     println!("{} x {}, {poses} free poses, medians", SIZE.0, SIZE.1);
     for scene in scenes {
         let world = world(&scene);

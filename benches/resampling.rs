@@ -10,8 +10,8 @@
 use glam::DVec3;
 use presight::io::gltf::{ImportOptions, import};
 use presight::{
-    Angles, Backend, Camera, FramePlan, Geometry, Images, Options, Output, Pose, Predictor, RayTable, Request, Result,
-    Scanner, Sensor, SensorSpec, World, reference,
+    Angles, Backend, Camera, FramePlan, Geometry, ImageRequest, Images, Options, Output, Pose, Predictor, RayTable,
+    Result, Scanner, Sensor, SensorSpec, World, reference,
 };
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -65,7 +65,7 @@ fn lookup(segment: &Sensor, planar: &Sensor) -> Vec<(usize, f32)> {
 }
 
 fn resample(from: &Images, lookup: &[(usize, f32)], to: &mut Images) {
-    to.prepare(COLUMNS, ROWS, Request::default().outputs);
+    to.prepare(COLUMNS, ROWS, ImageRequest::default().outputs);
     for (at, (source, stretch)) in lookup.iter().enumerate() {
         to.range[at] = from.depth_z[*source] * stretch;
         to.polygon_id[at] = from.polygon_id[*source];
@@ -123,27 +123,27 @@ fn scenes() -> Vec<(&'static str, PathBuf, Pose)> {
 
 fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
     let sensor = segment()?;
-    let request = Request::default();
+    let request = ImageRequest::default();
     let mut truth = Images::default();
     reference::render(&FramePlan::new(world, &sensor, pose, &request)?, &mut truth)?;
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 0.into() })?;
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
     let mut images = Images::default();
     let print = |way: &str, ms: f64, images: &Images| {
         let (others, mean, most) = errors(&truth, images);
         println!("| {name} | {way} | {ms:.2} ms | {:.3} % | {mean:.2e} m | {most:.2e} m |", 100.0 * others);
     };
     for (way, sensor) in [("spherical spans", sensor.clone()), ("ray table", table(&sensor)?)] {
-        let ms = time(|| predictor.predict_into(world, &sensor, pose, &request, &mut images).map(|_| ()))?;
+        let ms = time(|| predictor.predict_images(world, &sensor, pose, &request, &mut images).map(|_| ()))?;
         print(way, ms, &images);
     }
     for scale in [1.0, 2.0, 4.0] {
         let planar = planar(scale)?;
         let table = lookup(&sensor, &planar);
         let outputs = request.outputs.without(Output::Range).with(Output::DepthZ);
-        let request = Request { outputs, ..request };
+        let request = ImageRequest { outputs, ..request };
         let mut curved = Images::default();
         let ms = time(|| {
-            predictor.predict_into(world, &planar, pose, &request, &mut images)?;
+            predictor.predict_images(world, &planar, pose, &request, &mut images)?;
             resample(&images, &table, &mut curved);
             Ok(())
         })?;

@@ -95,7 +95,7 @@ fn prediction(c: &mut Criterion) {
         let world = load(&scene);
         for name in PRESETS {
             let sensor = preset(name).expect("a preset");
-            let options = Options { backend: Backend::Cpu, ..Options::default() };
+            let options = Options::new(Backend::Cpu);
             let mut predictor = Predictor::new(options).expect("the CPU engine starts");
             let request = Request::default();
             group.bench_function(BenchmarkId::new(scene.name, name), |b| {

@@ -8,11 +8,11 @@ mod common;
 use common::fastest;
 use glam::DVec3;
 use presight::acquire::features::{GenerateOptions, generate};
-use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, place};
+use presight::features::{FeatureOptions, PlacedFeature, place};
 use presight::free_poses::free_poses;
 use presight::io::{gltf, script};
-use presight::virtual_sensors::{Corridor, Input, Settings, VirtualSensor};
-use presight::{Backend, IdScheme, Options, Output, Pose, Predictor, Request, Sensor, Stats, World, preset};
+use presight::virtual_sensors::{Corridor, Settings, View, VirtualSensor};
+use presight::{Backend, Options, Output, Pose, Predictor, Request, Sensor, World, preset};
 use std::path::{Path, PathBuf};
 
 fn main() {
@@ -37,8 +37,7 @@ fn main() {
 }
 
 fn measure(scene: &str, world: &World, pose: &Pose) {
-    let mut predictor =
-        Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).expect("the CPU engine starts");
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("the CPU engine starts");
     // Five metres ahead, as wide as a robot of 60 cm.
     let corridor = Corridor::new(vec![[0.0, 0.0], [5.0, 0.0]], 0.3, -1.0, 1.0).expect("a corridor");
     let settings = Settings { floor_z_world: Some(0.0), corridor: Some(corridor) };
@@ -57,28 +56,24 @@ fn measure(scene: &str, world: &World, pose: &Pose) {
         let sensor = Sensor::new(spec).expect("a sensor");
         let placed = if task.needs_features() { wanted(task, world) } else { Vec::new() };
         let outputs = if task.needs_features() { task.outputs().with(Output::PolygonId) } else { task.outputs() };
-        let request = Request { outputs, ids: IdScheme::Model };
+        let images = Request::of(outputs);
         let image_ms = fastest(|| {
-            predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+            predictor.predict(world, &sensor, pose, &images).expect("it predicts");
         });
+        let options = FeatureOptions::default().with_placed(placed.clone());
+        let request = if task.needs_features() { images.with_features(options) } else { images };
         let prediction = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
-        let options = FeatureOptions::default();
-        let mut features = |stats: &mut Stats| -> FeaturePrediction {
-            let seen = predictor.predict_features(world, &sensor, pose, &prediction.images, &placed, &options, stats);
-            seen.expect("features")
-        };
         let features_ms = if placed.is_empty() {
             0.0
         } else {
-            fastest(|| {
-                features(&mut Stats::default());
-            })
+            let together = fastest(|| {
+                predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+            });
+            together - image_ms
         };
-        let features = task.needs_features().then(|| features(&mut Stats::default()));
-        let (environment, ids) = (world.environment(), request.ids);
-        let input = Input { environment, prediction: &prediction, ids, features: features.as_ref() };
+        let view = View::of(&prediction, world.environment());
         let reduction_ms = fastest(|| {
-            task.reduce(&input, &settings).expect("an answer");
+            task.reduce(&view, &settings).expect("an answer");
         });
         println!(
             "| {scene}, `{}` | {name} | {image_ms:.2} | {} | {features_ms:.2} | {reduction_ms:.3} |",

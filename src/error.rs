@@ -118,11 +118,17 @@ impl Error {
 
     /// Names the place in `file` that named what is at fault: it comes before a file that is named already.
     #[must_use]
-    pub fn named_in(mut self, file: impl AsRef<Path>, place: impl fmt::Display) -> Self {
-        if let Some(named) = self.0.file.take() {
-            self = self.at(named.display());
+    pub fn named_in(self, file: impl AsRef<Path>, place: impl fmt::Display) -> Self {
+        self.in_place().at(place).in_file(file)
+    }
+
+    /// The file at fault, if there is one, becomes the place: what comes before it is then of whatever named the file.
+    #[must_use]
+    pub(crate) fn in_place(mut self) -> Self {
+        match self.0.file.take() {
+            Some(named) => self.at(named.display()),
+            None => self,
         }
-        self.at(place).in_file(file)
     }
 
     /// Keeps the error that caused this one.

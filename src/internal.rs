@@ -29,3 +29,12 @@ pub mod temporary {
 pub mod text {
     pub use crate::io::text::read_settings;
 }
+
+/// Rows of changes.
+#[cfg(feature = "store")]
+pub mod row {
+    /// From now on many changes are made to a world one by one, and nobody reads its feature layers in between.
+    pub fn begin(world: &mut crate::World) {
+        world.begin_row();
+    }
+}

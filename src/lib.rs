@@ -6,21 +6,44 @@
 //!
 //! # A tour
 //!
-//! 1. **Model.** An [`Environment`] holds objects, polygons, materials and feature layers. It comes from a glTF file
-//!    ([`io::gltf::import`]), a script, a store, or from objects that you insert. A [`World`] is one version of it with its
-//!    spatial index; [`World::apply`] makes the next version.
-//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`].
-//! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, [`Pose`] and [`Request`], and returns a [`Prediction`] with
-//!    [`Images`] and [`Stats`].
-//! 4. **Features.** [`Predictor::predict_features`] says what is visible of each feature, and [`Predictor::add_boxes`] adds
-//!    its region of interest ([`features`]).
-//! 5. **Tasks.** [`virtual_sensors`] reduce a prediction to what one task wants to know, such as free floor.
-//! 6. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
+//! ```
+//! use presight::features::{BoxOptions, FeatureOptions};
+//! use presight::{Options, Pose, Predictor, Request, Scene};
+//! # use presight::acquire::features::{GenerateOptions, generate};
+//!
+//! let scene = Scene::open("scenes/room.glb")?;
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let layer = folder.path().join("room.video.layer.json");
+//! # presight::io::layer::write(&layer, &generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer)?;
+//! let features = scene.place_layers(&[layer], "video")?; // written by `presight features`
+//! let camera = presight::preset("realsense-d435")?;
+//! let world_from_camera = Pose::from_xyz_rpy(glam::DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
+//! let request = Request::default()
+//!     .with_features(FeatureOptions::default().with_placed(features.placed))
+//!     .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.0, 0.0, 0.0, 0.01]));
+//! let mut predictor = Predictor::new(Options::default())?;
+//! let seen = predictor.predict(&scene.world, &camera, &world_from_camera, &request)?;
+//! let found = seen.features.iter().flat_map(|f| &f.features).filter(|f| f.roi.is_some()).count();
+//! assert!(seen.images.range.iter().any(|r| r.is_finite()) && found > 10);
+//! # Ok::<(), presight::Error>(())
+//! ```
+//!
+//! 1. **Scene.** [`Scene::open`] reads a glTF model, a script or a stored environment. Its [`World`] is one version of an
+//!    [`Environment`] (objects, polygons, materials, feature layers) with its spatial index. [`World::apply`] makes the next
+//!    version.
+//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`]. [`frames`] turns
+//!    poses of robots, optical frames and glTF axes into the [`Pose`] of a sensor.
+//! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
+//!    [`Images`], what is seen of each feature, the region of interest of each, and [`Stats`].
+//! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
+//! 5. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
 //!
 //! ```text
-//! Environment -> World -+
-//! Sensor, Pose, Request-+-> FramePlan -> cpu | gpu -> Prediction { images, stats } -> io::exr, png, ply, pcd
+//! Scene -> World -------+
+//! Sensor, Pose, Request-+-> FramePlan -> cpu | gpu -> Prediction { images, features, stats } -> io::exr, png, ply, pcd
 //! ```
+//!
+//! A world can also be made by hand:
 //!
 //! ```
 //! use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
@@ -65,6 +88,7 @@ pub mod engine;
 pub mod environment;
 mod error;
 pub mod features;
+pub mod frames;
 pub mod free_poses;
 pub mod geometry;
 #[cfg(feature = "gpu")]
@@ -86,6 +110,7 @@ mod random;
 pub mod reference;
 #[doc(hidden)]
 pub mod row;
+mod scene;
 pub mod sensor;
 mod threads;
 pub mod virtual_sensors;
@@ -96,8 +121,9 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, Images, LeftOut, Output, Outputs, Request, StageRow, Stats, Work};
-pub use predict::{Backend, Options, Prediction, Predictor};
+pub use plan::{FramePlan, IdScheme, ImageRequest, Images, LeftOut, Output, Outputs, StageRow, Stats, Work};
+pub use predict::{Backend, Options, Prediction, Predictor, Request};
+pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;
 pub use world::World;

@@ -35,8 +35,8 @@ pub const MAX_NAME_BYTES: usize = 4096;
 pub const LISTED_PROBLEMS: usize = 20;
 /// Largest tolerance for merging triangles, relative to the size of the mesh.
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
-/// Most pairs of polygons and lines upon each other that generating features looks at.
-pub const MAX_FEATURE_PAIRS: u64 = 1 << 30;
+/// Most steps of generating features where polygons lie upon each other, each of about ten nanoseconds of one core: some seconds.
+pub const MAX_FEATURE_STEPS: u64 = 1 << 29;
 /// Most facets around a round solid, or steps of stairs.
 pub const MAX_FACETS: u32 = 1024;
 /// Most points of an outline that is drawn out.
@@ -48,8 +48,14 @@ pub const MAX_SCRIPT_TEXT: usize = 4 << 20;
 /// Most operations of a script, its modules included: some seconds. Reading a large value counts by its size. They also bound
 /// what maps can grow to by index.
 pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
-/// Most seconds of a script: the last resort, which no sound script should meet before another limit.
-pub const MAX_SCRIPT_SECONDS: u64 = 120;
+/// Most seconds of a script, importing and building not counted: the last resort, which no sound script should meet before
+/// another limit.
+pub const MAX_SCRIPT_SECONDS: u64 = 30;
+/// Largest value of a variable of a module, in elements (16 bytes of text are one), those of arrays in it included: it is copied
+/// wherever it is named.
+pub const MAX_SCRIPT_EXPORT: usize = 64;
+/// Longest string that the text of a script may hold, in bytes.
+pub const MAX_SCRIPT_LITERAL: usize = 4096;
 /// Deepest nesting of calls in a script.
 pub const MAX_SCRIPT_CALLS: usize = 32;
 /// Deepest nesting of expressions and statements in a script.

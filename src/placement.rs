@@ -5,7 +5,7 @@ use crate::acquire::{Problem, ProblemKind};
 use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
-use crate::features::{PlacedFeature, place, place_lying};
+use crate::features::{PlacedFeature, PlacedFeatures, place, place_lying};
 use crate::index::{Params, Scheme};
 use crate::limits;
 use crate::world::World;
@@ -27,6 +27,18 @@ pub struct Placement {
 pub fn find(world: &World, layer: &FeatureLayer) -> Result<Placement> {
     let (placed, off) = place_lying(world, layer)?;
     Ok(Placement { placed, off })
+}
+
+/// Places a layer for predictions: features that have lost their surface are listed and left out.
+///
+/// # Errors
+/// As [`find`].
+pub fn place_layer(world: &World, layer: &FeatureLayer) -> Result<PlacedFeatures> {
+    let Placement { mut placed, off } = find(world, layer)?;
+    placed.sort_by_key(|p| p.feature.id);
+    let index = |(object, covariance): &(String, _)| Ok((world.environment().index_of(object)?, *covariance));
+    let objects = layer.pose_covariances.iter().map(index).collect::<Result<Vec<_>>>()?;
+    Ok(PlacedFeatures { features: placed.into(), lost: off.into(), objects: objects.into() })
 }
 
 /// The features of the environment's own layers that lie on no polygon any more, by class and id.

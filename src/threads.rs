@@ -22,8 +22,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// use presight::{Backend, Environment, Options, Predictor, Threads, World};
 /// let threads = Threads::new(2)?;
 /// let world = threads.run(|| World::new(Environment::new()))?;
-/// let predictor = Predictor::new(Options { backend: Backend::Cpu, threads: threads.clone() })?;
-/// let another = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
+/// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
+/// let another = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Default)]

@@ -31,6 +31,8 @@ pub struct World {
     version: u64,
     /// Unlike that of any other content of any world in this process.
     stamp: u64,
+    /// While many changes are made in a row: how many features of them may still be touched in the lists of their layers.
+    row: Option<usize>,
     /// While a group of changes is applied: how what was done of it is taken back, oldest first.
     journal: Option<Vec<Revert>>,
 }
@@ -53,6 +55,7 @@ impl World {
             index: Arc::new(index),
             version: 1,
             stamp: new_stamp(),
+            row: None,
             journal: None,
         }
     }
@@ -170,19 +173,32 @@ impl World {
         }
     }
 
-    /// Does `work` with a change; one that touches many features finds the layers open.
+    /// From now on layers that were opened stay open: many changes are made one by one, and nobody reads the features' lists.
+    #[cfg(feature = "store")]
+    pub(crate) fn begin_row(&mut self) {
+        self.row = Some(FEW_FEATURES);
+    }
+
+    /// Does `work` with a change; one that touches many features, with those before it in a row, finds the layers open.
     fn with_open_layers(
         &mut self,
         change: Change,
         work: impl FnOnce(&mut Self, Change) -> Result<Change>,
     ) -> Result<Change> {
-        let mut few = FEW_FEATURES;
-        if self.touches_few(&change, &mut few) {
+        if self.environment.has_open_layers() {
+            return work(self, change);
+        }
+        let mut left = self.row.unwrap_or(FEW_FEATURES);
+        let touches_few = self.touches_few(&change, &mut left);
+        self.row = self.row.map(|_| left);
+        if touches_few {
             return work(self, change);
         }
         Arc::make_mut(&mut self.environment).open_layers();
         let done = work(self, change);
-        Arc::make_mut(&mut self.environment).close_layers();
+        if self.row.is_none() {
+            Arc::make_mut(&mut self.environment).close_layers();
+        }
         done
     }
 

@@ -44,7 +44,7 @@ fn pose() -> Pose {
 }
 
 fn plan(world: &World, sensor: &Sensor, outputs: Outputs, ids: IdScheme) -> FramePlan {
-    FramePlan::new(world, sensor, &pose(), &Request { outputs, ids }).unwrap()
+    FramePlan::new(world, sensor, &pose(), &Request::of(outputs).with_ids(ids)).unwrap()
 }
 
 /// What the materials say, polygon by polygon, without the step under test.
@@ -117,13 +117,7 @@ fn unasked_it_is_neither_there_nor_needs_anything() {
     assert!(reference(&without).echo.is_empty());
     // One factor for everything: nobody needs to know what is seen.
     let plain = scenes::room_world(3, 4);
-    let asked = FramePlan::new(
-        &plain,
-        &sensor,
-        &Pose::IDENTITY,
-        &Request { outputs: Outputs::of(&[Output::Echo]), ids: IdScheme::Model },
-    )
-    .unwrap();
+    let asked = FramePlan::new(&plain, &sensor, &Pose::IDENTITY, &Request::of(Outputs::of(&[Output::Echo]))).unwrap();
     assert_eq!(asked.drawn(), Outputs::of(&[Output::CosIncidence]));
     assert_eq!(asked.request.outputs, Outputs::of(&[Output::Echo]));
 }

@@ -49,7 +49,7 @@ fn vector(v: &Value) -> DVec3 {
 }
 
 fn images(world: &World, sensor: &Sensor, pose: &Pose) -> Images {
-    let request = Request { outputs: Outputs::ALL, ids: IdScheme::Source };
+    let request = Request::of(Outputs::ALL).with_ids(IdScheme::Source);
     common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a sound pose"))
 }
 

@@ -10,7 +10,7 @@ use common::{Random, data, hard, scenes};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, FeatureStats, PlacedFeature, SeenFeature, predict_features,
+    FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, PlacedFeature, SeenFeature, predict_features,
 };
 
 use presight::gpu::DeviceOptions;
@@ -22,7 +22,7 @@ use proptest::test_runner::TestRunner;
 fn predictor() -> Option<Predictor> {
     match testing::open(DeviceOptions::default(), Setup::ALL_ON_DEVICE) {
         Ok(engine) => {
-            let options = Options { backend: Backend::Gpu, threads: 2.into() };
+            let options = Options::new(Backend::Gpu).with_threads(2);
             Some(Predictor::with_engine(options, Box::new(engine.with_threads(2))))
         }
         Err(e) => {
@@ -33,7 +33,7 @@ fn predictor() -> Option<Predictor> {
 }
 
 fn request() -> Request {
-    Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() }
+    Request::of(Outputs::of(&[Output::PolygonId]))
 }
 
 /// Sides, corners and areas of some polygons of a world.
@@ -101,11 +101,12 @@ fn on_device(
     pose: &Pose,
     placed: &[PlacedFeature],
 ) -> (FeaturePrediction, Images, Stats) {
-    let seen = predictor.predict(world, sensor, pose, &request()).unwrap();
-    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
-    let mut stats = seen.stats;
-    let found = predictor.predict_features(world, sensor, pose, &seen.images, placed, &options, &mut stats).unwrap();
-    (found, seen.images, stats)
+    let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
+    let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.to_vec()));
+    let mut seen = predictor.predict(world, sensor, pose, &request).unwrap();
+    let mut found = seen.features.unwrap();
+    found.feature_id = std::mem::take(&mut seen.images.feature_id);
+    (found, seen.images, seen.stats)
 }
 
 fn check(
@@ -121,7 +122,7 @@ fn check(
     // Left out only where nothing is in view or no sample is in question.
     let needless = stats.left_out.iter().any(|l| l.what.ends_with("on the device"));
     assert!(asked != needless, "{name}: {:?}", stats.left_out);
-    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     let host = predict_features(world, sensor, pose, &images, placed, &options).unwrap();
     agree(name, &device, &host);
     [device.stats, host.stats]
@@ -196,11 +197,8 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
     plain(&mut predictor);
     let before = testing::made(predictor.engine()).unwrap();
     plain(&mut predictor);
-    let mut stats = Stats::default();
-    let images = predictor.predict(&world, &sensors[0], &pose(0), &request()).unwrap().images;
-    let none = predictor
-        .predict_features(&world, &sensors[0], &pose(0), &images, &[], &FeatureOptions::default(), &mut stats)
-        .unwrap();
+    let nothing = request().with_features(FeatureOptions::default().with_placed(Vec::new()));
+    let none = predictor.predict(&world, &sensors[0], &pose(0), &nothing).unwrap().features.unwrap();
     assert!(none.features.is_empty() && none.stats == FeatureStats::default());
     assert_eq!(testing::made(predictor.engine()).unwrap(), before, "without features");
     let round = |predictor: &mut Predictor| {
@@ -218,19 +216,17 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
 #[test]
 fn what_stays_on_the_cpu_is_said() {
     use presight::features::BoxOptions;
-    let mut predictor = match Predictor::new(Options { backend: Backend::Gpu, threads: 2.into() }) {
+    let mut predictor = match Predictor::new(Options::new(Backend::Gpu).with_threads(2)) {
         Ok(predictor) => predictor,
         Err(e) => return no_adapter(e),
     };
     let (world, sensor) = (scenes::room_world(1, 6), scenes::camera(64, 48));
     let placed = features(&world, 20, &mut Random(5));
     let pose = Pose::IDENTITY;
-    let seen = predictor.predict(&world, &sensor, &pose, &request()).unwrap();
-    let software = seen.stats.left_out.iter().any(|l| l.what == "resolve on the device");
-    let (options, mut stats) = (FeatureOptions::default(), seen.stats);
-    let mut found =
-        predictor.predict_features(&world, &sensor, &pose, &seen.images, &placed, &options, &mut stats).unwrap();
-    predictor.add_boxes(&mut found, &placed, &world, &sensor, &pose, &BoxOptions::default(), &mut stats).unwrap();
+    let request =
+        request().with_features(FeatureOptions::default().with_placed(placed)).with_regions(BoxOptions::default());
+    let stats = predictor.predict(&world, &sensor, &pose, &request).unwrap().stats;
+    let software = stats.left_out.iter().any(|l| l.what == "resolve on the device");
     for stage in ["features on the device", "regions of interest on the device"] {
         let said = stats.left_out.iter().find(|l| l.what == stage).map(|l| l.why.contains("done on the CPU"));
         assert_eq!(said == Some(true), software, "{stage}: {:?}", stats.left_out);

@@ -5,7 +5,7 @@ use presight_testkit as common;
 use common::scenes;
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, Reason, SeenFeature, predict_features};
+use presight::features::{FeaturePrediction, FeatureSettings, PlacedFeature, Reason, SeenFeature, predict_features};
 use presight::{
     Angles, Appearance, Environment, ErrorKind, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
     RayTable, Scanner, Sensor, SensorSpec, World,
@@ -42,7 +42,7 @@ fn segment(a: [f64; 3], b: [f64; 3]) -> FeatureShape {
 
 fn predict(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> FeaturePrediction {
     let images = common::reference(&common::plan(world, sensor, pose));
-    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     predict_features(world, sensor, pose, &images, placed, &options).unwrap()
 }
 
@@ -162,7 +162,7 @@ fn what_a_polygon_of_unknown_range_covers_is_undecided() {
         placed(1, point([4.0, 0.0, -9.3e-6]), &[]),
         placed(2, segment([4.0, -0.1, -9.3e-6], [4.0, 0.1, -9.3e-6]), &[]),
     ];
-    let seen = predict_features(&world, &camera, &Pose::IDENTITY, &images, &both, &FeatureOptions::default()).unwrap();
+    let seen = predict_features(&world, &camera, &Pose::IDENTITY, &images, &both, &FeatureSettings::default()).unwrap();
     assert!(seen.features.iter().all(|f| reasons(f) == [Reason::Undecided]), "{seen:?}");
     assert!(seen.stats.undecided > 1 && seen.stats.visible == 0, "{:?}", seen.stats);
 }
@@ -234,7 +234,7 @@ fn what_cannot_be_placed_is_refused() {
     let world = wall(Appearance::Opaque, false);
     let camera = scenes::camera(20, 10);
     let images = common::reference(&common::plan(&world, &camera, &Pose::IDENTITY));
-    let options = FeatureOptions::default();
+    let options = FeatureSettings::default();
     let bad = [placed(3, point([3.0, 0.0, 0.0]), &[8])];
     let e = predict_features(&world, &camera, &Pose::IDENTITY, &images, &bad, &options).unwrap_err();
     assert!(e.to_string().contains("feature 3"), "{e}");
@@ -252,21 +252,21 @@ fn what_cannot_be_placed_is_refused() {
 /// On as many threads as it was given, to the same answers.
 #[test]
 fn a_predictor_predicts_features_on_its_own_threads() {
-    use presight::{Backend, Options, Predictor, Request, Stats};
+    use presight::features::FeatureOptions;
+    use presight::{Backend, Options, Predictor, Request};
     let (world, camera) = (wall(Appearance::Opaque, false), scenes::camera(101, 81));
     let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 3.into() }).unwrap();
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(3)).unwrap();
     assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
     let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
     assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")), "none were asked for");
-    let (options, mut stats) = (FeatureOptions::default(), Stats::default());
-    let found = predictor
-        .predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options, &mut stats)
-        .unwrap();
+    let request = Request::default().with_features(FeatureOptions::default().with_placed(features.to_vec()));
+    let found = predictor.predict(&world, &camera, &Pose::IDENTITY, &request).unwrap();
+    let options = FeatureSettings::default();
     let again = predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options).unwrap();
-    assert_eq!(found, again);
-    assert!(stats.stages_ms.iter().any(|(stage, _)| stage == "features"));
-    assert!(stats.counts.contains(&("feature samples".into(), 2)), "{:?}", stats.counts);
+    assert_eq!(found.features, Some(again));
+    assert!(found.stats.stages_ms.iter().any(|(stage, _)| stage == "features"));
+    assert!(found.stats.counts.contains(&("feature samples".into(), 2)), "{:?}", found.stats.counts);
 }
 
 /// Finer sampling is nearer to the truth; what is no step, or coarser than half a pixel, is refused.
@@ -277,7 +277,7 @@ fn the_step_of_sampling_is_a_choice_within_limits() {
     // Behind the wall, and beyond its edge at y = 1: seen from there on.
     let across = [placed(1, segment([6.0, 1.0, 0.1], [6.0, 2.5, 0.1]), &[])];
     let seen = |step: f64| {
-        let options = FeatureOptions { step, ..FeatureOptions::default() };
+        let options = FeatureSettings { step, ..FeatureSettings::default() };
         predict_features(&world, &sensor, &Pose::IDENTITY, &images, &across, &options)
     };
     // The ray at y / x = 1 / 3 passes the edge, and meets it at y = 2: 1 of 1.5 m is hidden.

@@ -8,7 +8,7 @@ use presight_testkit as common;
 use common::data;
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeatureOptions, PlacedFeature, Visibility, predict_features};
+use presight::features::{FeatureSettings, PlacedFeature, Visibility, predict_features};
 use presight::index::{Found, Region, polygon_meets};
 use presight::{Aabb, Camera, Geometry, Pose, Sensor, SensorSpec, World};
 use serde_json::Value;
@@ -70,7 +70,7 @@ fn check(world: &World, list: &Value, view: &Value, count: &mut Count) {
         (1..).zip(&rows).map(|(id, r)| placed(world, id, Z_UP_FROM_Y_UP * DVec3::new(r[0], r[1], r[2]))).collect();
     let images = common::reference(&common::plan(world, &sensor, &pose));
     let [by_pixels, by_rays] = [Visibility::Image, Visibility::Rays].map(|visibility| {
-        let options = FeatureOptions { visibility, ..FeatureOptions::default() };
+        let options = FeatureSettings { visibility, ..FeatureSettings::default() };
         predict_features(world, &sensor, &pose, &images, &features, &options).unwrap()
     });
     for (row, (seen, truth)) in rows.iter().zip(by_pixels.features.iter().zip(&by_rays.features)) {

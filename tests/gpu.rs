@@ -11,8 +11,8 @@ use presight::compare::{Precision, Report, compare};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, Engine};
 use presight::{
-    Angles, Camera, Distortion, Environment, ErrorKind, Geometry, IdScheme, Images, Material, Mesh, NewObject, Output,
-    Outputs, Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
+    Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
+    Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
 };
 use std::sync::Arc;
 
@@ -265,7 +265,7 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
             if output == Output::DepthZ && !sensor.is_camera() {
                 continue;
             }
-            let request = Request { outputs: Outputs::of(&[output]), ids: IdScheme::Model };
+            let request = Request::of(Outputs::of(&[output]));
             let plan = presight::FramePlan::new(&world, sensor, &pose, &request).unwrap();
             let mut images = poisoned(sensor);
             engine.render(&plan, &mut images, &mut Stats::default()).unwrap();

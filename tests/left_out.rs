@@ -58,9 +58,9 @@ struct Did {
     polygons: u64,
 }
 
-fn room(images: &Images, feature_id: &[u32]) -> [usize; 7] {
+fn room(images: &Images) -> [usize; 7] {
     let floats = [&images.range, &images.depth_z, &images.cos_incidence, &images.echo].map(|i| 4 * i.capacity());
-    let ids = [images.polygon_id.capacity(), images.object_id.capacity(), feature_id.len()].map(|n| 4 * n);
+    let ids = [images.polygon_id.capacity(), images.object_id.capacity(), images.feature_id.len()].map(|n| 4 * n);
     [floats[0], floats[1], ids[0], ids[1], floats[2], floats[3], ids[2]]
 }
 
@@ -83,24 +83,20 @@ impl Case<'_> {
 
     fn run_once(&self, predictor: &mut Predictor, placed: &[PlacedFeature]) -> Did {
         let (world, sensor, pose) = (self.world, self.sensor, pose());
-        let mut images = Images::default();
-        let request = Request { outputs: self.outputs, ids: self.ids };
-        let mut stats = predictor.predict_into(world, sensor, &pose, &request, &mut images).unwrap();
-        let mut feature_id = Vec::new();
+        let outputs =
+            if self.features == Features::WithId { self.outputs.with(Output::FeatureId) } else { self.outputs };
+        let mut request = Request::of(outputs).with_ids(self.ids);
         if self.features != Features::No {
-            let placed = if self.features == Features::Empty { &[] } else { placed };
-            let wanted = self.features == Features::WithId;
-            let options = FeatureOptions { ids: self.ids, feature_id: wanted, ..FeatureOptions::default() };
-            let seen = predictor.predict_features(world, sensor, &pose, &images, placed, &options, &mut stats);
-            let mut seen = seen.unwrap();
-            if self.features == Features::WithBoxes {
-                let options = BoxOptions::default();
-                predictor.add_boxes(&mut seen, placed, world, sensor, &pose, &options, &mut stats).unwrap();
-            }
-            feature_id = seen.feature_id;
+            let placed = if self.features == Features::Empty { Vec::new() } else { placed.to_vec() };
+            request = request.with_features(FeatureOptions::default().with_placed(placed));
         }
+        if self.features == Features::WithBoxes {
+            request = request.with_regions(BoxOptions::default());
+        }
+        let prediction = predictor.predict(world, sensor, &pose, &request).unwrap();
+        let (images, stats) = (prediction.images, prediction.stats);
         let polygons = count(&stats, "polygons selected");
-        Did { stats, room: room(&images, &feature_id), pixels: images.pixels(), polygons }
+        Did { stats, room: room(&images), pixels: images.pixels(), polygons }
     }
 
     /// Images that engines must fill: those asked for, and what an echo is made of.
@@ -341,7 +337,7 @@ fn matrix(on: On, predictor: &mut Predictor) {
 }
 
 fn cpu() -> Predictor {
-    Predictor::new(Options { backend: Backend::Cpu, threads: 2.into() }).unwrap()
+    Predictor::new(Options::new(Backend::Cpu).with_threads(2)).unwrap()
 }
 
 #[test]
@@ -428,7 +424,7 @@ mod device {
 
     fn predictor(all_on_device: bool) -> Option<Predictor> {
         let engine = there(engine(all_on_device))?.with_threads(2);
-        Some(Predictor::with_engine(Options { backend: Backend::Gpu, threads: 2.into() }, Box::new(engine)))
+        Some(Predictor::with_engine(Options::new(Backend::Gpu).with_threads(2), Box::new(engine)))
     }
 
     fn engine(all_on_device: bool) -> presight::Result<Engine> {
@@ -453,7 +449,7 @@ mod device {
     fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, Engine)> {
         let mut engine = there(engine(all_on_device))?;
         let (before, sensor) = (engine.made().bytes, scenes::camera(256, 128));
-        let plan = FramePlan::new(world, &sensor, &pose(), &Request { outputs, ids: IdScheme::Model }).unwrap();
+        let plan = FramePlan::new(world, &sensor, &pose(), &Request::of(outputs)).unwrap();
         let mut stats = Stats::default();
         engine.render(&plan, &mut Images::default(), &mut stats).unwrap();
         assert_eq!(stats.work.gpu_bytes_made, engine.made().bytes - before);

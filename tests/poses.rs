@@ -8,15 +8,13 @@ use presight::engine::EngineKind;
 use presight::environment::FeatureShape;
 use presight::features::roi::{Uncertain, Viewpoint};
 use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, add_boxes, place, predict_features,
+    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place, predict_features,
 };
 use presight::index::Region;
 use presight::io::{PointCloud, PointsFrame};
 use presight::plan::region_of;
-use presight::virtual_sensors::{Input, Settings, VirtualSensor};
-use presight::{
-    Backend, Error, ErrorKind, FramePlan, IdScheme, Images, Options, Pose, Predictor, Request, Sensor, Stats, World,
-};
+use presight::virtual_sensors::{Settings, View, VirtualSensor};
+use presight::{Backend, Error, ErrorKind, FramePlan, Images, Options, Pose, Predictor, Request, Sensor, Stats, World};
 
 /// What is wrong, a pose with it, and what the message has to say.
 fn bad() -> Vec<(&'static str, Pose, &'static str)> {
@@ -63,29 +61,24 @@ fn scene() -> Scene {
 
 /// Both engines of a predictor; without an adapter the CPU's alone.
 fn predictors() -> Vec<Predictor> {
-    let open = |backend| Predictor::new(Options { backend, threads: 1.into() }).ok();
+    let open = |backend| Predictor::new(Options::new(backend).with_threads(1)).ok();
     [Backend::Cpu, Backend::Gpu].into_iter().filter_map(open).collect()
 }
 
 #[test]
 fn a_predictor_refuses_it_and_goes_on() {
     let s = scene();
-    let (request, options) = (Request::default(), FeatureOptions::default());
+    let request = Request::default();
     for mut predictor in predictors() {
         for (what, pose, said) in bad() {
             refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
-            for placed in [&s.placed[..], &[]] {
-                let mut stats = Stats::default();
-                let done =
-                    predictor.predict_features(&s.world, &s.sensor, &pose, &s.images, placed, &options, &mut stats);
-                refused("predict_features", what, said, done);
-                let mut seen = match placed {
-                    [] => FeaturePrediction::default(),
-                    _ => predict_features(&s.world, &s.sensor, &Pose::IDENTITY, &s.images, placed, &options).unwrap(),
-                };
-                let boxes = BoxOptions::default();
-                let done = predictor.add_boxes(&mut seen, placed, &s.world, &s.sensor, &pose, &boxes, &mut stats);
-                refused("add_boxes", what, said, done);
+            for placed in [s.placed.clone(), Vec::new()] {
+                let request = request.clone().with_features(FeatureOptions::default().with_placed(placed));
+                refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
+                let request = request.with_regions(BoxOptions::default());
+                refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
+                let mut prediction = predictor.predict(&s.world, &s.sensor, &Pose::IDENTITY, &request).unwrap();
+                refused("predict_again", what, said, predictor.predict_again(&s.world, &pose, &mut prediction));
             }
             let again = predictor.predict(&s.world, &s.sensor, &Pose::IDENTITY, &request).unwrap();
             assert_eq!(again.images.polygon_id, s.images.polygon_id, "{what}: what comes after is right");
@@ -120,7 +113,7 @@ fn plans_and_regions_refuse_it() {
 fn functions_of_images_refuse_it() {
     let s = scene();
     for (what, pose, said) in bad() {
-        let options = FeatureOptions::default();
+        let options = FeatureSettings::default();
         for placed in [&s.placed[..], &[]] {
             let seen = predict_features(&s.world, &s.sensor, &pose, &s.images, placed, &options);
             refused("predict_features", what, said, seen);
@@ -139,7 +132,7 @@ fn engines_and_virtual_sensors_look_again() {
     let s = scene();
     let mut engines: Vec<_> = EngineKind::ALL.iter().filter_map(|kind| kind.open(&1.into()).ok()).collect();
     assert!(engines.len() >= 2);
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     for (what, pose, said) in bad() {
         let mut plan = common::plan(&s.world, &s.sensor, &Pose::IDENTITY);
         plan.world_from_sensor = pose;
@@ -155,13 +148,12 @@ fn engines_and_virtual_sensors_look_again() {
                 _ => "laser-range-camera",
             };
             let sensor = presight::preset(name).unwrap();
-            let request = Request { outputs: task.outputs(), ..Request::default() };
+            let request = Request::of(task.outputs());
             let mut prediction = predictor.predict(&s.world, &sensor, &Pose::IDENTITY, &request).unwrap();
             prediction.world_from_sensor = pose;
             let features = FeaturePrediction::default();
-            let (environment, ids) = (s.world.environment(), IdScheme::Model);
-            let input = Input { environment, prediction: &prediction, ids, features: Some(&features) };
-            refused(task.name(), what, said, task.reduce(&input, &Settings::default()));
+            let view = View::of(&prediction, s.world.environment()).with_features(&features);
+            refused(task.name(), what, said, task.reduce(&view, &Settings::default()));
         }
     }
 }

@@ -33,7 +33,7 @@ impl Task {
             return None;
         }
         let sensor = scenes::camera(160, 120);
-        let request = Request { outputs: Outputs::ALL, ..Request::default() };
+        let request = Request::of(Outputs::ALL);
         let pose = Pose::from_xyz_rpy(DVec3::new(0.2, -0.3, 1.4), 0.1, 0.2, 0.3);
         Some(Self { world: scenes::room_world(1, 40), sensor, pose, request })
     }
@@ -58,7 +58,7 @@ fn bits(images: &Images) -> Vec<u32> {
 }
 
 fn options(backend: Backend) -> Options {
-    Options { backend, threads: 1.into() }
+    Options::new(backend).with_threads(1)
 }
 
 /// A predictor on any adapter, and the hand on its device.

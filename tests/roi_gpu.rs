@@ -10,7 +10,7 @@ use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes, place, predict_features,
+    BoxOptions, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place, predict_features,
 };
 use presight::gpu::{DeviceOptions, Engine, testing};
 use presight::io::gltf::{ImportOptions, import};
@@ -236,7 +236,7 @@ fn boxes_are_those_of_the_twin_from_comfortable_to_extreme() {
             let site = if i % 2 == 0 { DVec3::ZERO } else { DVec3::new(5e5, -3e5, 40.0) };
             let pose = Pose::from_xyz_rpy(site + DVec3::new(0.3, 0.4, 1.2), 0.05, -0.1, 2.9);
             let placed = ahead(&mut random, &world, &pose, 200, distances, sigma);
-            let mut options = BoxOptions { sensor: pose_covariance(position, angle), ..BoxOptions::default() };
+            let mut options = BoxOptions::default().with_sensor(pose_covariance(position, angle));
             options.confidence = [0.9, 0.99, 0.999][i % 3];
             options.objects = vec![(0, pose_covariance(position, 0.2 * angle)), (1, pose_covariance(0.0, 0.1 * angle))];
             let prediction = all_seen(&placed);
@@ -263,9 +263,9 @@ fn boxes_are_those_of_the_twin_in_real_scenes() {
                 let mut cpu = presight::cpu::Engine::new(1).unwrap();
                 cpu.render(&common::plan(&world, &sensor, &pose), &mut images, &mut presight::Stats::default())
                     .unwrap();
-                let options = FeatureOptions::default();
+                let options = FeatureSettings::default();
                 let prediction = predict_features(&world, &sensor, &pose, &images, &placed, &options).unwrap();
-                let options = BoxOptions { sensor: pose_covariance(0.03, 0.01), ..BoxOptions::default() };
+                let options = BoxOptions::default().with_sensor(pose_covariance(0.03, 0.01));
                 let setting =
                     Setting { world: &world, sensor: &sensor, pose, placed: placed.clone(), prediction, options };
                 made += check(name, &mut engine, &setting);
@@ -282,7 +282,7 @@ fn faults_are_noticed() {
     let (world, sensor) = (room(), preset("video-camera").unwrap());
     let pose = Pose::from_xyz_rpy(DVec3::new(0.3, 0.4, 1.2), 0.0, 0.0, 1.0);
     let placed = ahead(&mut Random(9), &world, &pose, 50, [2.0, 10.0], 0.02);
-    let options = BoxOptions { sensor: pose_covariance(0.03, 0.01), ..BoxOptions::default() };
+    let options = BoxOptions::default().with_sensor(pose_covariance(0.03, 0.01));
     let prediction = all_seen(&placed);
     let setting = Setting { world: &world, sensor: &sensor, pose, placed, prediction, options };
     let twin = setting.twin(&setting.options, &setting.placed);
@@ -309,7 +309,7 @@ fn boxes_of_the_second_frame_make_nothing() {
     let (world, sensor) = (room(), preset("video-camera").unwrap());
     let pose = Pose::IDENTITY;
     let placed = ahead(&mut Random(9), &world, &pose, 300, [2.0, 10.0], 0.02);
-    let options = BoxOptions { sensor: pose_covariance(0.03, 0.01), ..BoxOptions::default() };
+    let options = BoxOptions::default().with_sensor(pose_covariance(0.03, 0.01));
     let prediction = all_seen(&placed);
     let setting = Setting { world: &world, sensor: &sensor, pose, placed, prediction, options };
     let first = setting.on_device(&mut engine, &setting.options);

@@ -38,8 +38,9 @@ def rays(body_rays, poses):
 
 
 def level(poses):
-    """The same places and headings, upright: for scanners of one row."""
+    """The same headings, upright, all at the first height: for scanners of one row."""
     turned = poses.copy()
+    turned[:, 2] = poses[0, 2]
     x, y, z, w = poses[:, 3:].T
     yaw = np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
     turned[:, 3:] = np.stack([0 * yaw, 0 * yaw, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)

@@ -13,14 +13,15 @@ pub use likelihood::Sensed;
 use crate::engine::Engine;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, Images, Output, Outputs, PlanBuffers, Request, Stats};
-use crate::predict::Predictor;
+use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
+use crate::predict::{Predictor, Request};
 use crate::row::{RowCuts, RowView, is_level};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
 use headings::{Panorama, Weigher};
 use rayon::prelude::*;
+use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
 
 /// How far apart poses are that are tried, as widths of the cells that they stand for. A hit is expected anywhere within.
@@ -36,11 +37,15 @@ pub struct PoseCell {
 #[derive(Clone, Debug, Default)]
 pub struct BatchRequest {
     /// Images, as single predictions make them.
-    pub images: Option<Request>,
+    pub images: Option<ImageRequest>,
     /// The sensed image to weigh.
     pub likelihood: Option<Sensed>,
     /// Weigh it at all these headings of each place. The poses are places of the sensor; which way they look does not matter.
     pub headings: Option<Headings>,
+    /// The height, metres, at which the world is cut for a level scanner of one row that is only weighed; `None` takes the first
+    /// pose's. Poses at other heights take the path of images, which may differ within the range bound: give it where parts of one batch
+    /// must agree to the last bit.
+    pub height: Option<f64>,
     /// What each prediction did and cost.
     pub statistics: bool,
     /// Poses that are worked on together; `None` chooses. Results do not depend on it.
@@ -65,9 +70,9 @@ pub struct BatchItem {
 }
 
 /// A batch in progress: an iterator over [`BatchItem`]s in the order of the poses. After an error there is none.
-pub struct Batch<'p, I> {
+pub struct Batch<'p, I: Iterator> {
     predictor: &'p mut Predictor,
-    poses: I,
+    poses: Peekable<I>,
     task: Task,
     /// Threads for a pose each; `None` where the engine takes one pose after the other.
     threads: Option<Threads>,
@@ -83,13 +88,15 @@ struct Task {
     world: World,
     /// The sensor, or its panorama.
     sensor: Sensor,
-    request: Request,
+    request: ImageRequest,
     wanted: Outputs,
     weigh: Option<Weigh>,
     headings: Option<Headings>,
     statistics: bool,
     /// No image is asked for, and the sensor is one that a cut serves where it is level.
     by_cut: bool,
+    /// Where the world is cut.
+    height: Option<f64>,
 }
 
 enum Weigh {
@@ -116,8 +123,8 @@ impl Predictor {
     /// Predicts at many poses of a sensor (body axes, in the world): an iterator in their order that keeps no more than a chunk of
     /// them in memory. Images are those of [`Predictor::predict`], bit for bit. Results do not depend on chunks or threads.
     ///
-    /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height, which is kept for
-    /// the version of the world. The GPU engine makes single predictions, one after the other.
+    /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height
+    /// ([`BatchRequest::height`]), which is kept for the version of the world. The GPU engine makes single predictions, one after the other.
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, Sensed};
@@ -137,7 +144,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for headings without a sensed image, for a sensed image or headings of another sensor, and
+    /// Those of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a sensed image, for a sensed image or headings of another sensor, and
     /// for a chunk of 0. Of each pose, those of [`Predictor::predict`] and [`Headings::place`], with the pose's number.
     pub fn batch<I: IntoIterator<Item = Pose>>(
         &mut self,
@@ -146,7 +153,9 @@ impl Predictor {
         poses: I,
         request: &BatchRequest,
     ) -> Result<Batch<'_, I::IntoIter>> {
-        let task = Task::new(world, sensor, request)?;
+        let mut task = Task::new(world, sensor, request)?;
+        let mut poses = poses.into_iter().peekable();
+        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.translation.z));
         let threads = match self.engine().for_task() {
             Some(_) => Some(self.task_threads()?),
             None => None,
@@ -163,7 +172,6 @@ impl Predictor {
             Mutex::new(Lane { engine, view, ..Lane::default() })
         };
         let lanes = (0..count).map(lane).collect();
-        let poses = poses.into_iter();
         Ok(Batch {
             predictor: self,
             poses,
@@ -196,7 +204,8 @@ impl Task {
             (None, None) => None,
         };
         let sensor = request.headings.as_ref().map_or(sensor, Headings::panorama).clone();
-        let asked = request.images.unwrap_or(Request { outputs: Outputs::of(&[]), ..Request::default() });
+        let asked = request.images.unwrap_or(Outputs::of(&[]).into());
+        Request::of(asked.outputs).check(&sensor)?;
         let mut outputs = asked.outputs;
         if weigh.is_some() || request.images.is_none() {
             outputs = outputs.with(Output::Range);
@@ -206,12 +215,13 @@ impl Task {
         }
         Ok(Self {
             world: world.clone(),
-            request: Request { outputs, ..asked },
+            request: ImageRequest { outputs, ..asked },
             wanted: asked.outputs,
             by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
             sensor,
             weigh,
             headings: request.headings.clone(),
+            height: None,
             statistics: request.statistics,
         })
     }
@@ -235,7 +245,7 @@ impl Task {
         let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
         let Lane { engine, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
-            let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, &self.request)?;
+            let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
             stats.index = self.world.index().scheme().name().to_owned();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();
@@ -246,7 +256,8 @@ impl Task {
 
     /// Fills a lane's range and cos_incidence by a cut of the world; false where none serves.
     fn see_by_cut(&self, pose: &Pose, cuts: &RowCuts, lane: &mut Lane, stats: &mut Stats) -> bool {
-        let Some(view) = lane.view.as_mut().filter(|_| is_level(pose)) else { return false };
+        let serves = self.height == Some(pose.translation.z) && is_level(pose);
+        let Some(view) = lane.view.as_mut().filter(|_| serves) else { return false };
         let cut = cuts.get(&self.world, &self.sensor.spec().class, pose.translation.z);
         view.see(&cut, pose, &mut lane.images.range, &mut lane.images.cos_incidence);
         (stats.engine, stats.threads) = ("row".into(), 1);
@@ -323,7 +334,7 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
             return Ok(task.finish(index, pose, stats, lane));
         }
-        let stats = predictor.predict_into(&task.world, &task.sensor, &pose, &task.request, &mut lane.images)?;
+        let stats = predictor.predict_images(&task.world, &task.sensor, &pose, task.request, &mut lane.images)?;
         Ok(task.finish(index, pose, stats, lane))
     }
 }

@@ -97,6 +97,11 @@ impl Environment {
         self.open = Some(all);
     }
 
+    /// True between the two.
+    pub(crate) fn has_open_layers(&self) -> bool {
+        self.open.is_some()
+    }
+
     /// Makes them lists again.
     pub(crate) fn close_layers(&mut self) {
         let mut all = self.open.take().unwrap_or_default();

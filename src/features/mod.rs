@@ -3,6 +3,7 @@
 mod boxes;
 mod columns;
 pub(crate) mod normal;
+mod options;
 mod place;
 mod prediction;
 pub mod roi;
@@ -11,13 +12,16 @@ mod sides;
 mod straight;
 mod visible;
 
+#[doc(hidden)]
+pub use boxes::add_boxes;
 #[cfg(feature = "gpu")]
 pub(crate) use boxes::{BoxFrame, Kind as ImageKind, Room};
-pub use boxes::{BoxMethod, BoxOptions, add_boxes, sensor_covariance};
+pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
 pub(crate) use normal::{TAIL_STEPS, Tails};
+pub use options::{FeatureOptions, FeatureSource, PlacedFeatures};
 pub(crate) use place::lies_on;
 pub use place::place;
 pub(crate) use place::place_lying;
@@ -25,7 +29,9 @@ pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, 
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
 pub(crate) use visible::Prepared;
-pub use visible::{FeatureOptions, FeatureSamples, OcclusionHint, Visibility, predict_features};
+pub use visible::{FeatureSamples, OcclusionHint, Visibility};
+#[doc(hidden)]
+pub use visible::{FeatureSettings, predict_features};
 
 use crate::environment::Feature;
 

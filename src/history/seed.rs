@@ -28,7 +28,7 @@ impl Seed {
     ///
     /// let geometry = Geometry::Camera(Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5));
     /// let camera = Sensor::new(SensorSpec::new("camera", "video", geometry))?;
-    /// // A full prediction that shows one point: `Predictor::predict_features` makes them.
+    /// // A full prediction that shows one point: `Predictor::predict` makes them.
     /// let feature = Feature {
     ///     id: 7,
     ///     name: None,

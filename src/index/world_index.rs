@@ -39,6 +39,7 @@ enum Kind {
     TwoLevel {
         objects: Box<Skd<3>>,
         trees: Vec<Arc<MeshTree>>,
+        holders: Holders,
     },
 }
 
@@ -93,9 +94,9 @@ impl WorldIndex {
         match &mut self.kind {
             Kind::None => {}
             Kind::Flat(index) => polygon_boxes(o).for_each(|(slot, b)| index.insert(slot, &b)),
-            Kind::TwoLevel { objects, trees } => {
-                for new in &environment.objects()[trees.len().min(object as usize + 1)..=object as usize] {
-                    let tree = tree_of(&new.mesh, environment, trees);
+            Kind::TwoLevel { objects, trees, holders } => {
+                for new in trees.len()..=object as usize {
+                    let tree = tree_of(new, environment, trees, holders);
                     trees.push(tree);
                 }
                 if o.mesh.polygon_count() > 0 {
@@ -141,7 +142,7 @@ impl WorldIndex {
                     }
                 }
             }
-            Kind::TwoLevel { objects, trees } => {
+            Kind::TwoLevel { objects, trees, .. } => {
                 let mut near = found.near.take().unwrap_or_default();
                 near.clear();
                 objects.query(region, &mut near);
@@ -174,7 +175,7 @@ impl WorldIndex {
                 found.ids.sort_unstable();
                 gather(environment, index.as_ref(), region, &found.ids, runs);
             }
-            Kind::TwoLevel { objects, trees } => {
+            Kind::TwoLevel { objects, trees, .. } => {
                 objects.query(region, found);
                 for at in 0..found.ids.len() {
                     let object = found.ids[at];
@@ -191,11 +192,13 @@ impl WorldIndex {
         match &self.kind {
             Kind::None => 0,
             Kind::Flat(index) => index.bytes(),
-            Kind::TwoLevel { objects, trees } => {
+            Kind::TwoLevel { objects, trees, holders } => {
                 let mut seen: Vec<*const MeshTree> = trees.iter().map(Arc::as_ptr).collect();
                 seen.sort_unstable();
                 let own: usize = trees.iter().filter(|t| first_of(&mut seen, Arc::as_ptr(t))).map(|t| t.bytes()).sum();
-                objects.bytes() + trees.capacity() * size_of::<Arc<MeshTree>>() + own
+                let lists =
+                    trees.capacity() * size_of::<Arc<MeshTree>>() + holders.capacity() * size_of::<(usize, usize)>();
+                objects.bytes() + lists + own
             }
         }
     }
@@ -217,7 +220,7 @@ impl WorldIndex {
                 }
                 assert_eq!(count, index.len());
             }
-            Kind::TwoLevel { objects, trees } => {
+            Kind::TwoLevel { objects, trees, .. } => {
                 objects.assert_well_formed();
                 let mut count = 0;
                 for (object, o) in (0..).zip(environment.objects()).filter(|(_, o)| o.mesh.polygon_count() > 0) {
@@ -261,16 +264,27 @@ fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
         .filter(|(_, o)| o.mesh.polygon_count() > 0)
         .map(|(i, o)| (i, o.world_bounds()))
         .collect();
-    Kind::TwoLevel { objects: Box::new(Skd::build(params, &boxes)), trees }
+    let holders = environment.objects().iter().map(|o| address_of(&o.mesh)).zip(0..).collect();
+    Kind::TwoLevel { objects: Box::new(Skd::build(params, &boxes)), trees, holders }
 }
 
-/// The tree of a mesh, shared with an object that has it already.
-fn tree_of(mesh: &Arc<Mesh>, environment: &Environment, trees: &[Arc<MeshTree>]) -> Arc<MeshTree> {
-    // Those that share a mesh come together as a rule: the latest first.
+/// The tree of a new object's mesh, shared with an object that has it already. Each mesh that an object before has, has a
+/// holder; who held it may be gone, or another mesh be at its address by now.
+fn tree_of(new: usize, environment: &Environment, trees: &[Arc<MeshTree>], holders: &mut Holders) -> Arc<MeshTree> {
     let objects = environment.objects();
-    let both = trees.len().min(objects.len());
-    let known = objects[..both].iter().zip(&trees[..both]).rev().find(|(o, _)| Arc::ptr_eq(&o.mesh, mesh));
-    known.map_or_else(|| Arc::new(MeshTree::new(mesh)), |(_, tree)| tree.clone())
+    let mesh = &objects[new].mesh;
+    let holds = |object: &usize| trees.len() > *object && Arc::ptr_eq(&objects[*object].mesh, mesh);
+    let known = holders
+        .insert(address_of(mesh), new)
+        .and_then(|holder| if holds(&holder) { Some(holder) } else { (0..new).rev().find(holds) });
+    known.map_or_else(|| Arc::new(MeshTree::new(mesh)), |holder| trees[holder].clone())
+}
+
+/// An object that has the mesh of an address, the latest.
+type Holders = HashMap<usize, usize>;
+
+fn address_of(mesh: &Arc<Mesh>) -> usize {
+    Arc::as_ptr(mesh).addr()
 }
 
 /// Slot and box in the world of each polygon of an object.
@@ -480,5 +494,55 @@ fn gather(
             // Polygons between those found may be nearer, but were not asked for: the key is of what was found.
             runs.push(ObjectRun { object, first, count: last - o.first_slot - first + 1, nearest: nearest.sqrt() });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::{Material, NewObject, Polygon, PolygonOrder};
+    use crate::{Change, Pose, World};
+
+    /// Meshes are told apart and shared, whoever of those that had one is gone.
+    #[test]
+    fn a_mesh_has_one_tree_while_an_object_has_the_mesh() {
+        let mut environment = Environment::new();
+        environment.add_material(Material::named("m")).unwrap();
+        let mesh = |x: f32| {
+            let corners = [glam::Vec3::ZERO, glam::Vec3::X * x, glam::Vec3::Y].to_vec();
+            Arc::new(Mesh::new("t", corners, vec![Polygon::new(vec![0, 1, 2], 0)], PolygonOrder::Given).unwrap())
+        };
+        let (shared, other) = (mesh(1.0), mesh(2.0));
+        let mut world = World::with_index(environment, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel));
+        let insert = |world: &mut World, name: &str, mesh: &Arc<Mesh>| {
+            world.apply(Change::InsertObject(NewObject::new(name, Pose::IDENTITY, mesh.clone()))).unwrap()
+        };
+        let tree = |world: &World, name: &str| {
+            let Kind::TwoLevel { trees, .. } = &world.index().kind else { panic!("another index") };
+            Arc::as_ptr(&trees[world.environment().index_of(name).unwrap() as usize])
+        };
+        insert(&mut world, "a", &shared);
+        insert(&mut world, "b", &other);
+        let last = insert(&mut world, "c", &shared);
+        assert_eq!(tree(&world, "c"), tree(&world, "a"));
+        assert_ne!(tree(&world, "b"), tree(&world, "a"));
+        // The latest that had it goes; the first still has it.
+        world.apply(last).unwrap();
+        insert(&mut world, "d", &shared);
+        assert_eq!(tree(&world, "d"), tree(&world, "a"));
+        // A group that fails takes its objects back.
+        let failing = Change::Group(vec![
+            Change::InsertObject(NewObject::new("e", Pose::IDENTITY, other.clone())),
+            Change::DeleteObject { name: "none".into() },
+        ]);
+        world.apply(failing).unwrap_err();
+        insert(&mut world, "e", &mesh(3.0));
+        insert(&mut world, "f", &other);
+        assert_eq!(tree(&world, "f"), tree(&world, "b"));
+        assert_ne!(tree(&world, "e"), tree(&world, "b"));
+        world.index().assert_well_formed(world.environment());
+        // As many as there are objects, and no more looked at for one than for another.
+        let Kind::TwoLevel { holders, .. } = &world.index().kind else { panic!("another index") };
+        assert_eq!(holders.len(), 3);
     }
 }

@@ -1,4 +1,4 @@
-//! Which files were read: a command must not write over them.
+//! Which files were read, or belong to what was: a command must not write over them.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,14 +12,14 @@ pub fn record() {
     READ.get_or_init(Mutex::default);
 }
 
-/// Whoever opens a file to read it calls this.
+/// Whoever opens a file to read it calls this, or finds one that belongs to what is read.
 pub fn note(path: &Path) {
     if let Some(read) = READ.get() {
         read.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned());
     }
 }
 
-/// What was opened since [`record`], by the paths that were given.
+/// What was noted since [`record`], by the paths that were given.
 pub fn so_far() -> BTreeSet<PathBuf> {
     READ.get().map(|read| read.lock().unwrap_or_else(PoisonError::into_inner).clone()).unwrap_or_default()
 }

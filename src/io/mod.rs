@@ -32,3 +32,12 @@ pub mod tum;
 pub use load::{load_sensor, preset};
 pub use points::{PointCloud, PointsFrame};
 pub use robot_toml::{Robot, load_robot};
+
+use crate::error::{Error, ErrorKind};
+
+/// The error of a build without a cargo feature.
+#[doc(hidden)]
+pub fn not_built(what: &str, feature: &str) -> Error {
+    let what = format!("this presight was built without {what}");
+    Error::new(ErrorKind::Unsupported, what, format!("build it with the cargo feature `{feature}`"))
+}

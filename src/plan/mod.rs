@@ -9,7 +9,7 @@ mod view;
 
 pub use images::Images;
 pub use polygons::PolygonsOfIds;
-pub use request::{IdScheme, Output, Outputs, Request};
+pub use request::{IdScheme, ImageRequest, Output, Outputs};
 pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
@@ -116,7 +116,7 @@ pub struct FramePlan {
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
     /// The request.
-    pub request: Request,
+    pub request: ImageRequest,
     /// Objects with at least one polygon selected.
     pub instances: Vec<Instance>,
     /// Selected polygons, nearest first.
@@ -151,8 +151,13 @@ impl FramePlan {
     ///
     /// # Errors
     /// Those of [`Pose::check`].
-    pub fn new(world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Result<Self> {
-        Self::within(PlanBuffers::default(), world, sensor, world_from_sensor, request)
+    pub fn new(
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: impl Into<ImageRequest>,
+    ) -> Result<Self> {
+        Self::within(PlanBuffers::default(), world, sensor, world_from_sensor, request.into())
     }
 
     /// As [`FramePlan::new`], in the memory of another plan.
@@ -161,14 +166,14 @@ impl FramePlan {
         world: &World,
         sensor: &Sensor,
         world_from_sensor: &Pose,
-        request: &Request,
+        request: ImageRequest,
     ) -> Result<Self> {
         let PlanBuffers { instances, runs, facings, found, selected } = buffers;
         let mut plan = Self {
             world: world.clone(),
             sensor: sensor.clone(),
             world_from_sensor: *world_from_sensor,
-            request: *request,
+            request,
             instances,
             runs,
             facings,
@@ -193,12 +198,18 @@ impl FramePlan {
     ///
     /// # Errors
     /// Those of [`FramePlan::new`].
-    pub fn renew(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose, request: &Request) -> Result<()> {
+    pub fn renew(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: impl Into<ImageRequest>,
+    ) -> Result<()> {
         world_from_sensor.check()?;
         self.world = world.clone();
         self.sensor = sensor.clone();
         self.world_from_sensor = *world_from_sensor;
-        self.request = *request;
+        self.request = request.into();
         self.fill()
     }
 

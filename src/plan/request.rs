@@ -133,11 +133,23 @@ impl IdScheme {
     }
 }
 
-/// A request for a prediction.
+/// The images that a plan is made for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Request {
+pub struct ImageRequest {
     /// The images to make; others cost nothing.
     pub outputs: Outputs,
     /// Which number `polygon_id` holds.
     pub ids: IdScheme,
+}
+
+impl From<Outputs> for ImageRequest {
+    fn from(outputs: Outputs) -> Self {
+        Self { outputs, ..Self::default() }
+    }
+}
+
+impl From<&Self> for ImageRequest {
+    fn from(request: &Self) -> Self {
+        *request
+    }
 }

@@ -5,11 +5,11 @@ use crate::engine::{Device, Engine};
 use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature, Prepared, Visibility,
+    BoxOptions, FeaturePrediction, FeatureSamples, FeatureSettings, OcclusionHint, PlacedFeature, Prepared, Visibility,
     add_boxes, predict_features,
 };
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, Images, Output, Outputs, Request, Stats};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, Stats};
 use crate::sensor::Sensor;
 use glam::{DMat3, DVec3};
 
@@ -45,13 +45,13 @@ impl Probe {
     /// Those of the engine.
     pub fn occlusion(&self, task: Task, engine: &mut dyn Engine) -> Result<Told> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
-        let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
+        let request = ImageRequest { outputs: Outputs::of(&[Output::PolygonId]), ..ImageRequest::default() };
         let plan = FramePlan::new(&self.world, &sensor, &pose, &request)?;
         let mut images = Images::default();
         engine.render(&plan, &mut images, &mut Stats::default())?;
         let Some(device) = engine.device() else { return Ok(Told::default()) };
         let right = self.seen(&sensor, &pose, &placed)?;
-        let options = FeatureOptions::default();
+        let options = FeatureSettings::default();
         let samples = Prepared::new(&self.world, &sensor, &pose, &images, &placed, &options)?.asking();
         let of = samples.iter().zip(&right.features);
         let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
@@ -97,7 +97,7 @@ impl Probe {
         let (width, height) = (sensor.width(), sensor.height());
         let polygon_id = vec![0; width as usize * height as usize];
         let images = Images { width, height, polygon_id, ..Images::default() };
-        let options = FeatureOptions { visibility: Visibility::Rays, ..FeatureOptions::default() };
+        let options = FeatureSettings { visibility: Visibility::Rays, ..FeatureSettings::default() };
         predict_features(&self.world, sensor, pose, &images, placed, &options)
     }
 

@@ -12,7 +12,7 @@ use crate::compare::{Precision, Report, compare};
 use crate::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, Images, Output, Outputs, Request};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs};
 use crate::reference;
 use crate::sensor::{Angles, Camera, Geometry, PixelGrid, RayTable, Scanner, Sensor, SensorSpec};
 use crate::world::World;
@@ -138,7 +138,7 @@ impl Probe {
         let sensor = task.sensor()?;
         let all = outputs.without(Output::FeatureId);
         let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
-        let request = Request { outputs, ..Request::default() };
+        let request = ImageRequest { outputs, ..ImageRequest::default() };
         let plan = FramePlan::new(&self.world, &sensor, &pose(), &request)?;
         let (mut expected, mut drawn) = (Images::default(), Images::default());
         reference::render(&plan, &mut expected)?;

@@ -1,9 +1,8 @@
 //! Depth image: a point in space for every pixel.
 
-use super::Input;
-use super::view::View;
+use super::View;
+use super::pixels::Pixels;
 use crate::error::Result;
-use crate::plan::{Output, Outputs};
 use serde::Serialize;
 
 /// An image of points.
@@ -28,16 +27,16 @@ impl DepthImage {
     }
 }
 
-pub(super) fn reduce(input: &Input<'_>) -> Result<DepthImage> {
-    let view = View::new(input, Outputs::of(&[Output::Range]))?;
-    let (width, height) = (view.sensor.width(), view.sensor.height());
-    let mut points_robot = Vec::with_capacity(view.images.pixels());
+pub(super) fn reduce(view: &View<'_>) -> Result<DepthImage> {
+    let pixels = Pixels::new(view)?;
+    let (width, height) = (pixels.sensor.width(), pixels.sensor.height());
+    let mut points_robot = Vec::with_capacity(pixels.count());
     let mut bounds: Option<[[f64; 3]; 2]> = None;
     for row in 0..height {
         for column in 0..width {
-            let range = view.images.range[view.at(column, row)];
-            let ray = view.ray(column, row).filter(|_| range.is_finite());
-            let point = ray.map(|ray| view.in_robot(ray * f64::from(range)));
+            let range = pixels.range[pixels.at(column, row)];
+            let ray = pixels.ray(column, row).filter(|_| range.is_finite());
+            let point = ray.map(|ray| pixels.in_robot(ray * f64::from(range)));
             if let Some(p) = point {
                 let [low, high] = bounds.get_or_insert([p, p]);
                 for k in 0..3 {

@@ -15,11 +15,11 @@
 //! pitch and yaw. Where the landmarks do not fix all of it, the directions that they leave open are named and there is no
 //! covariance. Fiducials count by their corners, for one row by their middle, and only if they are seen whole.
 
+use super::View;
 use super::landmarks::{self, Landmark};
 use super::symmetric::{Matrix, eigen};
 use crate::error::{Error, Result};
 use crate::features::FeaturePrediction;
-use crate::predict::Prediction;
 use crate::sensor::{Geometry, Sensor};
 use glam::DVec3;
 use serde::Serialize;
@@ -98,10 +98,10 @@ pub(super) fn check_noise(sensor: &Sensor) -> Result<()> {
     }
 }
 
-pub(super) fn reduce(prediction: &Prediction, features: &FeaturePrediction) -> Result<Docking> {
-    let sensor = &prediction.sensor;
+pub(super) fn reduce(view: &View<'_>, features: &FeaturePrediction) -> Result<Docking> {
+    let sensor = view.sensor;
     check_noise(sensor)?;
-    let found = landmarks::reduce(prediction, features);
+    let found = landmarks::reduce(view, features);
     let planar = sensor.height() == 1;
     let points = found.landmarks.iter().flat_map(|l| measured(l, planar)).collect::<Vec<_>>();
     let axes: Vec<usize> = if planar { PLANAR.to_vec() } else { (0..6).collect() };

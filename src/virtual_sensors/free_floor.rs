@@ -9,8 +9,8 @@
 //! meets the floor plane within the sensor's range; those that reach over the horizon are counted apart.
 
 use super::mask::{Mask, MaskRegion};
-use super::view::{Surface, View, of_surfaces};
-use super::{Input, Settings};
+use super::pixels::{Pixels, Surface};
+use super::{Settings, View};
 use crate::error::Result;
 use crate::sensor::Geometry;
 use glam::DVec3;
@@ -89,18 +89,18 @@ impl Floor {
     }
 
     /// Where the ray of a corner between pixels meets it.
-    fn meet_at(&self, (i, j): (u32, u32), view: &View<'_>) -> Option<DVec3> {
-        view.ray_at(f64::from(i) - 0.5, f64::from(j) - 0.5).and_then(|ray| self.meet(ray))
+    fn meet_at(&self, (i, j): (u32, u32), pixels: &Pixels<'_>) -> Option<DVec3> {
+        pixels.ray_at(f64::from(i) - 0.5, f64::from(j) - 0.5).and_then(|ray| self.meet(ray))
     }
 }
 
-pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor> {
-    let mut view = View::new(input, of_surfaces())?;
-    let world_from_robot = view.world_from_sensor * view.robot_from_sensor.inverse();
+pub(super) fn reduce(view: &View<'_>, settings: &Settings) -> Result<FreeFloor> {
+    let mut pixels = Pixels::with_ids(view)?;
+    let world_from_robot = pixels.world_from_sensor * pixels.robot_from_sensor.inverse();
     let floor_z_world = settings.floor_z_world.unwrap_or(world_from_robot.translation.z);
-    let height = floor_z_world - view.world_from_sensor.translation.z;
-    let floor = Floor { up: view.up, height, range_max: view.sensor.spec().range_max };
-    let mut mask = Mask::new(view.sensor.width(), view.sensor.height());
+    let height = floor_z_world - pixels.world_from_sensor.translation.z;
+    let floor = Floor { up: pixels.up, height, range_max: pixels.sensor.spec().range_max };
+    let mut mask = Mask::new(pixels.sensor.width(), pixels.sensor.height());
     let mut pixels_over_horizon = 0;
     // Of the corners above and below a row, as far as they were asked for: undistorting is slow.
     let mut meets = [(); 2].map(|()| vec![None; mask.width as usize + 1]);
@@ -108,37 +108,37 @@ pub(super) fn reduce(input: &Input<'_>, settings: &Settings) -> Result<FreeFloor
         meets.swap(0, 1);
         meets[1].fill(None);
         for column in 0..mask.width {
-            if !view.surface(column, row).is_some_and(|s| floor.holds(&s)) {
+            if !pixels.surface(column, row).is_some_and(|s| floor.holds(&s)) {
                 continue;
             }
             let all = [(0, 0), (1, 0), (1, 1), (0, 1)].into_iter().all(|(i, j)| {
                 let corner = (column + i, row + j);
-                *meets[j as usize][corner.0 as usize].get_or_insert_with(|| floor.meet_at(corner, &view).is_some())
+                *meets[j as usize][corner.0 as usize].get_or_insert_with(|| floor.meet_at(corner, &pixels).is_some())
             });
             if all {
-                mask.pixels[view.at(column, row)] = true;
+                mask.pixels[pixels.at(column, row)] = true;
             } else {
                 pixels_over_horizon += 1;
             }
         }
     }
     // A lens bends what is straight.
-    let straight = matches!(&view.sensor.spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
+    let straight = matches!(&pixels.sensor.spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
     let mut regions: Vec<FloorRegion> =
-        mask.regions(!straight).iter().map(|region| project(region, &floor, &view)).collect();
+        mask.regions(!straight).iter().map(|region| project(region, &floor, &pixels)).collect();
     regions.sort_by(|a, b| b.area.total_cmp(&a.area));
     // Adding 0 makes the sum of nothing, which is -0, plain.
     let area = regions.iter().map(|r| r.area).sum::<f64>() + 0.0;
     Ok(FreeFloor { floor_z_world, area, pixels: mask.count(), pixels_over_horizon, regions, mask })
 }
 
-fn project(region: &MaskRegion, floor: &Floor, view: &View<'_>) -> FloorRegion {
+fn project(region: &MaskRegion, floor: &Floor, pixels: &Pixels<'_>) -> FloorRegion {
     let mut area = 0.0;
     let mut outline = |corners_of: &[(u32, u32)]| {
-        let points: Vec<DVec3> = corners_of.iter().filter_map(|c| floor.meet_at(*c, view)).collect();
+        let points: Vec<DVec3> = corners_of.iter().filter_map(|c| floor.meet_at(*c, pixels)).collect();
         debug_assert_eq!(points.len(), corners_of.len(), "corners of pixels that count meet the floor");
         area += signed_area(&points, floor.up);
-        points.into_iter().map(|p| view.in_robot(p)).collect::<Vec<_>>()
+        points.into_iter().map(|p| pixels.in_robot(p)).collect::<Vec<_>>()
     };
     let outer_robot = outline(&region.outer);
     let holes_robot = region.holes.iter().map(|hole| outline(hole)).collect();

@@ -1,8 +1,8 @@
 //! Artificial landmarks: reflectors and fiducial markers that are seen, and where they are.
 
+use super::View;
 use crate::environment::FeatureShape;
 use crate::features::{FeaturePrediction, SeenFeature};
-use crate::predict::Prediction;
 use glam::DVec3;
 use serde::Serialize;
 
@@ -54,17 +54,17 @@ impl Landmarks {
     }
 }
 
-pub(super) fn reduce(prediction: &Prediction, features: &FeaturePrediction) -> Landmarks {
+pub(super) fn reduce(view: &View<'_>, features: &FeaturePrediction) -> Landmarks {
     let is_landmark =
         |f: &&SeenFeature| matches!(f.feature.shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. });
     let known = features.features.iter().filter(is_landmark).count();
     let seen = features.features.iter().filter(is_landmark).filter(|f| f.visible_fraction > 0.0);
-    Landmarks { landmarks: seen.filter_map(|f| landmark(prediction, f)).collect(), known }
+    Landmarks { landmarks: seen.filter_map(|f| landmark(view, f)).collect(), known }
 }
 
 /// `None` for one that has no points.
-fn landmark(prediction: &Prediction, seen: &SeenFeature) -> Option<Landmark> {
-    let (sensor_from_world, mount) = (prediction.world_from_sensor.inverse(), prediction.sensor.spec().mount);
+fn landmark(view: &View<'_>, seen: &SeenFeature) -> Option<Landmark> {
+    let (sensor_from_world, mount) = (view.world_from_sensor.inverse(), view.sensor.spec().mount);
     let points = &seen.points_world;
     let position_world = *points.first()? + points.iter().map(|p| *p - points[0]).sum::<DVec3>() / points.len() as f64;
     let p_in_sensor = sensor_from_world.transform_point(position_world);

@@ -12,7 +12,8 @@
 //! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | high precision relative localization for docking: artificial landmarks |
 //!
 //! Each is a request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the filter of features
-//! [`VirtualSensor::wants`]) and one pure function of a prediction ([`VirtualSensor::reduce`]). Names that end in `_robot` are
+//! [`VirtualSensor::wants`]) and one pure function of a view ([`VirtualSensor::reduce`]), which is a prediction or a measured
+//! image. Names that end in `_robot` are
 //! in the robot's frame (x forward, y left, z up), which the sensor's mount gives; names that end in `_world` are in the world.
 //! Units are metres, radians and square metres. Unknown values are `null` in files.
 
@@ -23,6 +24,7 @@ mod edges;
 mod free_floor;
 mod landmarks;
 mod mask;
+mod pixels;
 mod radar_lines;
 mod radar_nearest;
 mod symmetric;
@@ -40,13 +42,12 @@ pub use mask::{Mask, MaskRegion};
 pub use radar_lines::{COLLINEAR, RadarLine, RadarLines};
 pub use radar_nearest::{Directions, InCorridor, Nearest, NearestPoint};
 pub use vertical_planes::{COPLANAR, VERTICAL, VerticalPlane, VerticalPlanes};
+pub use view::{View, ViewIds, floor_below};
 
-use crate::environment::{Environment, FeatureShape};
+use crate::environment::FeatureShape;
 use crate::error::{Error, Result};
-use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{IdScheme, Output, Outputs};
-use crate::predict::Prediction;
+use crate::plan::{Output, Outputs};
 use crate::sensor::{Geometry, Scanner, Sensor};
 use serde::Serialize;
 
@@ -69,19 +70,6 @@ pub enum VirtualSensor {
     VerticalPlanes,
     /// Landmarks of a dock and the covariance that they allow, of a laser.
     Docking,
-}
-
-/// The input of a virtual sensor: a prediction with its environment.
-#[derive(Clone, Copy, Debug)]
-pub struct Input<'a> {
-    /// The environment that was predicted.
-    pub environment: &'a Environment,
-    /// Images, sensor and pose; [`VirtualSensor::outputs`] must be among the images.
-    pub prediction: &'a Prediction,
-    /// Which number its `polygon_id` holds.
-    pub ids: IdScheme,
-    /// Predicted features, for virtual sensors that need them ([`VirtualSensor::needs_features`]).
-    pub features: Option<&'a FeaturePrediction>,
 }
 
 /// Settings of a task.
@@ -220,11 +208,11 @@ impl VirtualSensor {
         }
     }
 
-    /// Computes its reading from a prediction. This is a pure function.
+    /// Computes its reading from a view. This is a pure function.
     ///
     /// ```
-    /// use presight::virtual_sensors::{Answer, Input, Settings, VirtualSensor};
-    /// use presight::{Backend, Environment, IdScheme, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+    /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+    /// use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
     /// use presight::{Pose, Predictor, Request, World};
     /// // A wall 2 m ahead of a radar, 4 m wide.
     /// let mut environment = Environment::new();
@@ -236,12 +224,9 @@ impl VirtualSensor {
     /// let world = World::new(environment);
     ///
     /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
-    /// let request = Request { outputs: task.outputs(), ids: IdScheme::Model };
-    /// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
-    /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &request)?;
-    /// let environment = world.environment();
-    /// let input = Input { environment, prediction: &prediction, ids: request.ids, features: None };
-    /// let reading = task.reduce(&input, &Settings::default())?;
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &Request::of(task.outputs()))?;
+    /// let reading = task.reduce(&View::of(&prediction, world.environment()), &Settings::default())?;
     /// let Answer::RadarLines(found) = &reading.answer else { unreachable!() };
     /// // It ends at the hits of its outermost beams, 0.1 degrees apart.
     /// assert!(found.lines.len() == 1 && (found.lines[0].length - 4.0).abs() < 0.02);
@@ -251,29 +236,29 @@ impl VirtualSensor {
     ///
     /// # Errors
     /// Those of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed and none were predicted;
-    /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's.
-    pub fn reduce(self, input: &Input<'_>, settings: &Settings) -> Result<VirtualReading> {
-        let prediction = input.prediction;
-        prediction.world_from_sensor.check()?;
-        self.check(&prediction.sensor)?;
+    /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's, or if it is not known what
+    /// the pixels show and the task needs that (`free-floor`, `radar-lines`, `vertical-planes`).
+    pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
+        view.world_from_sensor.check()?;
+        self.check(view.sensor)?;
         let features = || {
             let class = self.class();
-            input.features.ok_or_else(|| {
+            view.features.ok_or_else(|| {
                 let remedy = format!("give a --layer of class {class:?} (presight features SCENE --class {class})");
                 Error::usage(format!("{} is made from features, and none were predicted", self.name()), remedy)
             })
         };
         let answer = match self {
-            Self::FreeFloor => Answer::FreeFloor(free_floor::reduce(input, settings)?),
+            Self::FreeFloor => Answer::FreeFloor(free_floor::reduce(view, settings)?),
             Self::Edges => Answer::Edges(edges::reduce(features()?)),
-            Self::RadarLines => Answer::RadarLines(radar_lines::reduce(input)?),
-            Self::RadarNearest => Answer::RadarNearest(radar_nearest::reduce(input, settings.corridor.as_ref())?),
-            Self::RadarLandmarks => Answer::RadarLandmarks(landmarks::reduce(prediction, features()?)),
-            Self::DepthImage => Answer::DepthImage(depth_image::reduce(input)?),
-            Self::VerticalPlanes => Answer::VerticalPlanes(vertical_planes::reduce(input)?),
-            Self::Docking => Answer::Docking(docking::reduce(prediction, features()?)?),
+            Self::RadarLines => Answer::RadarLines(radar_lines::reduce(view)?),
+            Self::RadarNearest => Answer::RadarNearest(radar_nearest::reduce(view, settings.corridor.as_ref())?),
+            Self::RadarLandmarks => Answer::RadarLandmarks(landmarks::reduce(view, features()?)),
+            Self::DepthImage => Answer::DepthImage(depth_image::reduce(view)?),
+            Self::VerticalPlanes => Answer::VerticalPlanes(vertical_planes::reduce(view)?),
+            Self::Docking => Answer::Docking(docking::reduce(view, features()?)?),
         };
-        let Pose { translation: t, rotation: q } = prediction.sensor.spec().mount;
+        let Pose { translation: t, rotation: q } = view.sensor.spec().mount;
         Ok(VirtualReading { name: self.name(), robot_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w], answer })
     }
 }

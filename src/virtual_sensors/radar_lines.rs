@@ -4,8 +4,8 @@
 //! another within [`COLLINEAR`]. A segment ends at the hits of its first and last beam: as far as the sensor can say, which
 //! is up to a beam short of the surface's own end. One beam alone gives no segment and is counted.
 
-use super::view::{PARALLEL, Surface, View, of_surfaces};
-use super::{Input, scan_row};
+use super::pixels::{PARALLEL, Pixels, Surface};
+use super::{View, scan_row};
 use crate::error::Result;
 use crate::sensor::Geometry;
 use glam::DVec3;
@@ -83,17 +83,17 @@ impl Run {
     }
 }
 
-pub(super) fn reduce(input: &Input<'_>) -> Result<RadarLines> {
-    let mut view = View::new(input, of_surfaces())?;
-    let row = match &view.sensor.spec().geometry {
+pub(super) fn reduce(view: &View<'_>) -> Result<RadarLines> {
+    let mut pixels = Pixels::with_ids(view)?;
+    let row = match &pixels.sensor.spec().geometry {
         Geometry::Scanner(scanner) => scan_row(scanner).unwrap_or(0),
         _ => 0,
     };
-    let width = view.sensor.width();
+    let width = pixels.sensor.width();
     let mut runs: Vec<Run> = Vec::new();
     let mut gap = true;
     for column in 0..width {
-        let run = view.surface(column, row).and_then(|surface| beam(&view, column, row, &surface));
+        let run = pixels.surface(column, row).and_then(|surface| beam(&pixels, column, row, &surface));
         let Some(run) = run else {
             gap = true;
             continue;
@@ -104,18 +104,18 @@ pub(super) fn reduce(input: &Input<'_>) -> Result<RadarLines> {
         }
         gap = false;
     }
-    close_circle(&mut runs, &view);
+    close_circle(&mut runs, &pixels);
     let single_beams = runs.iter().filter(|r| r.beams < 2).count();
-    let lines = runs.into_iter().filter(|r| r.beams > 1).map(|run| line(run, &view)).collect();
+    let lines = runs.into_iter().filter(|r| r.beams > 1).map(|run| line(run, &pixels)).collect();
     Ok(RadarLines { lines, single_beams })
 }
 
 /// What one beam sees of a polygon: a run of one.
-fn beam(view: &View<'_>, column: u32, row: u32, surface: &Surface) -> Option<Run> {
-    let at = view.hit(column, row, surface)?;
+fn beam(pixels: &Pixels<'_>, column: u32, row: u32, surface: &Surface) -> Option<Run> {
+    let at = pixels.hit(column, row, surface)?;
     // A surface that lies in the scan plane is cut in no line.
     let normal = DVec3::new(surface.normal.x, surface.normal.y, 0.0).try_normalize()?;
-    let polygon = view.images.polygon_id[view.at(column, row)];
+    let polygon = pixels.polygon_id[pixels.at(column, row)];
     Some(Run {
         columns: [column; 2],
         beams: 1,
@@ -127,10 +127,10 @@ fn beam(view: &View<'_>, column: u32, row: u32, surface: &Surface) -> Option<Run
 }
 
 /// Joins the last run with the first where the scan goes all the way round.
-fn close_circle(runs: &mut Vec<Run>, view: &View<'_>) {
+fn close_circle(runs: &mut Vec<Run>, pixels: &Pixels<'_>) {
     let whole =
-        view.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(view.sensor.width())).abs() < 1e-6);
-    let last_column = view.sensor.width() - 1;
+        pixels.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(pixels.sensor.width())).abs() < 1e-6);
+    let last_column = pixels.sensor.width() - 1;
     let meets = whole
         && runs.len() > 1
         && runs[0].columns[0] == 0
@@ -141,15 +141,15 @@ fn close_circle(runs: &mut Vec<Run>, view: &View<'_>) {
     }
 }
 
-fn line(run: Run, view: &View<'_>) -> RadarLine {
+fn line(run: Run, pixels: &Pixels<'_>) -> RadarLine {
     RadarLine {
-        ends_robot: run.ends.map(|p| view.in_robot(p)),
+        ends_robot: run.ends.map(|p| pixels.in_robot(p)),
         length: run.ends[0].distance(run.ends[1]),
-        normal_robot: view.turned_to_robot(run.normal),
+        normal_robot: pixels.turned_to_robot(run.normal),
         distance: -run.ends[0].dot(run.normal),
         columns: run.columns,
         beams: run.beams,
         polygons: run.polygons,
-        objects: run.objects.into_iter().map(|object| view.name(object)).collect(),
+        objects: run.objects.into_iter().map(|object| pixels.name(object)).collect(),
     }
 }

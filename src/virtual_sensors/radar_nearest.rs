@@ -3,8 +3,8 @@
 //! Every surface that a beam sees counts, the floor too if beams look down: the corridor's least height keeps it out there.
 //! Of what no beam sees nothing is said.
 
-use super::view::{View, of_surfaces};
-use super::{Corridor, Input};
+use super::pixels::Pixels;
+use super::{Corridor, View};
 use crate::error::Result;
 use glam::DVec3;
 use serde::Serialize;
@@ -40,9 +40,9 @@ pub struct NearestPoint {
     pub range: f64,
     /// Column and row of the beam.
     pub pixel: [u32; 2],
-    /// The polygon, as `polygon_id` numbers it.
+    /// The polygon, as `polygon_id` numbers it; 0 if it is not known.
     pub polygon: u32,
-    /// Full path of its object.
+    /// Full path of its object; empty if it is not known.
     pub object: String,
 }
 
@@ -81,7 +81,7 @@ struct Hit {
     range: f64,
     pixel: [u32; 2],
     p_in_sensor: DVec3,
-    object: u32,
+    object: Option<u32>,
 }
 
 /// Keeps the hit with the lesser key, then the lesser range.
@@ -91,24 +91,23 @@ fn keep(best: &mut Option<Hit>, hit: Hit) {
     }
 }
 
-pub(super) fn reduce(input: &Input<'_>, corridor: Option<&Corridor>) -> Result<Nearest> {
-    let mut view = View::new(input, of_surfaces())?;
-    let (width, height) = (view.sensor.width(), view.sensor.height());
+pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nearest> {
+    let mut pixels = Pixels::new(view)?;
+    let (width, height) = (pixels.sensor.width(), pixels.sensor.height());
     let mut directions = Directions::default();
     let (mut nearest, mut first, mut beams) = (None, None, 0);
     for column in 0..width {
-        let azimuth = (0..height).find_map(|row| view.ray(column, row)).map_or(f64::NAN, |ray| ray.y.atan2(ray.x));
+        let azimuth = (0..height).find_map(|row| pixels.ray(column, row)).map_or(f64::NAN, |ray| ray.y.atan2(ray.x));
         let (mut least, mut object_id) = (f64::INFINITY, 0);
         for row in 0..height {
-            let Some(surface) = view.surface(column, row) else { continue };
-            let Some(p_in_sensor) = view.hit(column, row, &surface) else { continue };
+            let Some((p_in_sensor, object)) = pixels.measured(column, row) else { continue };
             let range = p_in_sensor.length();
-            let hit = |key| Hit { key, range, pixel: [column, row], p_in_sensor, object: surface.object };
+            let hit = |key| Hit { key, range, pixel: [column, row], p_in_sensor, object };
             if range < least {
-                (least, object_id) = (range, surface.object + 1);
+                (least, object_id) = (range, object.map_or(0, |o| o + 1));
             }
             keep(&mut nearest, hit(range));
-            if let Some(s) = corridor.and_then(|c| c.arc_length_at(view.in_robot(p_in_sensor))) {
+            if let Some(s) = corridor.and_then(|c| c.arc_length_at(pixels.in_robot(p_in_sensor))) {
                 beams += 1;
                 keep(&mut first, hit(s));
             }
@@ -118,11 +117,11 @@ pub(super) fn reduce(input: &Input<'_>, corridor: Option<&Corridor>) -> Result<N
         directions.object_id.push(object_id);
     }
     let point = |hit: &Hit| NearestPoint {
-        point_robot: view.in_robot(hit.p_in_sensor),
+        point_robot: pixels.in_robot(hit.p_in_sensor),
         range: hit.range,
         pixel: hit.pixel,
-        polygon: view.images.polygon_id[view.at(hit.pixel[0], hit.pixel[1])],
-        object: view.name(hit.object),
+        polygon: pixels.polygon_id.get(pixels.at(hit.pixel[0], hit.pixel[1])).copied().unwrap_or(0),
+        object: hit.object.map_or(String::new(), |o| pixels.name(o)),
     };
     let corridor = corridor.map(|c| InCorridor {
         length: c.length(),

@@ -3,8 +3,8 @@
 //! A surface is vertical if its normal is within [`VERTICAL`] of horizontal. Neighbouring pixels (by their sides, over the
 //! seam of a full circle too) belong together if they show the same polygon, or polygons in one plane within [`COPLANAR`].
 
-use super::Input;
-use super::view::{PARALLEL, Surface, View, of_surfaces};
+use super::View;
+use super::pixels::{PARALLEL, Pixels, Surface};
 use crate::error::Result;
 use glam::DVec3;
 use serde::Serialize;
@@ -67,18 +67,18 @@ struct Region {
     objects: Vec<(u32, usize)>,
 }
 
-pub(super) fn reduce(input: &Input<'_>) -> Result<VerticalPlanes> {
-    let mut view = View::new(input, of_surfaces())?;
-    let (width, height) = (view.sensor.width(), view.sensor.height());
+pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
+    let mut image = Pixels::with_ids(view)?;
+    let (width, height) = (image.sensor.width(), image.sensor.height());
     let least = VERTICAL.sin();
-    let up = view.up;
-    let mut pixels: Vec<Option<Surface>> = Vec::with_capacity(view.images.pixels());
+    let up = image.up;
+    let mut pixels: Vec<Option<Surface>> = Vec::with_capacity(image.count());
     for row in 0..height {
         for column in 0..width {
-            pixels.push(view.surface(column, row).filter(|s| s.normal.dot(up).abs() <= least));
+            pixels.push(image.surface(column, row).filter(|s| s.normal.dot(up).abs() <= least));
         }
     }
-    let whole = view.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(width)).abs() < 1e-6);
+    let whole = image.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(width)).abs() < 1e-6);
     let beside = |column: u32, row: u32| {
         let left = column.checked_sub(1).or(whole.then(|| width - 1));
         let right = Some(column + 1).filter(|c| *c < width).or(whole.then_some(0));
@@ -94,17 +94,17 @@ pub(super) fn reduce(input: &Input<'_>) -> Result<VerticalPlanes> {
         let mut region = Region::new(first);
         open.push((start as u32 % width, start as u32 / width, first));
         while let Some((column, row, surface)) = open.pop() {
-            region.add(&view, (column, row), &surface);
+            region.add(&image, (column, row), &surface);
             for (c, r) in beside(column, row) {
-                let at = view.at(c, r);
-                let joins = |s: &Surface| view.hit(c, r, s).is_some_and(|p| in_one_plane(&region.surface, s, p));
+                let at = image.at(c, r);
+                let joins = |s: &Surface| image.hit(c, r, s).is_some_and(|p| in_one_plane(&region.surface, s, p));
                 if let Some(surface) = pixels[at].filter(joins) {
                     pixels[at] = None;
                     open.push((c, r, surface));
                 }
             }
         }
-        planes.push(region.finish(&view));
+        planes.push(region.finish(&image));
     }
     planes.sort_by_key(|p| std::cmp::Reverse(p.pixels));
     Ok(VerticalPlanes { planes, pixels: count })
@@ -129,15 +129,15 @@ impl Region {
         [across, self.surface.normal.cross(across)]
     }
 
-    fn add(&mut self, view: &View<'_>, (column, row): (u32, u32), surface: &Surface) {
-        let Some(p) = view.hit(column, row, surface) else { return };
+    fn add(&mut self, image: &Pixels<'_>, (column, row): (u32, u32), surface: &Surface) {
+        let Some(p) = image.hit(column, row, surface) else { return };
         self.pixels += 1;
         self.sum += p;
-        for (k, axis) in self.axes(view.up).into_iter().enumerate() {
+        for (k, axis) in self.axes(image.up).into_iter().enumerate() {
             (self.low[k], self.high[k]) = (self.low[k].min(axis.dot(p)), self.high[k].max(axis.dot(p)));
         }
         let cosine = surface.normal.dot(p).abs() / p.length();
-        self.area += solid_angle(view, column, row) * p.length_squared() / cosine;
+        self.area += solid_angle(image, column, row) * p.length_squared() / cosine;
         let [c0, r0, c1, r1] = self.bounds;
         self.bounds = [c0.min(column), r0.min(row), c1.max(column), r1.max(row)];
         match self.objects.iter_mut().find(|(object, _)| *object == surface.object) {
@@ -146,24 +146,24 @@ impl Region {
         }
     }
 
-    fn finish(self, view: &View<'_>) -> VerticalPlane {
+    fn finish(self, image: &Pixels<'_>) -> VerticalPlane {
         let most = self.objects.iter().max_by_key(|(object, n)| (*n, std::cmp::Reverse(*object)));
         VerticalPlane {
-            normal_robot: view.turned_to_robot(self.surface.normal),
+            normal_robot: image.turned_to_robot(self.surface.normal),
             distance: self.surface.distance,
-            centre_robot: view.in_robot(self.sum / self.pixels.max(1) as f64),
+            centre_robot: image.in_robot(self.sum / self.pixels.max(1) as f64),
             extent: [0, 1].map(|k| (self.high[k] - self.low[k]).max(0.0)),
             pixels: self.pixels,
-            area: (view.sensor.height() > 1).then_some(self.area),
-            object: most.map_or(String::new(), |(object, _)| view.name(*object)),
+            area: (image.sensor.height() > 1).then_some(self.area),
+            object: most.map_or(String::new(), |(object, _)| image.name(*object)),
             pixel_bounds: self.bounds,
         }
     }
 }
 
 /// Of a pixel, as far as its corners' rays are there: two spherical triangles (van Oosterom and Strackee).
-fn solid_angle(view: &View<'_>, column: u32, row: u32) -> f64 {
-    let corner = |du: f64, dv: f64| view.ray_at(f64::from(column) + du, f64::from(row) + dv);
+fn solid_angle(image: &Pixels<'_>, column: u32, row: u32) -> f64 {
+    let corner = |du: f64, dv: f64| image.ray_at(f64::from(column) + du, f64::from(row) + dv);
     let corners = [corner(-0.5, -0.5), corner(0.5, -0.5), corner(0.5, 0.5), corner(-0.5, 0.5)];
     let [Some(a), Some(b), Some(c), Some(d)] = corners else { return 0.0 };
     let triangle = |a: DVec3, b: DVec3, c: DVec3| {

@@ -25,11 +25,11 @@ fn bits(images: &Images) -> Vec<Vec<u32>> {
 fn check(world: &World, poses: &[Pose]) {
     for sensor in data::presets() {
         let outputs = if sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(presight::Output::DepthZ) };
-        let asked = Request { outputs, ..Request::default() };
+        let asked = Request::of(outputs);
         let mut one = predictor(2);
         let singles: Vec<_> = poses.iter().map(|p| one.predict(world, &sensor, p, &asked).unwrap().images).collect();
         for (threads, chunk) in [(1, None), (2, Some(1)), (3, Some(4)), (2, None)] {
-            let request = BatchRequest { images: Some(asked), chunk, ..BatchRequest::default() };
+            let request = BatchRequest { images: Some((&asked).into()), chunk, ..BatchRequest::default() };
             let mut predictor = predictor(threads);
             let batch = predictor.batch(world, &sensor, poses.to_vec(), &request).unwrap();
             let mut count = 0;
@@ -97,7 +97,7 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
 /// The GPU engine goes from pose to pose.
 #[test]
 fn the_gpu_engine_makes_its_single_predictions() {
-    let options = presight::Options { backend: presight::Backend::Gpu, threads: 2.into() };
+    let options = presight::Options::new(presight::Backend::Gpu).with_threads(2);
     let mut gpu = match presight::Predictor::new(options) {
         Ok(gpu) => gpu,
         Err(e) => return common::skip::no_adapter(e),
@@ -110,7 +110,8 @@ fn the_gpu_engine_makes_its_single_predictions() {
     let asked = Request::default();
     let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses(1)[0]);
     let sensed = presight::batch::Sensed::new(&sensor, range, Default::default()).unwrap();
-    let request = BatchRequest { images: Some(asked), likelihood: Some(sensed.clone()), ..BatchRequest::default() };
+    let request =
+        BatchRequest { images: Some((&asked).into()), likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let items: Vec<_> = gpu.batch(&world, &sensor, poses(5), &request).unwrap().map(|item| item.unwrap()).collect();
     for (item, pose) in items.iter().zip(poses(5)) {
         let single = gpu.predict(&world, &sensor, &pose, &asked).unwrap();

@@ -13,7 +13,7 @@ use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Reques
 
 /// A predictor on the CPU engine.
 fn predictor(threads: usize) -> Predictor {
-    Predictor::new(Options { backend: Backend::Cpu, threads: threads.into() }).expect("threads start")
+    Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
 }
 
 /// The sensor with other noise, and with a finite range if it has none.
@@ -26,7 +26,7 @@ fn noisy(sensor: &Sensor, noise: Noise) -> Sensor {
 /// Range and cos_incidence of a single prediction.
 fn single(predictor: &mut Predictor, world: &World, sensor: &Sensor, pose: &Pose) -> (Vec<f32>, Vec<f32>) {
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
-    let request = Request { outputs, ..Request::default() };
+    let request = Request::of(outputs);
     let seen = predictor.predict(world, sensor, pose, &request).expect("it predicts");
     (seen.images.range, seen.images.cos_incidence)
 }

@@ -4,7 +4,7 @@ use crate::common::{plan, reference, scenes};
 use glam::{DQuat, DVec3, Vec3};
 use presight::compare::{Precision, compare};
 use presight::environment::FeatureLayer;
-use presight::features::{BoxOptions, FeatureOptions, add_boxes, place, predict_features};
+use presight::features::{BoxOptions, FeatureSettings, add_boxes, place, predict_features};
 use presight::io::{prediction_json, sensor_toml};
 use presight::{Camera, Environment, Geometry, Images, NewObject, Output, Pose, Sensor, SensorSpec, Stats, World, cpu};
 use std::cell::RefCell;
@@ -115,10 +115,10 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
     let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a sound camera");
     let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.3, 1.0), 0.0, 0.0, 0.0);
     let images = reference(&plan(&world, &sensor, &pose));
-    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     let Ok(mut seen) = predict_features(&world, &sensor, &pose, &images, &placed, &options) else { return false };
     let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-4 } else { 0.0 }));
-    let boxes = BoxOptions { sensor: covariance, ..BoxOptions::default() };
+    let boxes = BoxOptions::default().with_sensor(covariance);
     if add_boxes(&mut seen, &placed, &world, &sensor, &pose, &boxes).is_err() {
         return false;
     }

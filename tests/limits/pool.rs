@@ -4,10 +4,10 @@ use crate::common::{self, forbid_global_pool};
 use glam::DVec3;
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::compare::{Precision, candidates};
-use presight::features::{BoxOptions, FeatureOptions, Visibility, add_boxes, place, predict_features};
+use presight::features::{BoxOptions, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features};
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{self, ImportOptions};
-use presight::{Backend, FramePlan, Options, Output, Outputs, Pose, Predictor, Request, Stats, Threads, World, preset};
+use presight::{Backend, FramePlan, Options, Output, Outputs, Pose, Predictor, Request, Threads, World, preset};
 use std::path::{Path, PathBuf};
 
 /// Balls with so many polygons that the sorting of meshes and indexes goes parallel.
@@ -44,7 +44,7 @@ fn nothing_uses_the_global_pool() {
     let layer = generate(world.environment(), "video", &options).unwrap().layer;
     let placed = place(&world, &layer).unwrap();
     for visibility in [Visibility::Rays, Visibility::default()] {
-        let options = FeatureOptions { visibility, ..FeatureOptions::default() };
+        let options = FeatureSettings { visibility, ..FeatureSettings::default() };
         let mut seen = predict_features(&world, &camera, &pose, &images, &placed, &options).unwrap();
         add_boxes(&mut seen, &placed, &world, &camera, &pose, &BoxOptions::default()).unwrap();
     }
@@ -59,7 +59,7 @@ fn nothing_uses_the_global_pool() {
     }
     for backend in [Backend::Cpu, Backend::Gpu] {
         // Where there is no adapter, the other engines are still looked at.
-        let Ok(mut predictor) = Predictor::new(Options { backend, threads: 2.into() }) else { continue };
+        let Ok(mut predictor) = Predictor::new(Options::new(backend).with_threads(2)) else { continue };
         predict_all(&mut predictor, &world, &plan, &layer);
     }
 }
@@ -71,16 +71,12 @@ fn predict_all(
     plan: &FramePlan,
     layer: &presight::environment::FeatureLayer,
 ) {
-    let (sensor, pose, mut stats) = (&plan.sensor, &plan.world_from_sensor, Stats::default());
-    let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
-    let request = Request { outputs, ..Request::default() };
-    let placed = place(world, layer).unwrap();
-    let prediction = predictor.predict(world, sensor, pose, &request).unwrap();
-    let images = &prediction.images;
-    let options = FeatureOptions::default();
-    let mut seen = predictor.predict_features(world, sensor, pose, images, &placed, &options, &mut stats).unwrap();
-    let options = BoxOptions::default();
-    predictor.add_boxes(&mut seen, &placed, world, sensor, pose, &options, &mut stats).unwrap();
+    let options = FeatureOptions::default().with_placed(place(world, layer).unwrap());
+    let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]))
+        .with_features(options)
+        .with_regions(BoxOptions::default());
+    let prediction = predictor.predict(world, &plan.sensor, &plan.world_from_sensor, &request).unwrap();
+    assert!(prediction.features.is_some());
 }
 
 /// A script has a thread of its own; what it imports is built on the threads of the options, of which the only one waits

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use presight::features::{FeatureOptions, Reason, SeenFeature, Visibility, place};
-use presight::{Backend, NewObject, Options, Pose, Predictor, Request, Stats, World};
+use presight::{Backend, NewObject, Options, Pose, Predictor, Request, World};
 
 /// Points on the walls at x = 2 and x = 3, off the middle so that no pixel's ray meets them by chance; a patch on either.
 fn layer() -> FeatureLayer {
@@ -30,15 +30,13 @@ fn layer() -> FeatureLayer {
 fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visibility) -> Vec<SeenFeature> {
     let (camera, _) = sensors().swap_remove(0);
     let pose = Pose { translation: from, ..Pose::IDENTITY };
-    let images = predictor.predict(world, &camera, &pose, &Request::default()).unwrap().images;
-    let placed = place(world, &layer()).unwrap();
-    let options = FeatureOptions { visibility, ..FeatureOptions::default() };
-    let stats = &mut Stats::default();
-    predictor.predict_features(world, &camera, &pose, &images, &placed, &options, stats).unwrap().features
+    let options = FeatureOptions::default().with_visibility(visibility).with_placed(place(world, &layer()).unwrap());
+    let request = Request::default().with_features(options);
+    predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap().features
 }
 
 fn predictors() -> Vec<Predictor> {
-    let open = |backend| Predictor::new(Options { backend, ..Options::default() }).ok();
+    let open = |backend| Predictor::new(Options::new(backend)).ok();
     [Backend::Cpu, Backend::Gpu].into_iter().filter_map(open).collect()
 }
 

@@ -134,6 +134,28 @@ fn the_front_of_a_mirrored_polygon_is_its_front_in_every_engine() {
     }
 }
 
+/// A wall so near that the GPU's engine takes it from the CPU, in f64.
+#[test]
+fn a_mirrored_wall_a_micrometre_ahead_is_seen_from_its_front() {
+    const AHEAD: f64 = 1e-6;
+    let mut engines = engines::all();
+    for (what, world_from_mesh) in ways() {
+        // The near wall from outside, the far wall from inside.
+        for (outside, wall) in [(true, 2.0), (false, 3.0)] {
+            let world = world(NewObject::from_affine("cube", world_from_mesh, cube(outside)).unwrap());
+            let pose = Pose { translation: DVec3::new(wall - AHEAD, 0.0, 0.0), ..Pose::IDENTITY };
+            for (sensor, pixel) in sensors() {
+                let plan = common::plan(&world, &sensor, &pose);
+                for (name, engine) in &mut engines {
+                    let seen = f64::from(engine(&plan).range[pixel]);
+                    let sensor = &sensor.spec().name;
+                    assert!((seen / AHEAD - 1.0).abs() < 1e-3, "{what}, {name}, {sensor}, wall {wall}: {seen} m");
+                }
+            }
+        }
+    }
+}
+
 /// The pixels' other outputs fit: the near wall faces the sensor squarely.
 #[test]
 fn the_incidence_and_the_depth_of_a_mirrored_wall_are_those_of_the_wall() {

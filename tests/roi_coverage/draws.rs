@@ -109,7 +109,7 @@ impl Case {
         let placed = PlacedFeature { feature, object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
-        let options = BoxOptions { sensor: self.covariance, confidence, ..BoxOptions::default() };
+        let options = BoxOptions::default().with_sensor(self.covariance).with_confidence(confidence);
         add_boxes(&mut prediction, &[placed], &world, &self.sensor, &self.pose, &options).unwrap();
         let seen = &prediction.features[0];
         (seen.roi.expect("it has an image"), seen.roi_flag.expect("with a flag"))

@@ -12,7 +12,7 @@ use common::{Random, env_number, scenes};
 use draws::{Best, Case};
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureOptions, PlacedFeature, add_boxes, predict_features};
+use presight::features::{BoxOptions, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight::{Angles, Camera, Distortion, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
 use std::sync::Arc;
 
@@ -303,9 +303,9 @@ fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let feature = Feature { id: 1, name: None, object: None, shape: case.shape.clone(), existence, properties };
     let placed = [PlacedFeature { feature, object: None, slots: Vec::new() }];
     let images = common::reference(&common::plan(world, &case.sensor, &case.pose));
-    let options = FeatureOptions::default();
+    let options = FeatureSettings::default();
     let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();
-    let options = BoxOptions { sensor: case.covariance, confidence, ..BoxOptions::default() };
+    let options = BoxOptions::default().with_sensor(case.covariance).with_confidence(confidence);
     add_boxes(&mut prediction, &placed, world, &case.sensor, &case.pose, &options).unwrap();
     prediction.features[0].roi.expect("it is seen")
 }

@@ -11,11 +11,8 @@ const SOON: Duration = Duration::from_secs(12);
 const MEGABYTE: usize = 1 << 20;
 
 fn loaded(text: &str) -> Result<usize, presight::Error> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.rhai");
-    fs::write(&path, text).unwrap();
     let start = Instant::now();
-    let loaded = load(&path).0.map(|scene| scene.environment.objects().len());
+    let loaded = load_text(text);
     assert!(start.elapsed() < SOON, "{:?} for {:.60}", start.elapsed(), text);
     loaded
 }
@@ -147,6 +144,52 @@ fn what_is_tried_again_and_again_ends() {
         "for i in 0..60000 { material(`m${i}`); } let b = box(1, 1, 1); loop { try { b.made_of(\"m\"); } catch {} }",
     );
     assert!(e.contains("operations"), "{e}");
+}
+
+/// What the language does not tell of when it is read, and what would be read for nothing.
+#[test]
+fn nothing_large_is_copied_uncounted() {
+    let table = "let a = []; a.pad(4000, 1);\n";
+    let hidden = ["no `this` and no `global::`", "hand the value over"];
+    refused(&format!("fn f() {{ loop {{ let b = this; }} }}\n{table}a.f();"), "line 1, column 25", &hidden);
+    refused(&format!("{table}a.map(|| this);"), "line 2, column 10", &hidden);
+    refused("const A = [1];\nfn f() { loop { global::A; } }\nf();", "line 2, column 23", &hidden);
+    refused("const A = [1];\nloop { global :: A; }", "line 2, column 15", &hidden);
+    assert!(load_ok("let global = 2; place(\"a\", box(global, 1, 1));"), "a name like any other");
+    let text = "y".repeat(5000);
+    refused(&format!("\nloop {{ \"{text}\".to_upper(); }}"), "line 2, column 8", &["a string is over 4096 bytes"]);
+    refused(&format!("loop {{ `{text}${{1}}`; }}"), "line 1, column 8", &["a string is over 4096 bytes"]);
+    // Variables of modules are small, and may be read often.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    fs::write(&path, "import \"m\" as m;\nfor i in 0..100000 { m::A; }\nplace(\"a\", m::large());").unwrap();
+    let large = "fn large() { let a = []; a.pad(4000, 1); box(a[3999], 1, 1) }";
+    let module = |value: &str| fs::write(folder.path().join("m.rhai"), format!("export const A = {value};\n{large}"));
+    module("[1, 2, [3, \"four\"]]").unwrap();
+    load(&path).0.unwrap();
+    for value in [format!("[{}1]", "1, ".repeat(64)), format!("#{{ a: [[{}1]] }}", "1, ".repeat(64))] {
+        module(&value).unwrap();
+        let e = load(&path).0.unwrap_err().to_string();
+        assert!(e.contains("m.rhai: variable \"A\" of the module has over 64 elements; return it from"), "{e}");
+    }
+}
+
+/// What steps do that no limit counts is ended by the clock.
+#[test]
+fn a_script_that_only_copies_ends() {
+    let chain = ".extract(0, 4000)".repeat(60);
+    let start = Instant::now();
+    let e = load_text(&format!("let a = []; a.pad(4000, 1); loop {{ a{chain}; }}")).unwrap_err().to_string();
+    assert!(e.contains("the script takes over"), "{e}");
+    let most = Duration::from_secs(presight::limits::MAX_SCRIPT_SECONDS) + SOON;
+    assert!(start.elapsed() < most, "{:?}", start.elapsed());
+}
+
+fn load_text(text: &str) -> Result<usize, presight::Error> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.rhai");
+    fs::write(&path, text).unwrap();
+    load(&path).0.map(|scene| scene.environment.objects().len())
 }
 
 fn load_ok(text: &str) -> bool {

@@ -10,10 +10,10 @@ mod radar;
 use common::scenes;
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeatureOptions, FeaturePrediction, PlacedFeature, predict_features};
-use presight::virtual_sensors::{Answer, Input, Settings, VirtualSensor};
+use presight::features::{FeaturePrediction, FeatureSettings, PlacedFeature, predict_features};
+use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
 use presight::{
-    Angles, Backend, Camera, Environment, ErrorKind, Geometry, IdScheme, NewObject, Options, Outputs, Pose, Prediction,
+    Angles, Backend, Camera, Environment, ErrorKind, Geometry, NewObject, Options, Outputs, Pose, Prediction,
     Predictor, Request, Scanner, Sensor, SensorSpec, World,
 };
 
@@ -50,8 +50,8 @@ fn camera(class: &str, width: u32, height: u32, f: f64) -> SensorSpec {
 }
 
 fn predict(world: &World, sensor: &Sensor, pose: &Pose) -> Prediction {
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
-    predictor.predict(world, sensor, pose, &Request { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
+    predictor.predict(world, sensor, pose, &Request::of(Outputs::default())).unwrap()
 }
 
 /// Predicts and reduces.
@@ -67,8 +67,8 @@ fn of(
     features: Option<&FeaturePrediction>,
     settings: &Settings,
 ) -> Answer {
-    let input = Input { environment, prediction, ids: IdScheme::Model, features };
-    let reading = v.reduce(&input, settings).unwrap();
+    let view = View::of(prediction, environment);
+    let reading = v.reduce(&features.map_or(view, |f| view.with_features(f)), settings).unwrap();
     assert_eq!(reading.name, v.name());
     assert!(!reading.summary().is_empty());
     serde_json::to_string(&reading).unwrap();
@@ -95,7 +95,7 @@ fn seen(world: &World, prediction: &Prediction, features: Vec<Feature>) -> Featu
     let placed: Vec<PlacedFeature> =
         features.into_iter().map(|feature| PlacedFeature { feature, object: None, slots: Vec::new() }).collect();
     let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
-    predict_features(world, sensor, pose, &prediction.images, &placed, &FeatureOptions::default()).unwrap()
+    predict_features(world, sensor, pose, &prediction.images, &placed, &FeatureSettings::default()).unwrap()
 }
 
 #[test]
@@ -145,8 +145,7 @@ fn what_is_missing_is_named() {
     let sensor = Sensor::new(spec).unwrap();
     let mut prediction = predict(&world, &sensor, &Pose::IDENTITY);
     let reduce = |v: VirtualSensor, prediction: &Prediction| {
-        let input = Input { environment: world.environment(), prediction, ids: IdScheme::Model, features: None };
-        v.reduce(&input, &Settings::default()).unwrap_err()
+        v.reduce(&View::of(prediction, world.environment()), &Settings::default()).unwrap_err()
     };
     let e = reduce(VirtualSensor::Edges, &prediction);
     assert!(e.kind() == ErrorKind::Usage && e.remedy().contains("--layer"), "{e}");

@@ -16,7 +16,7 @@ use common::{Random, data, env_number, scenes};
 use glam::{DMat3, DVec2, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, FeatureStats, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility,
+    FeaturePrediction, FeatureSettings, FeatureStats, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility,
     predict_features,
 };
 use presight::{
@@ -69,7 +69,7 @@ fn edges(environment: &Environment, most: usize, random: &mut Random) -> Vec<Pla
 
 fn predict(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> (FeaturePrediction, Images) {
     let images = common::reference(&common::plan(world, sensor, pose));
-    let options = FeatureOptions { feature_id: true, ..FeatureOptions::default() };
+    let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     (predict_features(world, sensor, pose, &images, placed, &options).unwrap(), images)
 }
 
@@ -216,7 +216,7 @@ fn lens_as_table() -> Sensor {
 fn in_both_ways(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> [FeaturePrediction; 2] {
     let images = common::reference(&common::plan(world, sensor, pose));
     [Visibility::Image, Visibility::Rays].map(|visibility| {
-        let options = FeatureOptions { visibility, ..FeatureOptions::default() };
+        let options = FeatureSettings { visibility, ..FeatureSettings::default() };
         predict_features(world, sensor, pose, &images, placed, &options).unwrap()
     })
 }

@@ -1,18 +1,20 @@
 //! `presight batch`: one sensor at many poses, into a folder.
 
-use super::load::{self, Scene};
 use super::outputs::check_no_dash;
-use super::pose::{GivenPose, PoseFrame, PoseOf, WorldFrame};
+use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::predict::BackendArg;
-use super::{Verdict, bar, folder, print};
+use super::{Verdict, bar, folder, open_scene, print};
 use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, Sensed};
+use presight::frames::GivenPose;
 use presight::index::Scheme;
 use presight::internal::{inputs, text};
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::rows::Rows;
 use presight::io::{exr, load_sensor, log, sensor_toml, tum};
-use presight::{Error, IdScheme, Options, Output, Outputs, Pose, Predictor, Request, Result, Sensor, Threads};
+use presight::{
+    Error, IdScheme, ImageRequest, Options, Output, Outputs, Pose, Predictor, Result, Scene, Sensor, Threads, blake3_of,
+};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -122,13 +124,16 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let threads = Threads::from(args.threads).started()?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     print::notices(&notices);
-    let request = args.request(&sensor)?;
+    let mut request = args.request(&sensor)?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = load::scene(&args.scene, &import, Scheme::default())?;
+    let scene = open_scene(&args.scene, &import, Scheme::default())?;
     let poses = PoseFile::read(&args.poses, |pose| {
-        let pose = args.given(pose)?.of_sensor(sensor.spec(), &scene.world_from_gltf);
-        request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))
+        let pose = args.given(pose)?.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+        request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))?;
+        Ok(pose)
     })?;
+    // The same for all parts.
+    request.height = Some(poses.first.translation.z);
     let items = args.items(poses.count);
     args.check_inputs()?;
     folder::ready(&args.out)?;
@@ -142,7 +147,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         let (done, all) = (rows.next() - items.start, items.len());
         print::message(&format!("note: {done} of {all} poses are finished already; this goes on with the others"));
     }
-    let mut predictor = Predictor::new(Options { backend: args.backend.into(), threads: threads.clone() })?;
+    let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
     job.write(&mut predictor, &threads, &mut rows, items)?;
     rows.finish()?;
     Ok(Verdict::Done)
@@ -150,7 +155,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
 
 impl Args {
     fn given(&self, pose: Pose) -> Result<GivenPose> {
-        GivenPose::new(pose, self.pose_frame, self.pose_of, self.world_frame)
+        given_pose(pose, self.pose_frame, self.pose_of, self.world_frame)
     }
 
     fn request(&self, sensor: &Sensor) -> Result<BatchRequest> {
@@ -172,7 +177,7 @@ impl Args {
             Some(frame) => Some(read_sensed(frame, sensor, cell).map_err(|e| e.at(format!("--likelihood {frame}")))?),
             None => None,
         };
-        let images = outputs.map(|outputs| Request { outputs, ids: IdScheme::Model });
+        let images = outputs.map(ImageRequest::from);
         Ok(BatchRequest { images, likelihood, headings, ..BatchRequest::default() })
     }
 
@@ -218,7 +223,7 @@ impl Args {
         let hash = |text: String| blake3::hash(text.as_bytes()).to_hex().to_string();
         let environment = scene.world.environment();
         let sensed = match &self.likelihood {
-            Some(frame) => load::blake3_of(&frame_of(frame).0)?,
+            Some(frame) => blake3_of(&frame_of(frame).0)?,
             None => String::new(),
         };
         let request = format!(
@@ -235,7 +240,7 @@ impl Args {
         Ok(serde_json::json!({
             "format": 1,
             "presight": env!("CARGO_PKG_VERSION"),
-            "scene": format!("{} {}", load::blake3_of(&self.scene)?, environment.content_hash()),
+            "scene": format!("{} {}", blake3_of(&self.scene)?, environment.content_hash()),
             "sensor": hash(sensor_toml::to_string(sensor.spec())),
             "poses": poses.blake3,
             "request": hash(request),
@@ -310,27 +315,30 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<Sensed> {
 /// A file of poses that was read once: whatever is wrong with it is known before anything is done.
 struct PoseFile {
     count: usize,
+    /// Of the sensor.
+    first: Pose,
     blake3: String,
 }
 
 impl PoseFile {
-    fn read(path: &Path, check: impl Fn(Pose) -> Result<()>) -> Result<Self> {
+    fn read(path: &Path, of_sensor: impl Fn(Pose) -> Result<Pose>) -> Result<Self> {
         let mut hasher = blake3::Hasher::new();
-        let mut count = 0;
+        let (mut count, mut first) = (0, None);
         for stamped in tum::stream(path)? {
             let tum::Stamped { time, pose } = stamped?;
-            check(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
+            let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
+            first.get_or_insert(placed);
             count += 1;
             let numbers = [&[time][..], &pose.translation.to_array(), &pose.rotation.to_array()].concat();
             for number in numbers {
                 hasher.update(&number.to_bits().to_le_bytes());
             }
         }
-        if count == 0 {
+        let Some(first) = first else {
             let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
             return Err(Error::invalid("there is no pose", remedy).in_file(path));
-        }
-        Ok(Self { count, blake3: hasher.finalize().to_hex().to_string() })
+        };
+        Ok(Self { count, first, blake3: hasher.finalize().to_hex().to_string() })
     }
 }
 
@@ -351,7 +359,7 @@ impl<'a> Job<'a> {
             sensor: Some(sensor_toml::to_string(seen_by.spec())),
             world_from_sensor: None,
             scene: Some(args.scene.display().to_string()),
-            scene_blake3: Some(load::blake3_of(&args.scene)?),
+            scene_blake3: Some(blake3_of(&args.scene)?),
             ids: Some(IdScheme::Model),
             objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
         };
@@ -378,8 +386,9 @@ impl<'a> Job<'a> {
         let mut times = stream()?.map(|stamped| stamped.map(|s| s.time));
         // Checked before; what changed since ends the batch.
         let mut fault = None;
-        let poses = stream()?.map_while(|stamped| match stamped.and_then(|s| self.args.given(s.pose)) {
-            Ok(given) => Some(given.of_sensor(self.sensor.spec(), &self.scene.world_from_gltf)),
+        let place = |pose| self.args.given(pose)?.of_sensor(self.sensor.spec(), &self.scene.world_from_gltf);
+        let poses = stream()?.map_while(|stamped| match stamped.and_then(|s| place(s.pose)) {
+            Ok(pose) => Some(pose),
             Err(e) => {
                 fault = Some(e);
                 None

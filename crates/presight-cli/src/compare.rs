@@ -1,7 +1,7 @@
 //! `presight compare`: do two predictions agree?
 
 use super::outputs::OutputFiles;
-use super::{Verdict, load, print};
+use super::{Verdict, open_scene, print};
 use clap::ValueEnum;
 use presight::compare::{Precision, Report, compare, compare_exactly};
 use presight::index::Scheme;
@@ -9,9 +9,9 @@ use presight::io::atomic::write_atomically;
 use presight::io::exr::{self, Attributes, ImageFile};
 use presight::io::gltf::ImportOptions;
 use presight::io::sensor_toml;
-use presight::plan::{FramePlan, IdScheme, Images, Output, Outputs, Request};
+use presight::plan::{FramePlan, IdScheme, Images, Output, Outputs};
 use presight::sensor::Sensor;
-use presight::{Error, Result};
+use presight::{Error, ImageRequest, Result, blake3_of};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -178,7 +178,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
     let world_from_sensor = attributes.world_from_sensor.ok_or_else(|| missing("world_from_sensor"))?;
     let in_sensor = |e: Error| e.at("attribute \"presight:sensor\"").in_file(&args.reference);
     let sensor = sensor_toml::parse(text, "sensor", None).and_then(Sensor::new).map_err(in_sensor)?;
-    if attributes.scene_blake3.as_ref().is_some_and(|wanted| load::blake3_of(scene).is_ok_and(|is| is != *wanted)) {
+    if attributes.scene_blake3.as_ref().is_some_and(|wanted| blake3_of(scene).is_ok_and(|is| is != *wanted)) {
         let was = attributes.scene.as_deref().unwrap_or("another file");
         let what = format!("is not the scene that {} was predicted from", args.reference.display());
         return Err(Error::invalid(what, format!("give {was} as it was then, or predict again")).in_file(scene));
@@ -190,8 +190,8 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
         merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
         ..default
     };
-    let world = load::scene(scene, &options, Scheme::default())?.world;
-    let request = Request { outputs: reference.images.outputs(), ids };
+    let world = open_scene(scene, &options, Scheme::default())?.world;
+    let request = ImageRequest { outputs: reference.images.outputs(), ids };
     let plan = FramePlan::new(&world, &sensor, &world_from_sensor, &request)?;
     compare(&reference.images, other, &plan, args.precision.into())
 }

@@ -1,7 +1,7 @@
 //! `presight index`: what the spatial indexes cost and how well they select.
 
 use super::outputs::OutputFiles;
-use super::{Verdict, folder, load, print};
+use super::{Verdict, folder, open_scene, print};
 use presight::Result;
 use presight::Threads;
 use presight::free_poses::free_poses;
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
     let given = args.poses.as_deref().map(folder::poses).transpose()?;
-    let world = load::scene(&args.scene, &import, Scheme::default())?.world;
+    let world = open_scene(&args.scene, &import, Scheme::default())?.world;
     let seed = given.is_none().then_some(args.seed);
     let poses: Vec<Pose> = match given {
         Some(given) => given,
@@ -105,7 +105,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     files.check_read()?;
     args.out.as_deref().map(folder::ready).transpose()?;
     let count = poses.len();
-    let options = Options { backend: Backend::Cpu, threads };
+    let options = Options::new(Backend::Cpu).with_threads(threads);
     let study = Study { poses, sensors, options, repeats: args.repeat as usize };
     let progress = |what: &str| {
         if std::io::stderr().is_terminal() {

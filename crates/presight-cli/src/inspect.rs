@@ -1,13 +1,13 @@
 //! `presight inspect`: what is in a model, and what is wrong with it.
 
-use super::load::{self, Scene};
+use super::open_scene;
 use super::{Verdict, print};
 use presight::environment::{Appearance, Environment, Material, Object};
 use presight::geometry::{Aabb, Pose};
 use presight::index::Scheme;
 use presight::io::gltf::ImportOptions;
 use presight::placement;
-use presight::{Error, Result};
+use presight::{Error, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -41,7 +41,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Verdict> {
     let mut options = ImportOptions::default();
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
-    let mut scene = load::scene(&args.scene, &options, Scheme::None)?;
+    let mut scene = open_scene(&args.scene, &options, Scheme::None)?;
     scene.report.problems.extend(placement::problem(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);

@@ -1,24 +1,15 @@
 //! Features in a prediction: layers read and placed, visibility predicted, results written.
 
-use super::load::Scene;
-use super::pose::GivenPose;
 use super::pose_cov;
 use super::print;
-use presight::environment::{Feature, FeatureLayer};
-use presight::features::roi::PoseCovariance;
-use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature, SeenFeature, place, predict_features,
-    sides_seen_in_part,
-};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
+use presight::frames::GivenPose;
 use presight::geometry::Pose;
-use presight::io::layer::LayerFile;
-use presight::io::{layer, prediction_json};
-use presight::placement::{self, Placement};
-use presight::plan::{IdScheme, Images, Output, Outputs, Stats};
+use presight::io::prediction_json;
+use presight::plan::{Output, Outputs};
 use presight::sensor::Sensor;
 use presight::virtual_sensors::{VirtualReading, VirtualSensor};
-use presight::{Error, Result};
-use presight::{Prediction, Predictor};
+use presight::{Error, Prediction, Request, Result, Scene, SceneFeatures};
 use std::path::{Path, PathBuf};
 
 /// Which features are predicted, and where they go.
@@ -72,11 +63,8 @@ impl Asked {
     }
 }
 
-/// Features placed in a world, ready to be predicted.
+/// What is asked for of features.
 pub struct Layers {
-    placed: Vec<PlacedFeature>,
-    /// Sensor class, and numbers of the scene's own features that lie on no polygon any more.
-    lost: (String, Vec<u32>),
     options: FeatureOptions,
     boxes: BoxOptions,
     /// Something shows the boxes, or only they were asked for.
@@ -141,7 +129,6 @@ impl LayerArgs {
         scene: &Scene,
         sensor: &Sensor,
         (pose, world_from_sensor): (&GivenPose, &Pose),
-        ids: IdScheme,
         asked: Asked,
     ) -> Result<Option<Layers>> {
         if !self.is_asked(asked) {
@@ -157,29 +144,25 @@ impl LayerArgs {
             let what = format!("features are asked for, and the scene has none for class {class:?}");
             return Err(Error::usage(what, "give a --layer (presight features generates one)"));
         }
-        let mut loaded = layer::load(own, &self.layers, class)?;
-        if let Some(v) = asked.virtual_sensor.filter(|v| v.needs_features()) {
-            loaded.layers.iter_mut().for_each(|l| l.layer.features.retain(|f| v.wants(&f.shape)));
+        let wanted = asked.virtual_sensor.filter(|v| v.needs_features());
+        let SceneFeatures { placed, other_classes } =
+            scene.place_layers_of(&self.layers, class, |shape| wanted.is_none_or(|v| v.wants(shape)))?;
+        if other_classes > 0 {
+            print::message(&format!(
+                "note: {other_classes} features are for other classes than {class:?} and left out"
+            ));
         }
-        if loaded.other_classes > 0 {
-            let n = loaded.other_classes;
-            print::message(&format!("note: {n} features are for other classes than {class:?} and left out"));
-        }
-        let (Placement { placed, off }, objects) = place_all(scene, &loaded.layers)?;
-        let feature_id = asked.feature_id();
-        let options = FeatureOptions { time: self.time, ids, feature_id, ..FeatureOptions::default() };
+        let mut options = FeatureOptions::default().with_placed(placed);
+        options.time = self.time;
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
-        let default = BoxOptions::default();
-        let boxes = BoxOptions {
-            sensor: pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf),
-            objects,
-            confidence: self.confidence.unwrap_or(default.confidence),
-            ..default
-        };
+        let of_sensor =
+            pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf);
+        let mut boxes = BoxOptions::default().with_sensor(of_sensor);
+        boxes.confidence = self.confidence.unwrap_or(boxes.confidence);
         // An image of numbers and the answer of a virtual sensor are made without boxes.
-        let only_without = (feature_id || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
+        let only_without = (asked.feature_id() || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
         let boxed = self.features.is_some() || asked.preview || !only_without;
-        Ok(Some(Layers { placed, lost: (class.clone(), off), options, boxes, boxed }))
+        Ok(Some(Layers { options, boxes, boxed }))
     }
 
     /// Writes the prediction's file, if one is asked for.
@@ -187,112 +170,26 @@ impl LayerArgs {
         &self,
         scene: &Scene,
         prediction: &Prediction,
-        features: Option<(&Layers, &FeaturePrediction)>,
+        layers: Option<&Layers>,
         reading: Option<&VirtualReading>,
     ) -> Result<()> {
         let Some(path) = &self.features else { return Ok(()) };
         let header = prediction_json::Header {
             sensor: prediction.sensor.spec().name.clone(),
             world_from_sensor: prediction.world_from_sensor,
-            pose_covariance: features.map(|(layers, _)| layers.boxes.sensor),
-            confidence: features.map(|(layers, _)| layers.boxes.confidence),
+            pose_covariance: layers.map(|layers| layers.boxes.sensor),
+            confidence: layers.map(|layers| layers.boxes.confidence),
         };
         let none = FeaturePrediction::default();
-        let seen = features.map_or(&none, |(_, seen)| seen);
+        let seen = prediction.features.as_ref().unwrap_or(&none);
         prediction_json::write(path, &header, seen, scene.world.environment(), reading)
     }
 }
 
-/// Covariances of objects' poses, by index.
-type ObjectPoses = Vec<(u32, PoseCovariance)>;
-
-/// Finds where the features of each layer lie, by that layer's tolerance, and what is known of objects' poses. Features of the
-/// scene's own layer may have lost their surface since they were put in, and are set apart; those of a file are to be right, but for
-/// those that it says lost theirs.
-/// Errors name the layer's file; of the scene's own layer that is the scene's.
-fn place_all(scene: &Scene, layers: &[LayerFile]) -> Result<(Placement, ObjectPoses)> {
-    let (mut all, mut objects) = (Placement::default(), ObjectPoses::new());
-    for LayerFile { layer, path, lost, .. } in layers {
-        let in_file = |e: Error| e.in_file(path.as_ref().unwrap_or(&scene.path));
-        let mut set_apart = |layer: &FeatureLayer| -> Result<()> {
-            let Placement { placed, off } = placement::find(&scene.world, layer).map_err(in_file)?;
-            all.placed.extend(placed);
-            all.off.extend(off);
-            Ok(())
-        };
-        match path {
-            None => set_apart(layer)?,
-            Some(_) if lost.is_empty() => all.placed.extend(place(&scene.world, layer).map_err(in_file)?),
-            Some(_) => {
-                let is_lost = |f: &Feature| lost.binary_search(&f.id).is_ok();
-                let (marked, others) = layer.features.iter().cloned().partition(is_lost);
-                set_apart(&FeatureLayer { features: marked, ..layer.clone() })?;
-                let others = FeatureLayer { features: others, ..layer.clone() };
-                all.placed.extend(place(&scene.world, &others).map_err(in_file)?);
-            }
-        }
-        for (object, covariance) in &layer.pose_covariances {
-            objects.push((scene.world.environment().index_of(object).map_err(in_file)?, *covariance));
-        }
-    }
-    all.placed.sort_by_key(|p| p.feature.id);
-    all.off.sort_unstable();
-    Ok((all, objects))
-}
-
 impl Layers {
-    /// What the sensor sees of the outlines of patches that it sees in part, for pictures.
-    pub fn sides(
-        &self,
-        predictor: &mut Predictor,
-        scene: &Scene,
-        prediction: &Prediction,
-        seen: &FeaturePrediction,
-    ) -> Result<Vec<SeenFeature>> {
-        let sides = sides_seen_in_part(&self.placed, seen);
-        let (world, options) = (&scene.world, FeatureOptions { feature_id: false, ..self.options });
-        let Prediction { sensor, world_from_sensor, images, .. } = prediction;
-        let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &options);
-        Ok(predictor.on_threads(predict)??.features)
-    }
-
-    /// What is to be known of features that are left out because nothing is under them.
-    fn tell_lost(&self, stats: &mut Stats) {
-        const LISTED: usize = 10;
-        let (class, lost) = &self.lost;
-        if lost.is_empty() {
-            return;
-        }
-        stats.count("features off their polygons", lost.len());
-        let mut ids: Vec<String> = lost.iter().take(LISTED).map(u32::to_string).collect();
-        ids.extend((lost.len() > LISTED).then(|| "..".to_owned()));
-        let (count, ids) = (lost.len(), ids.join(", "));
-        let subject = if count == 1 { "1 feature".to_owned() } else { format!("{count} features") };
-        stats.notices.push(format!(
-            "{subject} for class {class:?} left out: the surface below is gone ({ids}); alter or delete them, or put back what \
-             was moved; presight inspect tells more"
-        ));
-    }
-
-    /// Predicts them from images just made, notes what it cost, and puts `feature_id` among the images.
-    pub fn predict(
-        &self,
-        predictor: &mut Predictor,
-        scene: &Scene,
-        prediction: &Prediction,
-        images: &mut Images,
-        stats: &mut Stats,
-    ) -> Result<FeaturePrediction> {
-        let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
-        let (world, placed) = (&scene.world, &self.placed);
-        let mut features = predictor.predict_features(world, sensor, pose, images, placed, &self.options, stats)?;
-        images.feature_id = std::mem::take(&mut features.feature_id);
-        self.tell_lost(stats);
-        if self.boxed {
-            predictor.add_boxes(&mut features, placed, world, sensor, pose, &self.boxes, stats)?;
-        } else {
-            stats.leave_out("regions of interest", "nothing that is asked for shows them");
-        }
-        Ok(features)
+    /// The request with their features.
+    pub fn add_to(&self, request: Request) -> Request {
+        let request = request.with_features(self.options.clone());
+        if self.boxed { request.with_regions(self.boxes.clone()) } else { request }
     }
 }

@@ -11,7 +11,6 @@ mod folder;
 mod index;
 mod inspect;
 mod layers;
-mod load;
 mod outputs;
 pub mod pose;
 pub mod pose_cov;
@@ -25,8 +24,13 @@ mod statistics;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use presight::Result;
+use presight::index::Scheme;
+#[cfg(not(all(feature = "report", feature = "store")))]
+use presight::io;
+use presight::io::gltf::ImportOptions;
+use presight::{Result, Scene, SceneOptions};
 use std::any::TypeId;
+use std::path::Path;
 use std::process::ExitCode;
 
 /// Predicts what a robot's sensors should see.
@@ -115,11 +119,11 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
         #[cfg(not(feature = "report"))]
-        Command::Report { .. } => Err(load::no_report()),
+        Command::Report { .. } => Err(io::not_built("studies", "report")),
         #[cfg(feature = "store")]
         Command::Env(args) => env::run(&args),
         #[cfg(not(feature = "store"))]
-        Command::Env { .. } => Err(load::no_store()),
+        Command::Env { .. } => Err(io::not_built("stored environments", "store")),
     };
     conclude(done)
 }
@@ -139,6 +143,12 @@ fn command() -> clap::Command {
         command.mut_args(negative).mut_subcommands(numbers)
     }
     numbers(Cli::command())
+}
+
+/// Opens a scene; what a script prints goes to stderr.
+fn open_scene(path: &Path, import: &ImportOptions, index: Scheme) -> Result<Scene> {
+    let options = SceneOptions::default().with_import(import.clone()).with_index(index);
+    Scene::open_with(path, &options, &mut print::message)
 }
 
 /// What a command found, if it ended.

@@ -98,6 +98,9 @@ impl OutputFiles {
     /// # Errors
     /// As [`OutputFiles::check_named`].
     pub fn check_read(self) -> Result<()> {
+        if self.files.is_empty() {
+            return Ok(());
+        }
         // No store is open now: whoever closes one, even a second time, gives up this process's locks on it.
         self.check_named(inputs::so_far().iter().map(PathBuf::as_path))
     }

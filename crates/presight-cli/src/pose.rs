@@ -2,11 +2,9 @@
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
-use presight::features::roi::PoseCovariance;
-use presight::features::sensor_covariance;
+use presight::frames::{self, GivenPose};
 use presight::geometry::Pose;
 use presight::limits;
-use presight::sensor::{SensorSpec, body_from_optical_rotation};
 use presight::{Error, Result};
 
 /// Which axes a pose turns.
@@ -64,72 +62,33 @@ impl PoseArgs {
     /// # Errors
     /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
     pub fn parse(&self) -> Result<GivenPose> {
+        // What is wrong with the flags is said before what is wrong with the numbers.
+        given_pose(Pose::IDENTITY, self.pose_frame, self.pose_of, self.world_frame)?;
         let pose = parse_pose(&self.pose).map_err(|e| e.at(format!("--pose {}", self.pose)))?;
-        GivenPose::new(pose, self.pose_frame, self.pose_of, self.world_frame)
+        given_pose(pose, self.pose_frame, self.pose_of, self.world_frame)
     }
 }
 
-/// A pose as given, with what it means.
-#[derive(Clone, Copy, Debug)]
-pub struct GivenPose {
-    pose: Pose,
-    frame: PoseFrame,
-    of: PoseOf,
-    world: WorldFrame,
-}
-
-impl GivenPose {
-    /// A pose from a file, in the frame that flags name.
-    ///
-    /// # Errors
-    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
-    pub fn new(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<Self> {
-        if of == PoseOf::Robot && frame == PoseFrame::Optical {
-            let remedy = "drop --pose-frame optical, or give the pose of the sensor";
-            return Err(Error::usage("--pose-of robot: a robot has no optical frame", remedy));
-        }
-        Ok(Self { pose, frame, of, world })
-    }
-
-    /// world_from_sensor, body axes, in presight's world.
-    pub fn of_sensor(&self, sensor: &SensorSpec, world_from_gltf: &Pose) -> Pose {
-        let mut pose = self.pose;
-        if self.frame == PoseFrame::Optical {
-            let optical_from_body = body_from_optical_rotation().conjugate();
-            pose = pose * Pose { rotation: optical_from_body, translation: DVec3::ZERO };
-        }
-        if self.of == PoseOf::Robot {
-            pose = pose * sensor.mount;
-        }
-        if self.world == WorldFrame::Gltf {
-            pose = *world_from_gltf * pose;
-        }
-        pose
-    }
-
-    /// The covariance of the sensor's pose along the axes of presight's world, from that of the pose as given.
-    pub fn covariance_of_sensor(
-        &self,
-        covariance: &PoseCovariance,
-        sensor: &SensorSpec,
-        world_from_sensor: &Pose,
-        world_from_gltf: &Pose,
-    ) -> PoseCovariance {
-        let mut moved = *covariance;
-        if self.world == WorldFrame::Gltf {
-            let turn = world_from_gltf.rotation_matrix().transpose().to_cols_array_2d();
-            let turn = |i: usize, k: usize| if i / 3 == k / 3 { turn[i % 3][k % 3] } else { 0.0 };
-            let cell = |i: usize, j: usize| {
-                (0..36).map(|kl| turn(i, kl / 6) * covariance[kl / 6][kl % 6] * turn(j, kl % 6)).sum()
-            };
-            moved = std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j)));
-        }
-        if self.of == PoseOf::Robot {
-            let world_from_robot = world_from_sensor.rotation * sensor.mount.rotation.conjugate();
-            moved = sensor_covariance(&moved, world_from_robot * sensor.mount.translation);
-        }
-        moved
-    }
+/// A pose that means what the flags say.
+///
+/// # Errors
+/// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
+pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<GivenPose> {
+    let frame = match frame {
+        PoseFrame::Body => frames::PoseFrame::Body,
+        PoseFrame::Optical => frames::PoseFrame::Optical,
+    };
+    let of = match of {
+        PoseOf::Sensor => frames::PoseOf::Sensor,
+        PoseOf::Robot => frames::PoseOf::Robot,
+    };
+    let world = match world {
+        WorldFrame::ZUp => frames::WorldFrame::ZUp,
+        WorldFrame::Gltf => frames::WorldFrame::Gltf,
+    };
+    let given = GivenPose::new(pose).with_frame(frame).with_of(of).with_world(world);
+    given.check()?;
+    Ok(given)
 }
 
 const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";
@@ -162,26 +121,10 @@ pub fn parse_pose(text: &str) -> Result<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::sensor::{Camera, Geometry};
 
     fn given(text: &str) -> PoseArgs {
         let (pose_frame, pose_of, world_frame) = (PoseFrame::Body, PoseOf::Sensor, WorldFrame::ZUp);
         PoseArgs { pose: text.into(), pose_frame, pose_of, world_frame }
-    }
-
-    fn camera() -> SensorSpec {
-        let geometry = Geometry::Camera(Camera::pinhole(2, 2, 1.0, 1.0, 0.5, 0.5));
-        let mount = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 2.0), 0.0, 0.0, 0.0);
-        SensorSpec { mount, ..SensorSpec::new("c", "video", geometry) }
-    }
-
-    fn y_up() -> Pose {
-        Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0)
-    }
-
-    fn forward(args: &PoseArgs) -> (DVec3, DVec3) {
-        let pose = args.parse().unwrap().of_sensor(&camera(), &y_up());
-        (pose.translation, pose.rotation * DVec3::X)
     }
 
     fn near(a: DVec3, b: DVec3) -> bool {
@@ -190,27 +133,12 @@ mod tests {
 
     #[test]
     fn both_notations_and_negative_numbers_are_read() {
-        let (p, f) = forward(&given("-1,2.5,-3e-1,0,0,90"));
+        let forward =
+            |args: &PoseArgs| args.parse().map(|given| (given.pose.translation, given.pose.rotation * DVec3::X));
+        let (p, f) = forward(&given("-1,2.5,-3e-1,0,0,90")).unwrap();
         assert!(near(p, DVec3::new(-1.0, 2.5, -0.3)) && near(f, DVec3::Y));
-        let (p, f) = forward(&given("-1, 2, 3, 0, 0, 2, 2"));
+        let (p, f) = forward(&given("-1, 2, 3, 0, 0, 2, 2")).unwrap();
         assert!(near(p, DVec3::new(-1.0, 2.0, 3.0)) && near(f, DVec3::Y));
-    }
-
-    #[test]
-    fn an_optical_pose_looks_along_its_z() {
-        let args = PoseArgs { pose_frame: PoseFrame::Optical, ..given("0,0,0,0,0,0") };
-        let pose = args.parse().unwrap().of_sensor(&camera(), &y_up());
-        assert!(near(pose.rotation * DVec3::X, DVec3::Z));
-        assert!(near(pose.rotation * DVec3::Y, -DVec3::X));
-        assert!(near(pose.rotation * DVec3::Z, -DVec3::Y));
-    }
-
-    #[test]
-    fn a_robot_carries_its_sensor_and_gltf_worlds_are_turned_up() {
-        let args = PoseArgs { pose_of: PoseOf::Robot, ..given("1,0,0,0,0,0") };
-        assert!(near(forward(&args).0, DVec3::new(1.0, 0.0, 2.0)));
-        let args = PoseArgs { world_frame: WorldFrame::Gltf, ..given("1,2,3,0,0,0") };
-        assert!(near(forward(&args).0, DVec3::new(1.0, -3.0, 2.0)));
     }
 
     #[test]

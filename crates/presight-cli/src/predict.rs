@@ -1,25 +1,24 @@
 //! `presight predict`: what a sensor at a pose sees.
 
 use super::layers::{Asked, LayerArgs, Layers};
-use super::load::{self, Scene};
 use super::outputs::OutputFiles;
-use super::pose::{GivenPose, PoseArgs};
+use super::pose::PoseArgs;
 use super::statistics::{Statistics, Subject};
 use super::virtual_sensor::VirtualArgs;
-use super::{Verdict, print};
+use super::{Verdict, open_scene, print};
 use clap::ValueEnum;
 use presight::Threads;
 use presight::features::{FeaturePrediction, SeenFeature};
+use presight::frames::GivenPose;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor_toml};
 use presight::memory::{self, Frame};
-use presight::plan::{IdScheme, Output, Outputs, Request, Stats};
+use presight::plan::{IdScheme, Output, Outputs, Stats};
 use presight::sensor::{Geometry, Sensor};
 use presight::virtual_sensors::VirtualReading;
-use presight::{Backend, Options, Prediction, Predictor};
-use presight::{Error, Result};
+use presight::{Backend, Error, Options, Prediction, Predictor, Request, Result, Scene, blake3_of};
 use std::collections::HashSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -180,7 +179,7 @@ impl Args {
             pose,
             files,
             import: ImportOptions { threads: threads.clone(), ..import },
-            options: Options { backend: self.backend.into(), threads },
+            options: Options::new(self.backend.into()).with_threads(threads),
         })
     }
 
@@ -242,7 +241,7 @@ impl Args {
         if self.depth_png.is_some() {
             wanted.push(png::depth_output(sensor));
         }
-        Ok(Request { outputs: Outputs::of(&wanted), ids: self.scheme() })
+        Ok(Request::of(Outputs::of(&wanted)).with_ids(self.scheme()))
     }
 
     /// What the prediction and its files take of memory.
@@ -302,26 +301,24 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut predictor = Predictor::new(job.options)?;
     let frame = args.frame(&sensor, &request, &predictor);
     memory::require(frame.bytes())?;
-    let scene = load::scene(&args.scene, &job.import, args.index)?;
-    let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
-    let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.scheme(), args.asked())?;
+    let scene = open_scene(&args.scene, &job.import, args.index)?;
+    let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+    let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.asked())?;
     if layers.is_some() {
         sensor.check_projection().map_err(|e| e.in_file(&args.sensor))?;
     }
+    let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
     // What the scene has left.
     memory::require(frame.bytes())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
-    let mut features = of_layers(layers.as_ref(), &mut predictor, &scene, &mut prediction)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
     let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
     for _ in 0..repeat {
         let start = Instant::now();
-        let images = &mut prediction.images;
-        prediction.stats = predictor.predict_into(&scene.world, &sensor, &world_from_sensor, &request, images)?;
-        features = of_layers(layers.as_ref(), &mut predictor, &scene, &mut prediction)?;
+        predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction)?;
         times_ms.push(start.elapsed().as_secs_f64() * 1e3);
         runs.push(prediction.stats.clone());
     }
@@ -337,15 +334,13 @@ pub fn run(args: &Args) -> Result<Verdict> {
         outputs: request.outputs.iter().map(Output::name).collect(),
     };
     let statistics = Statistics::of(subject, &times_ms, &runs);
-    let reading = args.virtual_sensor.read(&scene, &prediction, args.scheme(), features.as_ref(), &settings)?;
-    let seen = layers.as_ref().zip(features.as_ref());
-    let sides = match seen.filter(|_| args.png.is_some()) {
-        Some((layers, seen)) => layers.sides(&mut predictor, &scene, &prediction, seen)?,
-        None => Vec::new(),
+    let reading = args.virtual_sensor.read(&scene, &prediction, &settings)?;
+    let sides = match args.png.is_some() {
+        true => predictor.predict_outlines(&scene.world, &prediction)?,
+        false => Vec::new(),
     };
-    let seen = seen.map(|(layers, features)| Seen { layers, features, sides: &sides });
     job.files.check_read()?;
-    write_files(args, &scene, &prediction, seen.as_ref(), reading.as_ref())?;
+    write_files(args, &scene, &prediction, (layers.as_ref(), &sides), reading.as_ref())?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
             .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
@@ -354,38 +349,17 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if args.explain {
         print::lines(statistics.explanation())?;
     } else if !args.writes_something() {
-        print::lines([summary(&scene, &prediction, features.as_ref(), &statistics)])?;
+        print::lines([summary(&scene, &prediction, &statistics)])?;
     }
     Ok(Verdict::Done)
 }
 
-/// Features as they are written.
-struct Seen<'a> {
-    layers: &'a Layers,
-    features: &'a FeaturePrediction,
-    /// Of patches that are seen in part.
-    sides: &'a [SeenFeature],
-}
-
-/// What is seen of the features of layers, if there are layers.
-fn of_layers(
-    layers: Option<&Layers>,
-    predictor: &mut Predictor,
-    scene: &Scene,
-    prediction: &mut Prediction,
-) -> Result<Option<FeaturePrediction>> {
-    let Some(layers) = layers else { return Ok(None) };
-    let (mut images, mut stats) = (std::mem::take(&mut prediction.images), std::mem::take(&mut prediction.stats));
-    let features = layers.predict(predictor, scene, prediction, &mut images, &mut stats);
-    (prediction.images, prediction.stats) = (images, stats);
-    features.map(Some)
-}
-
+/// Writes all files that are asked for; `sides` are of patches that are seen in part.
 fn write_files(
     args: &Args,
     scene: &Scene,
     prediction: &Prediction,
-    seen: Option<&Seen<'_>>,
+    (layers, sides): (Option<&Layers>, &[SeenFeature]),
     reading: Option<&VirtualReading>,
 ) -> Result<()> {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
@@ -394,9 +368,9 @@ fn write_files(
         exr::write(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &args.png {
-        let overlay = seen.map(|seen| png::Overlay {
-            features: seen.features,
-            sides: seen.sides,
+        let overlay = prediction.features.as_ref().map(|features| png::Overlay {
+            features,
+            sides,
             sensor,
             world_from_sensor: &prediction.world_from_sensor,
             numbers: args.layers.numbers(),
@@ -404,7 +378,7 @@ fn write_files(
         let mark = reading.and_then(VirtualReading::mask);
         png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref(), mark)?;
     }
-    args.layers.write(scene, prediction, seen.map(|seen| (seen.layers, seen.features)), reading)?;
+    args.layers.write(scene, prediction, layers, reading)?;
     args.virtual_sensor.tell(reading, args.layers.writes_something())?;
     if let Some(path) = &args.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
@@ -429,19 +403,14 @@ fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr
         sensor: Some(sensor_toml::to_string(prediction.sensor.spec())),
         world_from_sensor: Some(prediction.world_from_sensor),
         scene: Some(args.scene.display().to_string()),
-        scene_blake3: Some(load::blake3_of(&args.scene)?),
+        scene_blake3: Some(blake3_of(&args.scene)?),
         ids: Some(args.scheme()),
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
 }
 
 /// One line: what was predicted, what is in it, what it took.
-fn summary(
-    scene: &Scene,
-    prediction: &Prediction,
-    features: Option<&FeaturePrediction>,
-    statistics: &Statistics,
-) -> String {
+fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> String {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
     let percent = |n: usize| 100.0 * n as f64 / images.pixels() as f64;
@@ -460,7 +429,7 @@ fn summary(
         let there = scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
         parts.push(format!("{} of {there} objects seen", ids.len()));
     }
-    if let Some(FeaturePrediction { features, .. }) = features {
+    if let Some(FeaturePrediction { features, .. }) = &prediction.features {
         let seen = features.iter().filter(|f| !f.visible.is_empty()).count();
         parts.push(format!("{seen} of {} features seen", features.len()));
     }

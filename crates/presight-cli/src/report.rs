@@ -2,7 +2,7 @@
 
 use super::bar::bar;
 use super::outputs::OutputFiles;
-use super::{Verdict, features, folder, load, print};
+use super::{Verdict, features, folder, open_scene, print};
 use presight::Threads;
 use presight::free_poses::free_poses;
 use presight::index::Scheme;
@@ -162,7 +162,7 @@ impl Args {
         let given = self.poses.as_deref().map(folder::poses).transpose()?;
         let mut scenes = Vec::new();
         for path in &self.scenes {
-            let world = load::scene(path, &ImportOptions::default(), Scheme::default())?.world;
+            let world = open_scene(path, &ImportOptions::default(), Scheme::default())?.world;
             let poses = match &given {
                 Some(given) => given.clone(),
                 None => {

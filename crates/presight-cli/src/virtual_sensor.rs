@@ -1,16 +1,12 @@
 //! Virtual sensors in a prediction: what they need, and where their answer goes.
 
-use super::load::Scene;
 use super::print;
-use glam::DVec3;
-use presight::features::FeaturePrediction;
 use presight::geometry::Pose;
 use presight::io::{corridor, png};
-use presight::plan::{IdScheme, Output, Outputs, Request};
-use presight::sensor::{Geometry, RayTable, Sensor, SensorSpec};
-use presight::virtual_sensors::{Input, Settings, VirtualReading, VirtualSensor};
-use presight::{Error, Result};
-use presight::{Prediction, Predictor};
+use presight::plan::Outputs;
+use presight::sensor::Sensor;
+use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor, floor_below};
+use presight::{Error, Prediction, Predictor, Result, Scene};
 use std::path::PathBuf;
 
 /// The virtual sensor of a prediction.
@@ -82,22 +78,14 @@ impl VirtualArgs {
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
             && self.floor_z.is_none()
             && sensor.spec().mount == Pose::IDENTITY;
-        let below = if unknown { Some(floor_below(scene, sensor, pose, predictor)?) } else { None };
+        let below = if unknown { Some(floor_below(predictor, &scene.world, sensor, pose)?) } else { None };
         Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
     }
 
     /// Its answer, if one is asked for.
-    pub fn read(
-        &self,
-        scene: &Scene,
-        prediction: &Prediction,
-        ids: IdScheme,
-        features: Option<&FeaturePrediction>,
-        settings: &Settings,
-    ) -> Result<Option<VirtualReading>> {
+    pub fn read(&self, scene: &Scene, prediction: &Prediction, settings: &Settings) -> Result<Option<VirtualReading>> {
         let Some(task) = self.task else { return Ok(None) };
-        let input = Input { environment: scene.world.environment(), prediction, ids, features };
-        task.reduce(&input, settings).map(Some)
+        task.reduce(&View::of(prediction, scene.world.environment()), settings).map(Some)
     }
 
     /// Writes the mask, if it is asked for, and says in a line what was found unless that goes into a file.
@@ -108,19 +96,4 @@ impl VirtualArgs {
         }
         if in_file { Ok(()) } else { print::lines([reading.summary()]) }
     }
-}
-
-/// Height of what is straight below a sensor that does not say how high on its robot it is.
-fn floor_below(scene: &Scene, sensor: &Sensor, pose: &Pose, predictor: &mut Predictor) -> Result<f64> {
-    let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
-    let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
-    let at = Pose { translation: pose.translation, ..Pose::IDENTITY };
-    let request = Request { outputs: Outputs::of(&[Output::Range]), ..Request::default() };
-    let range = f64::from(predictor.predict(&scene.world, &probe, &at, &request)?.images.range[0]);
-    if !range.is_finite() {
-        let what = format!("sensor {:?} has no [mount], and nothing is below it", sensor.spec().name);
-        let remedy = "give --floor-z, or robot_from_sensor under [mount] in the sensor's file";
-        return Err(Error::usage(what, remedy).at("--virtual free-floor"));
-    }
-    Ok(pose.translation.z - range)
 }

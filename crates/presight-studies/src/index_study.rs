@@ -5,7 +5,7 @@ use glam::DVec3;
 use presight::World;
 use presight::geometry::{Aabb, Pose};
 use presight::index::{Found, Params, Region, Scheme, SplitAxis, polygon_meets};
-use presight::plan::{Images, Request, region_of};
+use presight::plan::{ImageRequest, Images, region_of};
 use presight::sensor::Sensor;
 use presight::{Error, Result};
 use presight::{Options, Predictor};
@@ -124,10 +124,10 @@ impl Study {
             );
             returned.push(found.count() as f64);
             if let Some(sensor) = query.sensor {
-                let request = Request::default();
+                let request = ImageRequest::default();
                 prediction.push(
                     fastest(self.repeats, || {
-                        predictor.predict_into(world, sensor, pose, &request, &mut images).map(|_| ())
+                        predictor.predict_images(world, sensor, pose, &request, &mut images).map(|_| ())
                     })? * 1e3,
                 );
             }

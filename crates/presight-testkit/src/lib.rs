@@ -13,13 +13,13 @@ pub mod scenes;
 pub mod skip;
 
 pub use presight::internal::SplitMix64 as Random;
-use presight::{FramePlan, IdScheme, Images, Outputs, Pose, Request, Sensor, World};
+use presight::{FramePlan, Images, Outputs, Pose, Request, Sensor, World};
 
 /// A plan that asks for everything.
 pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
     let all = Outputs::ALL;
     let outputs = if sensor.is_camera() { all } else { all.without(presight::Output::DepthZ) };
-    FramePlan::new(world, sensor, world_from_sensor, &Request { outputs, ids: IdScheme::Model }).expect("a sound pose")
+    FramePlan::new(world, sensor, world_from_sensor, &Request::of(outputs)).expect("a sound pose")
 }
 
 /// The reference's images.

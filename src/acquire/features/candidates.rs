@@ -1,7 +1,7 @@
 //! Lines that may be edges: sides of polygons that are not plainly smooth, and lines where polygons cross.
 
 use super::Kind;
-use super::effort::Effort;
+use super::effort::{Effort, steps};
 use super::soup::{Soup, clip, grown, sides};
 use super::wings::{Line, creased, join, sectors};
 use crate::error::Result;
@@ -10,9 +10,6 @@ use crate::index::Found;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::PI;
-
-/// Pairs that a line of a crossing counts as.
-const LINE: usize = 16;
 
 /// Sides of polygons, one for each pair of corners, without those over which exactly two surfaces of one material go
 /// on smoothly. Sides that only a part of a neighbour meets stay; what surrounds them is judged later.
@@ -63,21 +60,22 @@ pub(super) fn crossings(
     effort: &Effort<'_>,
 ) -> Result<Vec<Line>> {
     let faces = 0..soup.faces.len() as u32;
-    let steps = effort.stage("crossings", faces.len());
+    let stage = effort.stage("crossings", faces.len());
     let lines: Vec<Vec<Line>> = faces
         .into_par_iter()
         .map_init(Found::default, |found, i| {
             let f = &soup.faces[i as usize];
-            steps.step();
+            stage.step();
             if near.is_some_and(|n| !meet(n, &f.bounds)) {
                 return Ok(Vec::new());
             }
             let others = soup.near(&grown(&f.bounds, -touch.min(0.25 * f.bounds.size())), found);
-            effort.spend(others.len(), f.object, || f.bounds.center())?;
+            let mut thing = effort.thing(f.object);
+            thing.spend(steps::FOUND * others.len(), || f.bounds.center())?;
             let crossing = |&j: &u32| crossing(soup, i, j, touch, sizes);
             let lines: Vec<Line> = others.iter().filter(|&&j| j > i).filter_map(crossing).collect();
             // Each is looked at again, several times.
-            effort.spend(LINE * lines.len(), f.object, || f.bounds.center())?;
+            thing.spend(steps::LINE * lines.len(), || f.bounds.center())?;
             Ok(lines)
         })
         .collect::<Result<_>>()?;

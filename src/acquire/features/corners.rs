@@ -1,6 +1,6 @@
 //! Points where edges meet that are not in one line.
 
-use super::effort::Effort;
+use super::effort::{Effort, steps};
 use super::lines::{index_of, query};
 use super::soup::grown;
 use super::wings::Line;
@@ -20,7 +20,8 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64, effort: &Effort<'_>
             let mut directions: Vec<DVec3> = Vec::new();
             let mut first = true;
             let near = query(&index, &grown(&Aabb::of([p]), touch), &mut found);
-            effort.spend(near.len(), line.object, || p)?;
+            let mut thing = effort.thing(line.object);
+            thing.spend(steps::FOUND * near.len(), || p)?;
             for &j in near {
                 let other = &lines[j as usize];
                 // The first end at this place stands for all.
@@ -32,10 +33,12 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64, effort: &Effort<'_>
                 }
             }
             // At the first that meets another it ends.
-            let meet =
-                directions.iter().enumerate().any(|(n, a)| directions[..n].iter().any(|b| a.dot(*b).abs() < straight));
-            if first && meet {
-                corners.push((p, line.object));
+            for (n, a) in directions.iter().enumerate().filter(|_| first) {
+                thing.spend(n, || p)?;
+                if directions[..n].iter().any(|b| a.dot(*b).abs() < straight) {
+                    corners.push((p, line.object));
+                    break;
+                }
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Features before they are numbered, held to what placing them asks.
 
 use super::Kind;
-use super::effort::Effort;
+use super::effort::{Effort, steps};
 use super::lines::boxes_along;
 use super::patches::{Patch, parts};
 use super::soup::{Soup, grown};
@@ -13,6 +13,7 @@ use crate::geometry::{Aabb, Pose};
 use crate::index::Found;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::cell::RefCell;
 
 /// How far a feature may be off the polygons, metres. The layer's own tolerance leaves room for what a patch may be off
 /// besides, and for the roundings of another frame.
@@ -66,11 +67,11 @@ pub(super) fn on_the_surface(
     off: &mut usize,
     effort: &Effort<'_>,
 ) -> Result<Vec<Draft>> {
-    let steps = effort.stage("checking features", drafts.len());
+    let stage = effort.stage("checking features", drafts.len());
     let kept: Vec<Vec<Draft>> = drafts
         .into_par_iter()
         .map_init(Found::default, |found, draft| {
-            steps.step();
+            stage.step();
             if draft.lies(soup, found, effort)? {
                 return Ok(vec![draft]);
             }
@@ -101,9 +102,11 @@ impl Draft {
             }
             _ => soup.near(&grown(&Aabb::of(self.points.iter().copied()), DEFAULT_TOLERANCE), found),
         };
-        // Under a patch each polygon's sides are looked for on the others.
-        let pairs = if self.points.len() > 2 { near.len() * near.len() } else { near.len() };
-        effort.spend(pairs, self.object, || self.points[0])?;
-        Ok(lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR))
+        let thing = RefCell::new(effort.thing(self.object));
+        let spend = |steps: usize| thing.borrow_mut().spend(steps, || self.points[0]);
+        spend(steps::PLACED * near.len())?;
+        // Under a patch each polygon's sides are looked for on those that overlap it.
+        let compare = |pairs: usize| spend(steps::COVER * pairs);
+        lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR, &compare)
     }
 }

@@ -1,6 +1,6 @@
 //! Lines that continue each other become one; what two lines have in common belongs to one of them.
 
-use super::effort::Effort;
+use super::effort::{Effort, Steps, steps};
 use super::soup::grown;
 use super::wings::Line;
 use crate::error::Result;
@@ -20,29 +20,38 @@ pub(super) fn merged(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_
         by_object.entry(line.object).or_default().push(*line);
     }
     let groups: Vec<Vec<Line>> = by_object.into_values().collect();
-    let merge = |group: &Vec<Line>| merged_of_object(group, touch, kinds, effort);
+    let stage = effort.stage("lines", lines.len());
+    let merge = |group: &Vec<Line>| merged_of_object(group, touch, kinds, effort, &stage);
     let merged: Vec<Vec<Line>> = groups.par_iter().map(merge).collect::<Result<_>>()?;
     Ok(merged.into_iter().flatten().collect())
 }
 
-fn merged_of_object(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_>) -> Result<Vec<Line>> {
+fn merged_of_object(
+    lines: &[Line],
+    touch: f64,
+    kinds: bool,
+    effort: &Effort<'_>,
+    stage: &Steps<'_>,
+) -> Result<Vec<Line>> {
     let index = index_of(lines);
     let mut order: Vec<u32> = (0..lines.len() as u32).collect();
     order.sort_by(|a, b| lines[*b as usize].length().total_cmp(&lines[*a as usize].length()).then(a.cmp(b)));
     let mut taken = vec![false; lines.len()];
     let (mut found, mut near, mut all) = (Found::default(), Vec::new(), Vec::new());
     for seed in order {
+        stage.step();
         if std::mem::replace(&mut taken[seed as usize], true) {
             continue;
         }
         let line = &lines[seed as usize];
+        let mut thing = effort.thing(line.object);
         let (mut from, mut to) = (0.0f64, line.length());
         // Parts not yet asked about: first the whole, then what was added at the ends.
         let mut parts = vec![(from, to)];
         near.clear();
         while let Some((a, b)) = parts.pop() {
             let (ids, before) = (query_along(&index, &line.part(a, b), 2.0 * touch, &mut found), (from, to));
-            effort.spend(ids.len(), line.object, || line.start)?;
+            thing.spend(steps::FOUND * ids.len(), || line.start)?;
             near.extend(ids.iter().filter(|&&o| !taken[o as usize]).filter_map(|&o| {
                 let other = &lines[o as usize];
                 let fits = !kinds || other.kind == line.kind;
@@ -52,7 +61,7 @@ fn merged_of_object(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_>
             // Again while something joins: one at the far side of another may come first.
             loop {
                 let count = near.len();
-                effort.spend(count, line.object, || line.start)?;
+                thing.spend(steps::FOUND * count, || line.start)?;
                 near.retain(|&(o, a, b)| {
                     let joins = a <= to + touch && b >= from - touch;
                     if joins {
@@ -125,13 +134,14 @@ pub(super) fn once(lines: &[Line], touch: f64, least: f64, effort: &Effort<'_>) 
     let (mut found, mut all) = (Found::default(), Vec::new());
     for (i, line) in lines.iter().enumerate() {
         let near = query_along(&index, line, 2.0 * touch, &mut found);
-        effort.spend(near.len(), line.object, || line.start)?;
+        let mut thing = effort.thing(line.object);
+        thing.spend(steps::FOUND * near.len(), || line.start)?;
         let mut left: Vec<(f64, f64)> = vec![(0.0, line.length())];
         for &earlier in near.iter().filter(|&&j| (j as usize) < i) {
             let Some((a, b)) = overlap(line, &lines[earlier as usize], touch) else { continue };
             left = left.into_iter().flat_map(|(from, to)| [(from, to.min(a)), (from.max(b), to)]).collect();
             left.retain(|(from, to)| to > from);
-            effort.spend(left.len(), line.object, || line.start)?;
+            thing.spend(steps::FOUND * left.len(), || line.start)?;
         }
         let whole = left.len() == 1 && left[0] == (0.0, line.length());
         if whole {

@@ -187,7 +187,7 @@ pub struct Generated {
 /// # Errors
 /// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty;
 /// [`crate::ErrorKind::Invalid`] naming a place where so many polygons lie upon each other that it would take too long
-/// ([`crate::limits::MAX_FEATURE_PAIRS`]); those of [`crate::Threads::new`].
+/// ([`crate::limits::MAX_FEATURE_STEPS`]); those of [`crate::Threads::new`].
 pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
     generate_watched(environment, class, options, &|_| {})
 }

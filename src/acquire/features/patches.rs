@@ -2,7 +2,7 @@
 
 use super::Kind;
 use super::drafts::Draft;
-use super::effort::Effort;
+use super::effort::{Effort, steps};
 use super::soup::Soup;
 use crate::error::Result;
 use crate::geometry::{Aabb, Plane, plane_of_polygon};
@@ -44,7 +44,9 @@ pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64, effort: &E
         }
     }
     let mut all = Vec::new();
+    let stage = effort.stage("planes", planes.len());
     for ((object, horizontal), faces) in planes {
+        stage.step();
         let kind = if horizontal { Kind::Horizontal } else { Kind::Vertical };
         for (plane, faces) in coplanar(soup, faces, touch, effort)? {
             let patch = |corners| Patch { corners, object, kind, normal: plane.normal };
@@ -69,9 +71,13 @@ fn of_plane(
     let flat = |p: DVec3| DVec2::new((p - origin).dot(u), (p - origin).dot(v));
     let pieces = faces.iter().filter_map(|&f| Piece::around(soup.corners(f).iter().map(|p| flat(*p)).collect()));
     let object = soup.faces[*first as usize].object;
-    let spend = |pairs: usize, at: DVec2| effort.spend(pairs, object, || origin + u * at.x + v * at.y);
-    let large = joined(pieces.collect(), touch, &spend)?.into_iter().filter(|p| p.area >= least);
-    Ok(large.map(|piece| piece.corners.iter().map(|c| origin + u * c.x + v * c.y).collect()).collect())
+    let place = |at: DVec2| origin + u * at.x + v * at.y;
+    let begin = || {
+        let mut thing = effort.thing(object);
+        move |steps: usize, at: DVec2| thing.spend(steps, || place(at))
+    };
+    let large = joined(pieces.collect(), touch, begin)?.into_iter().filter(|p| p.area >= least);
+    Ok(large.map(|piece| piece.corners.iter().map(|c| place(*c)).collect()).collect())
 }
 
 /// The patches that a patch is joined of, joined again only where hardly anything is between them.
@@ -118,7 +124,7 @@ fn coplanar(soup: &Soup, faces: Vec<(Plane, u32)>, touch: f64, effort: &Effort<'
                 && p.normal.dot(n).abs() > 0.999_99
         };
         let group = known.iter().find(fits).copied();
-        effort.spend(tried, soup.faces[face as usize].object, || soup.corners(face)[0])?;
+        effort.thing(soup.faces[face as usize].object).spend(tried, || soup.corners(face)[0])?;
         match group {
             Some(g) => groups[g].1.push(face),
             None => {
@@ -182,38 +188,40 @@ fn turns_right(a: DVec2, b: DVec2, c: DVec2) -> bool {
     ab.perp_dot(bc) <= 1e-7 * ab.length() * bc.length()
 }
 
-/// Pairs that the hull of two pieces counts as.
-const HULL: usize = 16;
-
-/// Joins pieces until no two have a convex union, nearest in order of their low x first.
-fn joined(mut pieces: Vec<Piece>, touch: f64, spend: &impl Fn(usize, DVec2) -> Result<()>) -> Result<Vec<Piece>> {
+/// Joins pieces until no two have a convex union, nearest in order of their low x first. `begin` begins with a piece, which then
+/// tells of the steps that it takes.
+fn joined<S: FnMut(usize, DVec2) -> Result<()>>(
+    mut pieces: Vec<Piece>,
+    touch: f64,
+    begin: impl Fn() -> S,
+) -> Result<Vec<Piece>> {
     loop {
         pieces.sort_by(|a, b| {
             a.low.x.total_cmp(&b.low.x).then(a.low.y.total_cmp(&b.low.y)).then(a.area.total_cmp(&b.area))
         });
-        let before = pieces.len();
-        let mut i = 0;
-        while i < pieces.len() {
-            let (mut j, mut pairs) = (i + 1, 0);
-            while j < pieces.len() && pieces[j].low.x <= pieces[i].high.x + touch {
-                let apart = pieces[i].is_apart(&pieces[j], touch);
-                pairs += if apart { 1 } else { HULL };
-                if pairs > 1 << 16 {
-                    spend(std::mem::take(&mut pairs), pieces[i].low)?;
+        // Those that became part of an earlier one.
+        let mut gone = vec![false; pieces.len()];
+        for i in 0..pieces.len() {
+            if gone[i] {
+                continue;
+            }
+            let mut spend = begin();
+            for j in i + 1..pieces.len() {
+                if pieces[j].low.x > pieces[i].high.x + touch {
+                    break;
                 }
-                match pieces[i].with(&pieces[j], touch) {
-                    Some(union) => {
-                        pieces[i] = union;
-                        pieces.remove(j);
-                    }
-                    None => j += 1,
+                let apart = gone[j] || pieces[i].is_apart(&pieces[j], touch);
+                spend(if apart { 1 } else { steps::HULL }, pieces[i].low)?;
+                if !apart && let Some(union) = pieces[i].with(&pieces[j], touch) {
+                    pieces[i] = union;
+                    gone[j] = true;
                 }
             }
-            spend(pairs, pieces[i].low)?;
-            i += 1;
         }
-        if pieces.len() == before {
+        if !gone.contains(&true) {
             return Ok(pieces);
         }
+        let mut gone = gone.into_iter();
+        pieces.retain(|_| gone.next() == Some(false));
     }
 }

@@ -3,7 +3,9 @@
 //! A *solid* is a connected part of an object that is closed (its vector area vanishes, which T-junctions do not
 //! disturb), wound outward, and so thin (3 V / A below [`ROOM`]) that it is no room which a sensor could stand in.
 
+use super::effort::steps;
 use super::soup::Soup;
+use crate::error::Result;
 use crate::geometry::Aabb;
 use crate::index::{Found, Params, Region, Skd, SpatialIndex};
 use glam::DVec3;
@@ -76,7 +78,16 @@ impl Solids {
     }
 
     /// True if the point (world) lies in a solid, found by counting faces above and below it.
-    pub fn hold(&self, soup: &Soup, p: DVec3, found: &mut Found) -> bool {
+    ///
+    /// # Errors
+    /// Those of `spend`, which is told of the steps.
+    pub fn hold(
+        &self,
+        soup: &Soup,
+        p: DVec3,
+        found: &mut Found,
+        mut spend: impl FnMut(usize) -> Result<()>,
+    ) -> Result<bool> {
         // Most points lie in no solid's box; the others need a column no higher than those boxes.
         found.clear();
         self.index.query(&Region::cuboid(&Aabb::of([p])), found);
@@ -85,12 +96,14 @@ impl Solids {
             (low, high) = (low.min(b.min.z), high.max(b.max.z));
         }
         if low > high {
-            return false;
+            return Ok(false);
         }
         let column = Aabb { min: p.truncate().extend(low), max: p.truncate().extend(high) };
-        // Solid, exits above, exits below.
-        let mut counts: Vec<(u32, i32, i32)> = Vec::new();
-        for &face in soup.near(&column, found) {
+        // Solid, exits above, exits below; those of a face each.
+        let mut exits: Vec<(u32, i32, i32)> = Vec::new();
+        let faces = soup.near(&column, found);
+        spend(steps::FOUND * faces.len())?;
+        for &face in faces {
             let solid = self.of_face[face as usize];
             if solid == NONE || self.boxes[solid as usize].distance_squared(p) > 0.0 {
                 continue;
@@ -101,13 +114,14 @@ impl Solids {
             }
             let plane = soup.faces[face as usize].plane;
             let above = (plane.offset - plane.normal.dot(p)) / plane.normal.z > 0.0;
-            let at = counts.iter().position(|c| c.0 == solid).unwrap_or_else(|| {
-                counts.push((solid, 0, 0));
-                counts.len() - 1
-            });
-            if above { counts[at].1 += turns } else { counts[at].2 -= turns }
+            exits.push(if above { (solid, turns, 0) } else { (solid, 0, -turns) });
         }
-        counts.iter().any(|c| c.1 > 0 && c.2 > 0)
+        exits.sort_unstable();
+        let both = |of_one: &[(u32, i32, i32)]| {
+            let (above, below) = of_one.iter().fold((0, 0), |(a, b), exit| (a + exit.1, b + exit.2));
+            above > 0 && below > 0
+        };
+        Ok(exits.chunk_by(|a, b| a.0 == b.0).any(both))
     }
 }
 

@@ -6,7 +6,7 @@
 //! (a T-junction) is a wing along that part.
 
 use super::Kind;
-use super::effort::Effort;
+use super::effort::{Effort, Thing, steps};
 use super::lines::boxes_along;
 use super::soup::{Soup, clip, grown, sides};
 use crate::error::Result;
@@ -144,10 +144,11 @@ impl Judge<'_> {
     /// Cuts a line where its surroundings change and appends what each part shows, in order along it; neighbours differ.
     ///
     /// # Errors
-    /// Those of [`Effort::spend`].
+    /// Those of [`Thing::spend`].
     pub fn judge(&self, line: &Line, scratch: &mut Scratch, parts: &mut Vec<(f64, f64, Verdict)>) -> Result<()> {
         let (d, length) = (line.direction(), line.length());
-        self.gather(line, d, length, scratch)?;
+        let mut thing = self.effort.thing(line.object);
+        self.gather(line, d, length, scratch, &mut thing)?;
         let Scratch { found, faces, along, cuts, wings } = scratch;
         cuts.sort_by(f64::total_cmp);
         faces.sort_by(|a, b| a.from.total_cmp(&b.from));
@@ -170,14 +171,14 @@ impl Judge<'_> {
             along.extend_from_slice(&faces[next..next + begun]);
             next += begun;
             along.retain(|n| middle <= n.to);
-            self.effort.spend(along.len(), line.object, || p)?;
+            thing.spend(steps::WINGS * along.len(), || p)?;
             for near in along.iter() {
                 self.wings_of(near.face, p, d, u, v, wings);
             }
             let verdict = self.verdict(line.kind, &join(wings), |angle| {
                 let beside = p + (u * angle.cos() + v * angle.sin()) * (4.0 * self.touch);
-                self.solids.hold(self.soup, beside, found)
-            });
+                self.solids.hold(self.soup, beside, found, |steps| thing.spend(steps, || p))
+            })?;
             match &mut done {
                 Some(last) if last.2 == verdict => last.1 = to,
                 _ => parts.extend(done.replace((from, to, verdict))),
@@ -189,13 +190,13 @@ impl Judge<'_> {
     }
 
     /// Finds the faces along the line and the places where something begins, ends, or pierces it.
-    fn gather(&self, line: &Line, d: DVec3, length: f64, scratch: &mut Scratch) -> Result<()> {
+    fn gather(&self, line: &Line, d: DVec3, length: f64, scratch: &mut Scratch, thing: &mut Thing<'_>) -> Result<()> {
         let touch = self.touch;
         scratch.faces.clear();
         scratch.cuts.clear();
         scratch.cuts.push(length);
         let near = self.soup.near_any(boxes_along(line, 2.0 * touch), &mut scratch.found);
-        self.effort.spend(near.len(), line.object, || line.start + d * (0.5 * length))?;
+        thing.spend(steps::WINGS * near.len(), || line.start + d * (0.5 * length))?;
         for &face in near {
             let f = &self.soup.faces[face as usize];
             let (off, rate) = (f.plane.normal.dot(line.start) - f.plane.offset, f.plane.normal.dot(d));
@@ -242,7 +243,7 @@ impl Judge<'_> {
         }
     }
 
-    fn verdict(&self, kind: Kind, wings: &[Wing], mut solid: impl FnMut(f64) -> bool) -> Verdict {
+    fn verdict(&self, kind: Kind, wings: &[Wing], mut solid: impl FnMut(f64) -> Result<bool>) -> Result<Verdict> {
         let mut buried = !wings.is_empty();
         let mut material = false;
         // Widest first: outside of a solid before inside.
@@ -255,22 +256,22 @@ impl Judge<'_> {
                 buried &= span < NARROW;
                 continue;
             }
-            if solid(middle) {
+            if solid(middle)? {
                 continue;
             }
             if crease {
-                return Verdict::Shows(match (kind, wings.len()) {
+                return Ok(Verdict::Shows(match (kind, wings.len()) {
                     (Kind::Intersection, _) => Kind::Intersection,
                     (_, 1) => Kind::Border,
                     _ => Kind::Crease,
-                });
+                }));
             }
             (material, buried) = (true, false);
         }
-        match (material, buried) {
+        Ok(match (material, buried) {
             (true, _) => Verdict::Shows(Kind::Material),
             (_, true) => Verdict::Buried,
             _ => Verdict::Flat,
-        }
+        })
     }
 }

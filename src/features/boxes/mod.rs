@@ -32,12 +32,21 @@ pub enum BoxMethod {
     Set,
 }
 
-/// Uncertainties, and the probability with which boxes hold.
-#[derive(Clone, Debug)]
+/// How uncertain poses are, and the probability with which regions of interest hold their features.
+///
+/// ```
+/// use presight::features::BoxOptions;
+/// // 5 cm along x and y, and 2 degrees of heading.
+/// let heading = 2f64.to_radians();
+/// let options = BoxOptions::default().with_sensor_sigmas([0.05, 0.05, 0.0, 0.0, 0.0, heading]).with_confidence(0.95);
+/// assert_eq!(options.sensor[5][5], heading * heading);
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct BoxOptions {
     /// Covariance of the sensor's pose, along the world's axes: translation added, rotation by Exp(dtheta) from the left.
     pub sensor: PoseCovariance,
-    /// Covariances of objects' poses by index of the object, in the object's own axes.
+    /// Covariances of objects' poses by index of the object, in the object's own axes. They win over those of the layers.
     pub objects: Vec<(u32, PoseCovariance)>,
     /// Probability with which a box holds its feature.
     pub confidence: f64,
@@ -52,6 +61,37 @@ impl Default for BoxOptions {
 }
 
 impl BoxOptions {
+    /// With another covariance of the sensor's pose, along the world's axes.
+    #[must_use]
+    pub fn with_sensor(self, covariance: PoseCovariance) -> Self {
+        Self { sensor: covariance, ..self }
+    }
+
+    /// With independent standard deviations of the sensor's pose: x, y, z in metres, then about x, y, z in radians.
+    #[must_use]
+    pub fn with_sensor_sigmas(self, sigmas: [f64; 6]) -> Self {
+        let variance = |i: usize, j: usize| if i == j { sigmas[i] * sigmas[i] } else { 0.0 };
+        self.with_sensor(std::array::from_fn(|i| std::array::from_fn(|j| variance(i, j))))
+    }
+
+    /// With covariances of objects' poses, by index of the object.
+    #[must_use]
+    pub fn with_objects(self, objects: Vec<(u32, PoseCovariance)>) -> Self {
+        Self { objects, ..self }
+    }
+
+    /// With another probability, 0.5 to below 1.
+    #[must_use]
+    pub fn with_confidence(self, confidence: f64) -> Self {
+        Self { confidence, ..self }
+    }
+
+    /// With another method.
+    #[must_use]
+    pub fn with_method(self, method: BoxMethod) -> Self {
+        Self { method, ..self }
+    }
+
     /// # Errors
     /// Those of [`add_boxes`].
     pub(crate) fn check(&self) -> Result<()> {

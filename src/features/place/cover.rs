@@ -15,6 +15,7 @@ use super::local::Local;
 use super::patch::Under;
 use super::plane::{Flat, bounds_of, clip, inside, sides, within};
 use super::segment::widest_gap;
+use crate::error::Result;
 use crate::geometry::Aabb;
 use crate::index::{Found, Params, Region, Skd, SpatialIndex};
 use glam::{DVec2, DVec3};
@@ -24,25 +25,34 @@ use std::f64::consts::TAU;
 pub(super) const SLACK: f64 = 1.0 / 16.0;
 /// How far an H stands off its K at least, as a part of the tolerance.
 const MARGIN: f64 = 0.01;
+/// Places that are tried for one farther off: eight around, of steps and halvings of them.
+const FARTHER: usize = 8 * 64;
 /// Most corners that are cut off an H to bring it near its K: each halves an angle, so that few are ever needed.
 const MOST_CUTS: usize = 256;
 
 /// A point of a convex outline that is on no polygon, within the tolerance; `None` if all of it is covered. A corner at
-/// least is on one.
-pub(super) fn uncovered(outline: &[DVec2], under: &[Under<'_>], flat: &Flat) -> Option<DVec3> {
+/// least is on one. `compare` is told of how many pairs of polygons are compared.
+pub(super) fn uncovered(
+    outline: &[DVec2],
+    under: &[Under<'_>],
+    flat: &Flat,
+    compare: &dyn Fn(usize) -> Result<()>,
+) -> Result<Option<DVec3>> {
     let holds_all = |u: &Under<'_>| outline.iter().all(|p| u.local.holds(flat.lift(*p)));
     if under.iter().any(holds_all) {
-        return None;
+        return Ok(None);
     }
     let mut cover = Cover::new(under, flat);
-    let found = (0..under.len()).find_map(|own| {
-        let around = under[own].around(flat);
-        sides(&around).find_map(|(u, v)| {
-            let (from, to) = within((u, v), outline)?;
-            cover.gap((u.lerp(v, from), u.lerp(v, to)), own)
-        })
-    });
-    found.map(|p| flat.lift(farther(p, outline, under, flat)))
+    for own in 0..under.len() {
+        for (u, v) in sides(&under[own].around(flat)) {
+            let Some((from, to)) = within((u, v), outline) else { continue };
+            if let Some(p) = cover.gap((u.lerp(v, from), u.lerp(v, to)), own, compare)? {
+                compare(FARTHER * under.len())?;
+                return Ok(Some(flat.lift(farther(p, outline, under, flat))));
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// The polygons under a patch, with an index over them.
@@ -64,20 +74,26 @@ impl<'a> Cover<'a> {
     }
 
     /// A point of a line that none of the other polygons holds.
-    fn gap(&mut self, (u, v): (DVec2, DVec2), own: usize) -> Option<DVec2> {
+    fn gap(
+        &mut self,
+        (u, v): (DVec2, DVec2),
+        own: usize,
+        compare: &dyn Fn(usize) -> Result<()>,
+    ) -> Result<Option<DVec2>> {
         let (from, to) = (self.flat.lift(u), self.flat.lift(v));
         self.found.clear();
         self.index.query(&Region::cuboid(&Aabb::of([from, to])), &mut self.found);
+        compare(self.found.all().count())?;
         let others = || {
             let all = self.found.all().map(|k| k as usize);
             all.filter(|k| *k != own).map(|k| self.under[k].local)
         };
         // As a rule it runs inside of one neighbour.
         if others().any(|local| local.over(from, to - from) == Some((0.0, 1.0))) {
-            return None;
+            return Ok(None);
         }
         let mut covered: Vec<_> = others().filter_map(|local| local.stretch(from, to - from)).collect();
-        widest_gap(&mut covered).map(|(from, to)| u.lerp(v, 0.5 * (from + to)))
+        Ok(widest_gap(&mut covered).map(|(from, to)| u.lerp(v, 0.5 * (from + to))))
     }
 }
 
@@ -130,8 +146,7 @@ fn farther(start: DVec2, outline: &[DVec2], under: &[Under<'_>], flat: &Flat) ->
     let off = |p: DVec2| under.iter().map(|u| u.local.distance(flat.lift(p))).fold(f64::INFINITY, f64::min);
     let (low, high) = bounds_of(outline);
     let (mut at, mut best, mut step) = (start, off(start), 0.25 * (high - low).max_element());
-    // Steps, and halvings of them.
-    for _ in 0..64 {
+    for _ in 0..FARTHER / 8 {
         let around = (0..8).map(|k| at + step * DVec2::from_angle(TAU * f64::from(k) / 8.0));
         let inner = around.filter(|p| sides(outline).all(|side| inside(side, *p) >= 0.0));
         match inner.map(|p| (off(p), p)).max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(o, _)| *o > best) {

@@ -23,7 +23,7 @@ mod tests;
 use super::PlacedFeature;
 use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Object};
 use crate::error::{Error, Result, short, short_point};
-use crate::geometry::{Aabb, Pose};
+use crate::geometry::{Aabb, Pose, plane_of_polygon};
 use crate::index::{Found, Region};
 use crate::world::World;
 use glam::DVec3;
@@ -177,7 +177,7 @@ impl<'a> Finder<'a> {
         let boxes = boxes_around(&frame, &feature.shape);
         let near = self.near(&frame, &boxes);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
-        let lie = lie(&near, &about)?;
+        let lie = lie(&near, &about, &|_| Ok(()))?;
         Ok((frame, lie))
     }
 
@@ -261,11 +261,11 @@ fn boxes_around(frame: &Frame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
 }
 
 /// A point, the ends of a segment or the corners of a patch, the first of them the origin.
-fn lie(near: &[Local], points: &[DVec3]) -> Result<Lie> {
+fn lie(near: &[Local], points: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Lie> {
     match points {
         [_] => Ok(on_point(near)),
         [_, end] => Ok(segment::lie(near, *end)),
-        corners => patch::lie(near, corners),
+        corners => patch::lie(near, corners, compare),
     }
 }
 
@@ -275,8 +275,17 @@ fn on_point(near: &[Local]) -> Lie {
 }
 
 /// True if a point, the ends of a segment or the corners of a patch lie on polygons, all of it, within a tolerance; both in
-/// one frame, metres. More polygons than those never make it false.
-pub(crate) fn lies_on<C: AsRef<[DVec3]>>(points: &[DVec3], polygons: impl Iterator<Item = C>, tolerance: f64) -> bool {
+/// one frame, metres. More polygons than those never make it false. Before polygons are compared with each other, `compare` is
+/// told of how many pairs.
+///
+/// # Errors
+/// Those of `compare`.
+pub(crate) fn lies_on<C: AsRef<[DVec3]>>(
+    points: &[DVec3],
+    polygons: impl Iterator<Item = C>,
+    tolerance: f64,
+    compare: &dyn Fn(usize) -> Result<()>,
+) -> Result<bool> {
     let anchor = points[0];
     let local = |corners: C| {
         let corners: Vec<DVec3> = corners.as_ref().iter().map(|c| *c - anchor).collect();
@@ -285,5 +294,8 @@ pub(crate) fn lies_on<C: AsRef<[DVec3]>>(points: &[DVec3], polygons: impl Iterat
     };
     let near: Vec<Local> = polygons.map(local).collect();
     let about: Vec<DVec3> = points.iter().map(|p| *p - anchor).collect();
-    lie(&near, &about).is_ok_and(|lie| matches!(lie, Lie::On(_)))
+    if about.len() > 2 && plane_of_polygon(&about).is_none() {
+        return Ok(false);
+    }
+    lie(&near, &about, compare).map(|lie| matches!(lie, Lie::On(_)))
 }

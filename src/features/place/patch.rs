@@ -17,8 +17,8 @@ pub(super) struct Under<'a> {
     pub heights: Vec<f64>,
 }
 
-/// A patch with these corners, the first of them the origin.
-pub(super) fn lie(near: &[Local], corners: &[DVec3]) -> Result<Lie> {
+/// A patch with these corners, the first of them the origin; `compare` is told of how many pairs of polygons are compared.
+pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Lie> {
     let plane = plane_of_polygon(corners)
         .ok_or_else(|| Error::invalid("the patch has no area", "give corners that are not on one line"))?;
     let flat = Flat::of(&plane);
@@ -27,7 +27,7 @@ pub(super) fn lie(near: &[Local], corners: &[DVec3]) -> Result<Lie> {
         return Ok(Lie::Off(*off));
     }
     let outline: Vec<DVec2> = corners.iter().map(|c| flat.project(*c)).collect();
-    if let Some(off) = uncovered(&outline, &under, &flat) {
+    if let Some(off) = uncovered(&outline, &under, &flat, compare)? {
         return Ok(Lie::Off(off));
     }
     let overlapping = under.iter().filter(|u| u.overlaps(&outline)).map(|u| u.local.slot);

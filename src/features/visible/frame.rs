@@ -1,6 +1,6 @@
 //! What all features of a prediction share.
 
-use super::FeatureOptions;
+use super::FeatureSettings;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::features::sample::Sampler;
@@ -21,7 +21,7 @@ pub(super) struct Frame<'a> {
     pub world_from_sensor: Pose,
     pub image_from_world: DMat3,
     pub images: &'a Images,
-    pub options: FeatureOptions,
+    pub options: FeatureSettings,
     pub time: f64,
     pub facings: Vec<Facing>,
     pub instances: Vec<OnceLock<Instance>>,
@@ -37,7 +37,7 @@ impl<'a> Frame<'a> {
         world_from_sensor: &Pose,
         images: &'a Images,
         placed: &[PlacedFeature],
-        options: &FeatureOptions,
+        options: &FeatureSettings,
     ) -> Result<Self> {
         let environment: &Environment = world.environment();
         let pixels = sensor.width() as usize * sensor.height() as usize;

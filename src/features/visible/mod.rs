@@ -51,9 +51,10 @@ pub enum Visibility {
     Rays,
 }
 
-/// Options for predicting features.
+/// How features are predicted from images at hand.
+#[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FeatureOptions {
+pub struct FeatureSettings {
     /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
     pub time: Option<f64>,
     /// Which number `polygon_id` of the images holds.
@@ -68,7 +69,7 @@ pub struct FeatureOptions {
     pub step: f64,
 }
 
-impl Default for FeatureOptions {
+impl Default for FeatureSettings {
     fn default() -> Self {
         Self { time: None, ids: IdScheme::default(), feature_id: false, visibility: Visibility::default(), step: STEP }
     }
@@ -79,14 +80,14 @@ impl Default for FeatureOptions {
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
-/// use presight::features::{FeatureOptions, PlacedFeature, predict_features};
+/// use presight::features::{FeatureSettings, PlacedFeature, predict_features};
 /// use presight::{Backend, Environment, Options, Output, Outputs, Pose, Predictor, Request, World};
 /// use glam::{DMat3, DVec3};
 ///
 /// let world = World::new(Environment::new());
 /// let sensor = presight::preset("video-camera")?;
-/// let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() })?;
-/// let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
+/// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+/// let request = Request::of(Outputs::of(&[Output::PolygonId]));
 /// let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &request)?;
 /// // An edge 3 m ahead in an empty world.
 /// let ends = [DVec3::new(3.0, -0.2, 0.0), DVec3::new(3.0, 0.2, 0.1)];
@@ -94,7 +95,7 @@ impl Default for FeatureOptions {
 /// let (existence, properties) = (Existence::default(), Properties::default());
 /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
 /// let placed = [PlacedFeature { feature, object: None, slots: vec![] }];
-/// let options = FeatureOptions::default();
+/// let options = FeatureSettings::default();
 /// let found = predict_features(&world, &sensor, &Pose::IDENTITY, &seen.images, &placed, &options)?;
 /// assert_eq!(found.features[0].visible_fraction, 1.0);
 /// # Ok::<(), presight::Error>(())
@@ -104,13 +105,14 @@ impl Default for FeatureOptions {
 /// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
 /// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
 /// those of [`crate::Threads::new`].
+#[doc(hidden)]
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,
     world_from_sensor: &Pose,
     images: &Images,
     placed: &[PlacedFeature],
-    options: &FeatureOptions,
+    options: &FeatureSettings,
 ) -> Result<FeaturePrediction> {
     let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
     parallel(|| prepared.finish(None))
@@ -159,7 +161,7 @@ impl<'a> Prepared<'a> {
         world_from_sensor: &Pose,
         images: &'a Images,
         placed: &'a [PlacedFeature],
-        options: &FeatureOptions,
+        options: &FeatureSettings,
     ) -> Result<Self> {
         world_from_sensor.check()?;
         let frame = match placed {

@@ -1,6 +1,8 @@
 //! From the bytes of a scene file to its parts; where buffers may be, and how they are written.
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::io::inputs;
+use gltf::json;
 use std::path::{Component, Path, PathBuf};
 
 /// "glTF", little-endian.
@@ -99,6 +101,18 @@ pub(super) fn local_path(uri: &str) -> Result<PathBuf> {
         return Err(outside("leaves the folder of the scene"));
     }
     Ok(path)
+}
+
+/// Notes the images beside a scene, which nobody reads here: they are parts of the scene all the same, and no command may
+/// write over them. Wherever they are: what is not opened needs no check.
+pub(super) fn note_images(root: &json::Root, scene: &Path) {
+    let folder = scene.parent().unwrap_or(Path::new(""));
+    for uri in root.images.iter().filter_map(|image| image.uri.as_deref()).filter(|uri| !uri.starts_with("data:")) {
+        inputs::note(&folder.join(uri));
+        if let Some(path) = percent_decoded(uri) {
+            inputs::note(&folder.join(path));
+        }
+    }
 }
 
 fn percent_decoded(uri: &str) -> Option<String> {

@@ -5,13 +5,11 @@ use super::mesh::mesh_words;
 use crate::error::{Error, Result};
 use crate::io::text::json_memory;
 use crate::limits;
+use crate::memory::{of_building, of_kept};
 
 /// Bytes of a node and the object that it becomes, besides its path, and copies of that path.
 const NODE: u64 = 1200;
 const PATHS: u64 = 6;
-/// Bytes of a triangle while its mesh is built, and of one that is kept, measured: at worst, where no two share a vertex.
-const BUILT: u64 = 160;
-const KEPT: u64 = 100;
 /// Bytes of a number of a mesh that our own writer left, while it is read and as it is kept.
 const EXACT: u64 = 24;
 /// Most meshes that are built at a time, whatever machine it is.
@@ -72,12 +70,10 @@ impl Memory {
     pub(super) fn take_meshes(&mut self, document: &Document<'_>, claims: &[(usize, u64)]) -> Result<()> {
         for &(mesh, triangles) in claims {
             let exact = EXACT.saturating_mul(document.exact_numbers(mesh));
-            let bytes = KEPT.saturating_mul(triangles).saturating_add(exact);
+            let bytes = of_kept(triangles).saturating_add(exact);
             self.keep(bytes, &mesh_words(&document.root, mesh))?;
         }
-        let mut largest: Vec<u64> = claims.iter().map(|&(_, triangles)| triangles).collect();
-        largest.sort_unstable_by(|a, b| b.cmp(a));
-        let built = largest.iter().take(AT_ONCE).fold(0u64, |sum, n| sum.saturating_add(*n));
-        self.take(BUILT.saturating_mul(built), "making its polygons")
+        let triangles = claims.iter().map(|&(_, triangles)| triangles).collect();
+        self.take(of_building(triangles, AT_ONCE), "making its polygons")
     }
 }

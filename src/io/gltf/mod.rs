@@ -123,6 +123,7 @@ fn import_bytes(
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
+    container::note_images(&root, path);
     let buffers = Buffers::load(&root, container.bin, (path, within), memory)?;
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();

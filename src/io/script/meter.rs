@@ -27,8 +27,10 @@ const GRACE: u64 = 1024;
 ///
 /// The language counts its own steps, but not what is done within one: comparing two arrays calls `==` for each pair of
 /// elements, on a copy of the count, and reading a variable copies its value. So each step that is told of counts here, and each
-/// large value that is read.
-pub(super) fn limit(engine: &mut Engine) {
+/// large value that is read. It does not tell of `this`, of `global::` and of the variables of modules: the first two are no
+/// part of our language, and the last are small ([`is_exportable`]). `busy` is the time in functions that count what they do
+/// themselves: the clock does not run then.
+pub(super) fn limit(engine: &mut Engine, busy: Rc<Cell<Duration>>) {
     engine
         // Ours ends the script first, for it counts no less.
         .set_max_operations(limits::MAX_SCRIPT_OPERATIONS + 2 * GRACE)
@@ -47,7 +49,7 @@ pub(super) fn limit(engine: &mut Engine) {
     engine.on_progress(move |_| {
         let now = counted.get() + 1;
         counted.set(now);
-        let late = || start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS);
+        let late = || start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS) + busy.get();
         match now {
             _ if end.get().is_some() => {}
             _ if now > limits::MAX_SCRIPT_OPERATIONS => end.set(Some(Ended::Operations)),
@@ -72,6 +74,11 @@ pub(super) fn limit(engine: &mut Engine) {
         steps.set(steps.get() + (size(value) / READ) as u64);
         Ok(None)
     });
+}
+
+/// True for a value that may be copied at every step.
+pub(super) fn is_exportable(value: &Dynamic) -> bool {
+    size(value) <= limits::MAX_SCRIPT_EXPORT
 }
 
 /// What of a value is over the limits, in the language's words.

@@ -158,7 +158,7 @@ fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
     engine.disable_symbol("**").disable_symbol("**=").disable_symbol("eval");
     engine.set_optimization_level(OptimizationLevel::None);
     functions::register(&mut engine, studio);
-    meter::limit(&mut engine);
+    meter::limit(&mut engine, studio.busy.clone());
     listen(&mut engine, say);
     engine
 }

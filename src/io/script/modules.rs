@@ -2,8 +2,10 @@
 
 use super::fault::{Fault, Sources};
 use super::folder::{Folder, read_script};
+use super::meter::is_exportable;
 use super::tokens::Tokens;
 use crate::error::Error;
+use crate::limits;
 use rhai::{Engine, EvalAltResult, Module, ModuleResolver, Position, Scope, Shared};
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -44,6 +46,11 @@ impl Modules {
         self.sources.borrow_mut().insert(name.clone(), text);
         let module = Module::eval_ast_as_new(Scope::new(), &ast, engine)
             .map_err(|e| Box::new(EvalAltResult::ErrorInModule(name, e, at)))?;
+        if let Some((variable, _)) = module.iter_var().find(|(_, value)| !is_exportable(value)) {
+            let what = format!("variable {variable:?} of the module has over {} elements", limits::MAX_SCRIPT_EXPORT);
+            let e = Error::invalid(what, "return it from a function of the module").in_file(&shown);
+            return Err(fault(e));
+        }
         let module = Shared::new(module);
         self.known.borrow_mut().insert(real, Some(module.clone()));
         Ok(module)

@@ -16,11 +16,12 @@ use crate::limits;
 use crate::memory;
 use crate::placement;
 use crate::world::World;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Bytes of known names that an error lists.
 const LISTED: usize = 240;
@@ -32,6 +33,8 @@ pub(super) struct Studio {
     pub folder: Folder,
     pub budget: Rc<Budget>,
     pub lost: Rc<Lost>,
+    /// How long its functions took so far.
+    pub busy: Rc<Cell<Duration>>,
     options: ImportOptions,
     /// What all imports take of memory.
     imported: RefCell<gltf::Memory>,
@@ -66,8 +69,8 @@ struct Marked {
 
 impl Studio {
     pub fn new(folder: Folder, options: &ImportOptions) -> Self {
-        let (imported, built) = Default::default();
-        Self { folder, budget: Rc::default(), lost: Rc::default(), options: options.clone(), imported, built }
+        let (budget, lost, busy, imported, built) = Default::default();
+        Self { folder, budget, lost, busy, options: options.clone(), imported, built }
     }
 
     /// Defines a material; the same again is no error, another of that name is.

@@ -2,7 +2,8 @@
 //!
 //! The language's parser looks through all variables, functions and parameters at each name, and its interpreter tries all
 //! types of all arguments where a function is not found: a text of a megabyte could keep both busy for minutes. So what one
-//! call, scope or literal may hold has a limit, and the first token over it ends the parsing.
+//! call, scope or literal may hold has a limit, and the first token over it ends the parsing. So does what would reach values
+//! past the count of what is read.
 
 use super::fault::syntax;
 use crate::error::{Error, Result};
@@ -19,6 +20,9 @@ pub(super) enum Excess {
     Elements,
     Entries,
     Functions,
+    /// What reaches values that are not counted when they are read.
+    Hidden,
+    Literal,
     NameBytes,
     Nesting,
     Variables,
@@ -40,6 +44,13 @@ impl Excess {
             ),
             Self::Functions => {
                 (format!("over {} functions", limits::MAX_SCRIPT_FUNCTIONS), "put some into modules of their own")
+            }
+            Self::Hidden => (
+                "functions see their parameters only: there is no `this` and no `global::`".to_owned(),
+                "hand the value over, or put it into a function that returns it",
+            ),
+            Self::Literal => {
+                (format!("a string is over {} bytes", limits::MAX_SCRIPT_LITERAL), "add several, or read less")
             }
             Self::NameBytes => (format!("a name is over {} bytes", limits::MAX_SCRIPT_NAME), "give a shorter one"),
             Self::Nesting => {
@@ -76,6 +87,8 @@ struct Parsed {
     declares: bool,
     /// The next block is a function's.
     in_signature: bool,
+    /// The last name was `global`.
+    after_global: bool,
     excess: Option<(Excess, Position)>,
 }
 
@@ -89,6 +102,7 @@ impl Default for Parsed {
             functions: 0,
             declares: false,
             in_signature: false,
+            after_global: false,
             excess: None,
         }
     }
@@ -143,6 +157,7 @@ impl Parsed {
 
     fn count(&mut self, token: &Token) -> Option<Excess> {
         let declares = std::mem::take(&mut self.declares);
+        let after_global = std::mem::take(&mut self.after_global);
         match token {
             Token::LeftParen => return self.open(Token::RightParen, Excess::Arguments),
             Token::LeftBracket | Token::QuestionBracket => return self.open(Token::RightBracket, Excess::Elements),
@@ -157,8 +172,14 @@ impl Parsed {
                 self.functions += 1;
                 return (self.functions > limits::MAX_SCRIPT_FUNCTIONS).then_some(Excess::Functions);
             }
+            Token::DoubleColon if after_global => return Some(Excess::Hidden),
+            Token::Reserved(name) if name.as_str() == "this" => return Some(Excess::Hidden),
+            Token::StringConstant(text) | Token::InterpolatedString(text) => {
+                return (text.len() > limits::MAX_SCRIPT_LITERAL).then_some(Excess::Literal);
+            }
             Token::Identifier(name) if name.len() > limits::MAX_SCRIPT_NAME => return Some(Excess::NameBytes),
             Token::Identifier(name) if declares => return self.declare(name),
+            Token::Identifier(name) => self.after_global = name.as_str() == "global",
             _ => {}
         }
         None

@@ -177,7 +177,9 @@ impl<'a> Context<'a> {
         let environment = self.now.as_ref().map_or(self.environment, World::environment);
         let mut materials = merge::Materials::new(environment, &mut self.added);
         if let (Some(file), Some(folder)) = (&fields.from, self.folder) {
-            return merge::mesh_of_file(&folder.join(file), fields.from_object.as_deref(), &mut materials, before);
+            let of_file =
+                merge::mesh_of_file(&folder.join(file), fields.from_object.as_deref(), &mut materials, before);
+            return of_file.map_err(Error::in_place);
         }
         let name = fields.material.as_deref().unwrap_or("default");
         let material = match materials.named(name) {

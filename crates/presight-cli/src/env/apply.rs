@@ -66,6 +66,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let (mut store, environment) = Store::open(&args.store)?;
     let mut world = unindexed(environment);
+    presight::internal::row::begin(&mut world);
     let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path };
     let mut ended = false;
     while !ended {

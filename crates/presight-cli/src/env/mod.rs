@@ -4,7 +4,7 @@ mod apply;
 mod export;
 mod show;
 
-use super::load;
+use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{Verdict, print};
 use presight::Change;
@@ -155,7 +155,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
 }
 
 fn environment_of(scene: &Path) -> Result<Environment> {
-    let world = load::scene(scene, &ImportOptions::default(), Scheme::None)?.world;
+    let world = open_scene(scene, &ImportOptions::default(), Scheme::None)?.world;
     Ok(std::sync::Arc::unwrap_or_clone(world.into_environment()))
 }
 

@@ -3,7 +3,7 @@
 mod near;
 mod pick;
 
-use super::load;
+use super::open_scene;
 use super::outputs::OutputFiles;
 use super::{Verdict, print};
 use clap::builder::NonEmptyStringValueParser;
@@ -119,7 +119,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut files = OutputFiles::new();
     files.add("--out", args.out.as_deref(), &["json"])?;
     files.check_named([scene.as_path()])?;
-    let scene = load::scene(scene, &ImportOptions::default(), Scheme::None)?;
+    let scene = open_scene(scene, &ImportOptions::default(), Scheme::None)?;
     let start = Instant::now();
     let generated = generated(scene.world.environment(), class, &options)?;
     files.check_read()?;

@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use presight::Result;
 use presight::World;
 use presight::environment::{Feature, FeatureLayer, FeatureShape};
-use presight::features::{FeatureOptions, SeenFeature, place, predict_features};
+use presight::features::{FeatureSettings, SeenFeature, place, predict_features};
 use presight::geometry::Pose;
 use presight::plan::Images;
 use presight::sensor::Sensor;
@@ -53,7 +53,7 @@ impl Eye<'_> {
             return Ok(vec![None; layer.features.len()]);
         }
         let placed = place(self.world, layer)?;
-        let options = FeatureOptions::default();
+        let options = FeatureSettings::default();
         let seen = predict_features(self.world, self.sensor, self.pose, self.images, &placed, &options)?;
         Ok(seen.features.iter().map(|f| self.pixels_to(f, pixel)).collect())
     }

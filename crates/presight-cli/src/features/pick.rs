@@ -1,6 +1,6 @@
 //! `presight features pick`: what is at a pixel.
 
-use super::super::load::{self, Scene};
+use super::super::open_scene;
 use super::super::pose::PoseArgs;
 use super::super::{Verdict, print};
 use super::OptionArgs;
@@ -12,10 +12,9 @@ use presight::geometry::{Aabb, Pose, plane_of_polygon};
 use presight::index::Scheme;
 use presight::io::gltf::ImportOptions;
 use presight::io::{layer, load_sensor};
-use presight::plan::{Images, Output, Outputs, Request};
+use presight::plan::{Images, Output, Outputs};
 use presight::sensor::Sensor;
-use presight::{Backend, Options, Predictor};
-use presight::{Error, Result};
+use presight::{Backend, Error, Options, Predictor, Request, Result, Scene};
 use std::path::PathBuf;
 
 /// Show what a pixel sees: polygon, point, edges beside it, and a layer entry to paste
@@ -81,8 +80,8 @@ pub fn run(args: &Args) -> Result<Verdict> {
         let what = format!("--pixel {column},{row}: the image is {} x {}", sensor.width(), sensor.height());
         return Err(Error::usage(what, "give column,row inside it"));
     }
-    let scene = load::scene(&args.scene, &ImportOptions::default(), Scheme::default())?;
-    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf);
+    let scene = open_scene(&args.scene, &ImportOptions::default(), Scheme::default())?;
+    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let sight = Sight::new(&scene, &sensor, world_from_sensor)?;
     let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {
         print::data(&format!("pixel {column},{row} sees nothing\n"))?;
@@ -101,8 +100,8 @@ struct Sight {
 
 impl Sight {
     fn new(scene: &Scene, sensor: &Sensor, world_from_sensor: Pose) -> Result<Self> {
-        let mut predictor = Predictor::new(Options { backend: Backend::Cpu, ..Options::default() })?;
-        let request = Request { outputs: Outputs::of(&[Output::PolygonId]), ..Request::default() };
+        let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
+        let request = Request::of(Outputs::of(&[Output::PolygonId]));
         let images = predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?.images;
         Ok(Self { world_from_sensor, images })
     }

@@ -124,6 +124,50 @@ fn nothing_included_is_overwritten() {
     refused(&place, &lines);
 }
 
+/// Images are never read, and belong to the scene all the same: those that are there, and those that are missing.
+#[test]
+fn no_image_of_a_scene_is_overwritten() {
+    let place = Place::new();
+    let whole = fs::read(place.path("wall.glb")).unwrap();
+    let json_end = 20 + u32::from_le_bytes(whole[12..16].try_into().unwrap()) as usize;
+    let mut root: serde_json::Value = serde_json::from_slice(&whole[20..json_end]).unwrap();
+    root["buffers"][0]["uri"] = "wall.bin".into();
+    root["images"] = serde_json::json!([
+        {"uri": "wood%2Epng"}, {"uri": "tex/brick.png"}, {"uri": "sub/../../tex/tile.PNG"}, {"uri": "a%zz.png"},
+        {"uri": "data:image/png;base64,AAAA"}, {"uri": "http://a.example/b.png"}, {"bufferView": 0, "mimeType": "image/png"},
+    ]);
+    fs::create_dir_all(place.path("scene/sub")).unwrap();
+    fs::create_dir(place.path("scene/tex")).unwrap();
+    fs::create_dir(place.path("tex")).unwrap();
+    place.write("scene/wall.gltf", root.to_string().as_bytes());
+    place.write("scene/wall.bin", &whole[json_end + 8..]);
+    for image in ["scene/wood.png", "tex/tile.PNG", "scene/a%zz.png"] {
+        place.write(image, b"an image");
+    }
+    symlink("scene/wood.png", place.path("link.png")).unwrap();
+    place.write("wood.png", b"of nobody");
+    let scene = "scene/wall.gltf";
+    let mut lines: Vec<(String, &[&str])> = vec![
+        (
+            predict(scene, "--png scene/wood.png"),
+            &["--png scene/wood.png", "overwrite scene/wood.png", "; write elsewhere"],
+        ),
+        (predict(scene, "--out before.exr --depth-png link.png"), &["--depth-png link.png", "scene/wood.png"]),
+        (predict(scene, "--png tex/../scene/tex/brick.png"), &["--png tex/../scene/tex/brick.png", "brick.png"]),
+        (predict(scene, "--png tex/tile.PNG"), &["--png tex/tile.PNG"]),
+        (predict(scene, "--png scene/a%zz.png"), &["--png scene/a%zz.png"]),
+    ];
+    if cfg!(feature = "store") {
+        lines.push((format!("env create scene/wood.png {scene}"), &["scene/wood.png"]));
+    }
+    if cfg!(feature = "script") {
+        place.write("scene/hall.rhai", b"place(\"a\", import_gltf(\"wall.gltf\"));");
+        lines.push((predict("scene/hall.rhai", "--png scene/tex/brick.png"), &["--png scene/tex/brick.png"]));
+    }
+    refused(&place, &lines);
+    place.done(&predict(scene, "--png wood.png --depth-png tex/brick.png --out scene/tile.exr"));
+}
+
 #[cfg(feature = "script")]
 #[test]
 fn nothing_that_a_script_includes_is_overwritten() {

@@ -1,7 +1,7 @@
 //! Every command under every limit: it does its work, or it fails with a status of the table and one line, and leaves whole
 //! files only.
 
-use super::process::{Limits, Out, can_limit};
+use super::process::{Limits, Out, When, can_limit};
 use super::rows::{ENDLESS, FOREIGN, LARGE, LONG, Pantry, ROWS, Row, STUDIES};
 use super::whole::{May, faults};
 use presight_testkit::{Random, env_number};
@@ -121,8 +121,13 @@ fn interrupted() {
     let often = LONG.iter().cycle().take(12);
     for row in ROWS.iter().chain(ROWS).chain(often).chain(STUDIES).chain(ENDLESS) {
         let delay = Pantry::get().time(row).mul_f64(random.uniform(0.0, 1.0));
-        let limits = Limits { interrupt: Some(delay), ..Limits::default() };
+        let limits = Limits { interrupt: Some(When::After(delay)), ..Limits::default() };
         check.run(row, &format!("interrupted after {delay:?}"), &limits, SIGINT);
+    }
+    // Where by the clock alone few would be hit.
+    for row in ROWS.iter().filter(|row| !row.outputs.is_empty()).chain(LONG.iter().cycle().take(6)) {
+        let limits = Limits { interrupt: Some(When::Writing), ..Limits::default() };
+        check.run(row, "interrupted while it writes", &limits, SIGINT);
     }
     check.end();
 }
@@ -195,7 +200,7 @@ fn drivers() {
             check.run(row, option, &limits, May::BeForeign);
         }
         let delay = Duration::from_secs_f64(random.uniform(0.0, 1.0));
-        let limits = Limits { drivers: true, interrupt: Some(delay), ..Limits::default() };
+        let limits = Limits { drivers: true, interrupt: Some(When::After(delay)), ..Limits::default() };
         check.run(row, &format!("interrupted after {delay:?}"), &limits, May::BeForeign);
     }
     check.end();

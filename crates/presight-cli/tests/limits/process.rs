@@ -27,10 +27,19 @@ pub struct Limits {
     pub options: Vec<String>,
     /// Where its standard output goes.
     pub stdout: Out,
-    /// It is interrupted so long after its start.
-    pub interrupt: Option<Duration>,
+    /// When it is interrupted.
+    pub interrupt: Option<When>,
     /// Real graphics drivers; otherwise it finds none.
     pub drivers: bool,
+}
+
+/// When a process is interrupted.
+#[derive(Clone, Copy, Debug)]
+pub enum When {
+    /// So long after its start.
+    After(Duration),
+    /// As soon as a temporary file is in its folder.
+    Writing,
 }
 
 /// Where standard output goes.
@@ -160,10 +169,15 @@ fn watch(command: &mut Command, input: &str, limits: &Limits) -> Ended {
     drop(stdin);
     let stdout = child.stdout.take().filter(|_| limits.stdout != Out::Left).map(collect);
     let stderr = child.stderr.take().map(collect);
-    if let Some(delay) = limits.interrupt {
-        thread::sleep(delay.saturating_sub(start.elapsed()));
-        // Not waited for yet: the number is still its own.
-        Command::new("kill").args(["-INT", &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
+    if let Some(when) = limits.interrupt {
+        match when {
+            When::After(delay) => thread::sleep(delay.saturating_sub(start.elapsed())),
+            When::Writing => wait_until_it_writes(&mut child, command.get_current_dir().unwrap(), start),
+        }
+        // Not waited for, or not ended: the number is still its own.
+        if child.try_wait().unwrap().is_none() {
+            Command::new("kill").args(["-INT", &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
+        }
     }
     let hung = !ends(&mut child, start);
     if hung {
@@ -173,6 +187,17 @@ fn watch(command: &mut Command, input: &str, limits: &Limits) -> Ended {
     let text = |reader: Option<thread::JoinHandle<String>>| reader.map(|r| r.join().unwrap()).unwrap_or_default();
     let (stdout, stderr) = (text(stdout), text(stderr));
     Ended { status: status.code(), signal: status.signal(), hung, stdout, stderr, time: start.elapsed() }
+}
+
+/// Ends too when the process does.
+fn wait_until_it_writes(child: &mut Child, folder: &Path, start: Instant) {
+    let is_part = |entry: fs::DirEntry| entry.file_name().to_string_lossy().ends_with(".part");
+    while start.elapsed() < HANGS && child.try_wait().unwrap().is_none() {
+        // Its listing may be refused for a moment, as everything may.
+        if fs::read_dir(folder).is_ok_and(|entries| entries.flatten().any(is_part)) {
+            return;
+        }
+    }
 }
 
 fn ends(child: &mut Child, start: Instant) -> bool {

@@ -69,7 +69,7 @@ fn from_scratch(environment: &Environment) -> Environment {
 
 /// What a sensor sees: range bits, and by name which polygon of which object.
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
-    let mut predictor = Predictor::new(Options { backend: Backend::Cpu, threads: 1.into() }).unwrap();
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight::preset("laser-range-camera").unwrap();
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
     let images = predictor.predict(world, &sensor, &pose, &Request::default()).unwrap().images;

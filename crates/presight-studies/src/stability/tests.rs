@@ -11,7 +11,7 @@ use presight::World;
 use presight::compare::Precision;
 use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight::geometry::Pose;
-use presight::plan::{FramePlan, IdScheme, Images, Outputs, Request};
+use presight::plan::{FramePlan, IdScheme, ImageRequest, Images, Outputs};
 use presight::reference;
 use presight::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 use std::sync::Arc;
@@ -29,7 +29,7 @@ fn world(triangles: &[[[f32; 3]; 3]], pose: Pose) -> World {
 
 fn plan(world: &World, geometry: Geometry, pose: &Pose) -> FramePlan {
     let sensor = Sensor::new(SensorSpec::new("s", "study", geometry)).unwrap();
-    FramePlan::new(world, &sensor, pose, &Request { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
+    FramePlan::new(world, &sensor, pose, &ImageRequest { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
 }
 
 fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::oracle::Sight {
@@ -213,7 +213,7 @@ fn the_judge_sees_each_planted_fault() {
     let world = world(&triangles, Pose::IDENTITY);
     let sensor =
         Sensor::new(SensorSpec::new("s", "study", Geometry::Camera(Camera::pinhole(33, 17, 20.0, 15.0, 16.2, 8.1))));
-    let request = Request { outputs: Outputs::ALL, ids: IdScheme::Model };
+    let request = ImageRequest { outputs: Outputs::ALL, ids: IdScheme::Model };
     let plan = FramePlan::new(&world, &sensor.unwrap(), &Pose::IDENTITY, &request).unwrap();
     let picture = Picture::new(&plan);
     let mut images = Images::default();

@@ -6,16 +6,17 @@ use super::one::{One, Progress, Truth};
 use super::paths::{Named, Which};
 use super::timing::{Timed, by_turns};
 use super::views::View;
-use super::{PathNotes, Row, how, regions, request};
+use super::{PathNotes, Row, how, regions};
 use glam::DVec3;
-use presight::Result;
 use presight::acquire::features::{GenerateOptions, generate};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, PlacedFeature, STEP, SeenFeature, Visibility, place, predict_features,
+    FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, PlacedFeatures, STEP, SeenFeature, Visibility,
+    place, predict_features,
 };
 use presight::geometry::{Aabb, Pose};
-use presight::plan::{Images, Stats};
+use presight::plan::Stats;
 use presight::sensor::Sensor;
+use presight::{Prediction, Request, Result};
 
 /// Features are made of what is so near, metres.
 const NEAR: f64 = 6.0;
@@ -27,7 +28,7 @@ pub(super) const ROUNDING: f64 = 1e-12;
 /// Features before the sensor at one pose, and what is true of them.
 pub(super) struct Case<'a> {
     pub pose: &'a Pose,
-    pub placed: Vec<PlacedFeature>,
+    pub placed: PlacedFeatures,
     pub truth: FeaturePrediction,
 }
 
@@ -38,6 +39,8 @@ struct Seeing {
     step: f64,
     view: View,
     sensor: Sensor,
+    /// The last one, whose memory is reused.
+    found: Option<Prediction>,
     /// Greatest error of a visible fraction, the sum of all and their number.
     worst: f64,
     sum: f64,
@@ -58,7 +61,7 @@ pub(super) fn rows(
     }
     let cases: Vec<Case<'_>> =
         one.scene.poses.iter().zip(truths).map(|(p, t)| case(one, p, t)).collect::<Result<_>>()?;
-    let count = cases.iter().map(|c| c.placed.len()).sum();
+    let count = cases.iter().map(|c| c.placed.features.len()).sum();
     if count == 0 {
         return Ok(0);
     }
@@ -66,13 +69,11 @@ pub(super) fn rows(
     let place = one.sensor.spec().name.clone();
     for case in &cases {
         for Timed { what, timing } in &mut all {
-            let mut found = FeaturePrediction::default();
-            timing.warm(|| what.look(one, case, &mut Images::default(), &mut found))?;
-            what.judge(&found, case);
+            timing.warm(|| what.look(one, case))?;
+            what.judge(case);
         }
-        let (mut images, mut found) = (Images::default(), FeaturePrediction::default());
         let effort = one.effort;
-        let look = |what: &mut Seeing| what.look(one, case, &mut images, &mut found);
+        let look = |what: &mut Seeing| what.look(one, case);
         by_turns(effort, &mut all, look, |round| progress(&format!("features by turns, {round}: {place}")))?;
     }
     for Timed { what, timing } in all {
@@ -105,7 +106,8 @@ fn paths(one: &mut One<'_>) -> Vec<Timed<Seeing>> {
         if which == Which::Gpu && !one.engines.has_gpu() {
             continue;
         }
-        let path = |sensor| Seeing { which, visibility, step, view, sensor, worst: 0.0, sum: 0.0, count: 0 };
+        let path =
+            |sensor| Seeing { which, visibility, step, view, sensor, found: None, worst: 0.0, sum: 0.0, count: 0 };
         // Fewer rays may be too few for features.
         let seen = view
             .of(one.sensor)
@@ -140,23 +142,21 @@ impl Seeing {
     }
 
     /// Image and features together.
-    fn look(
-        &self,
-        one: &mut One<'_>,
-        case: &Case<'_>,
-        images: &mut Images,
-        found: &mut FeaturePrediction,
-    ) -> Result<Stats> {
+    fn look(&mut self, one: &mut One<'_>, case: &Case<'_>) -> Result<Stats> {
         let (world, pose) = (&one.scene.world, case.pose);
-        let options = FeatureOptions { visibility: self.visibility, step: self.step, ..FeatureOptions::default() };
         let predictor = one.engines.predictor(self.which)?;
-        let mut stats = predictor.predict_into(world, &self.sensor, pose, &request(), images)?;
-        *found = predictor.predict_features(world, &self.sensor, pose, images, &case.placed, &options, &mut stats)?;
-        Ok(stats)
+        let options = FeatureOptions::default().with_visibility(self.visibility).with_step(self.step);
+        let request = Request::default().with_features(options.with_placed(case.placed.clone()));
+        match &mut self.found {
+            Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,
+            found => *found = Some(predictor.predict(world, &self.sensor, pose, &request)?),
+        }
+        Ok(self.found.as_ref().map(|found| found.stats.clone()).unwrap_or_default())
     }
 
     /// Adds the errors of one case.
-    fn judge(&mut self, found: &FeaturePrediction, case: &Case<'_>) {
+    fn judge(&mut self, case: &Case<'_>) {
+        let Some(found) = self.found.as_ref().and_then(|p| p.features.as_ref()) else { return };
         for (seen, truth) in found.features.iter().zip(&case.truth.features) {
             let off = (seen.visible_fraction - truth.visible_fraction).abs();
             let off = if off < ROUNDING { 0.0 } else { off };
@@ -174,14 +174,14 @@ fn case<'a>(one: &One<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
     let options = GenerateOptions { region: Some(near), ..GenerateOptions::default() };
     let layer = generate(world.environment(), &one.sensor.spec().class, &options)?.layer;
     let placed = place(world, &layer)?;
-    let by_rays = FeatureOptions { visibility: Visibility::Rays, ..FeatureOptions::default() };
+    let by_rays = FeatureSettings { visibility: Visibility::Rays, ..FeatureSettings::default() };
     let all = predict_features(world, one.sensor, pose, &truth.images, &placed, &by_rays)?;
     let in_image = |seen: &SeenFeature| !seen.visible.is_empty() || seen.hidden.iter().any(|h| !h.reason.is_outside());
     let inside: Vec<usize> = (0..placed.len()).filter(|i| in_image(&all.features[*i])).collect();
     let step = inside.len().div_ceil(one.effort.features).max(1);
     let chosen: Vec<usize> = inside.into_iter().step_by(step).collect();
     let placed: Vec<PlacedFeature> = chosen.into_iter().map(|i| placed[i].clone()).collect();
-    let finely = FeatureOptions { step: TRUE_STEP, ..by_rays };
+    let finely = FeatureSettings { step: TRUE_STEP, ..by_rays };
     let truth = predict_features(world, one.sensor, pose, &truth.images, &placed, &finely)?;
-    Ok(Case { pose, placed, truth })
+    Ok(Case { pose, placed: placed.into(), truth })
 }

@@ -65,10 +65,10 @@ pub(super) fn of_features(which: Which, visibility: Visibility, step: f64, view:
     let engine = if which == Which::Gpu { "--backend gpu" } else { "--backend cpu" };
     let mut options = Vec::new();
     if visibility == Visibility::Rays {
-        options.push("FeatureOptions::visibility = Visibility::Rays".to_owned());
+        options.push("FeatureSettings::visibility = Visibility::Rays".to_owned());
     }
     if step != STEP {
-        options.push(format!("FeatureOptions::step = {step}"));
+        options.push(format!("FeatureSettings::step = {step}"));
     }
     match options.is_empty() {
         true => format!("{engine}{}", of_view(view, sensor)),

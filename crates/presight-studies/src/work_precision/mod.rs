@@ -30,7 +30,7 @@ use paths::{Engines, Path};
 use presight::World;
 use presight::compare::Precision;
 use presight::geometry::Pose;
-use presight::plan::{LeftOut, Request};
+use presight::plan::{ImageRequest, LeftOut};
 use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight::{Error, Result};
 use serde::Serialize;
@@ -216,8 +216,8 @@ impl Findings {
 const FAULT_SHARE: &str = "fault_share";
 
 /// Images that every path makes.
-fn request() -> Request {
-    Request::default()
+fn request() -> ImageRequest {
+    ImageRequest::default()
 }
 
 /// The sensor of full studies that needs a ray table: a fisheye of 180 degrees.

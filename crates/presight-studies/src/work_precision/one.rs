@@ -123,7 +123,7 @@ impl One<'_> {
             }
             let draw = |one: &mut Imaging| {
                 let predictor = self.engines.predictor(one.path.which)?;
-                predictor.predict_into(&one.world, &one.view.sensor, pose, &request(), &mut images)
+                predictor.predict_images(&one.world, &one.view.sensor, pose, &request(), &mut images)
             };
             by_turns(self.effort, &mut all, draw, |round| progress(&format!("images by turns, {round}: {place}")))?;
         }
@@ -145,7 +145,7 @@ impl One<'_> {
     fn compare(&mut self, Timed { what, timing }: &mut Timed<Imaging>, pose: &Pose, truth: &Truth) -> Result<()> {
         let (view, mut images) = (&what.view, Images::default());
         let predictor = self.engines.predictor(what.path.which)?;
-        timing.warm(|| predictor.predict_into(&what.world, &view.sensor, pose, &request(), &mut images))?;
+        timing.warm(|| predictor.predict_images(&what.world, &view.sensor, pose, &request(), &mut images))?;
         let (truth_images, shown) = view.beside(&truth.images, &images);
         // A part of the image is judged by its own sensor: pixels have their places there.
         let own =

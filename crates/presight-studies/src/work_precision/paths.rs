@@ -128,7 +128,7 @@ impl Engines {
             match kind.open(&threads) {
                 Ok(engine) => {
                     let backend = if kind.needs_device() { Backend::Gpu } else { Backend::Cpu };
-                    all.push((which, Predictor::with_engine(Options { backend, threads }, engine)));
+                    all.push((which, Predictor::with_engine(Options::new(backend).with_threads(threads), engine)));
                 }
                 Err(e) if e.kind() == ErrorKind::NoDevice => missing = Some(e),
                 Err(e) => return Err(e),

@@ -12,11 +12,12 @@ use presight::Result;
 use presight::environment::FeatureShape;
 use presight::features::{BoxMethod, BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval};
 use presight::geometry::Pose;
-use presight::internal::{SplitMix64, parallel_or_here};
+use presight::internal::{SplitMix64, add_boxes, parallel_or_here};
 use presight::plan::Stats;
 use presight::sensor::Sensor;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+use std::time::Instant;
 
 /// Standard deviations of the pose: metres, degrees.
 const POSE_ERRORS: [(f64, f64); 3] = [(0.01, 0.3), (0.1, 3.0), (0.2, 8.0)];
@@ -94,7 +95,7 @@ fn paths(one: &One<'_>) -> Vec<Timed<Boxing>> {
             let sigma = if i < 3 { errors.0 } else { errors.1.to_radians() };
             row[i] = sigma * sigma;
         }
-        let options = BoxOptions { sensor, method, ..BoxOptions::default() };
+        let options = BoxOptions::default().with_sensor(sensor).with_method(method);
         Timed::new(Boxing { which, method, errors, options, found: Vec::new() })
     };
     paths.map(path).collect()
@@ -102,11 +103,12 @@ fn paths(one: &One<'_>) -> Vec<Timed<Boxing>> {
 
 fn judged(case: &Case<'_>) -> Judged {
     // The region of what has an area is of the part that is seen, which no list of points holds.
-    let judged = |i: &usize| !case.placed[*i].feature.shape.is_area() && !case.truth.features[*i].visible.is_empty();
-    let judged: Vec<usize> = (0..case.placed.len()).filter(judged).collect();
+    let judged =
+        |i: &usize| !case.placed.features[*i].feature.shape.is_area() && !case.truth.features[*i].visible.is_empty();
+    let judged: Vec<usize> = (0..case.placed.features.len()).filter(judged).collect();
     let features = judged.iter().map(|i| case.truth.features[*i].clone()).collect();
     let seen = FeaturePrediction { features, ..FeaturePrediction::default() };
-    Judged { placed: judged.iter().map(|i| case.placed[*i].clone()).collect(), seen }
+    Judged { placed: judged.iter().map(|i| case.placed.features[*i].clone()).collect(), seen }
 }
 
 impl Boxing {
@@ -136,8 +138,11 @@ impl Boxing {
         seen: &mut FeaturePrediction,
     ) -> Result<Stats> {
         let (world, sensor, mut stats) = (&one.scene.world, one.sensor, Stats::default());
-        let predictor = one.engines.predictor(self.which)?;
-        predictor.add_boxes(seen, placed, world, sensor, case.pose, &self.options, &mut stats)?;
+        let (engine, threads) = one.engines.predictor(self.which)?.engine_mut();
+        let start = Instant::now();
+        let made = add_boxes(engine, threads, seen, placed, (world, sensor, case.pose), &self.options)?;
+        made.into_iter().for_each(|made| stats.count("regions of interest made on the device", made));
+        stats.stage("regions of interest", start);
         for (flag, name) in [("linear", "linear regions"), ("set", "regions as sets"), ("whole_image", "whole images")]
         {
             stats.count(name, seen.features.iter().filter(|f| f.roi_flag == Some(flag)).count());

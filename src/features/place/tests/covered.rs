@@ -82,7 +82,7 @@ fn lie_of(polygons: &[Vec<DVec3>], corners: &[DVec3]) -> Lie {
     let about = |p: &DVec3| *p - corners[0];
     let near: Vec<Local> =
         (0..).zip(polygons).map(|(slot, p)| Local::new(slot, p.iter().map(about).collect(), R)).collect();
-    patch::lie(&near, &corners.iter().map(about).collect::<Vec<_>>()).unwrap()
+    patch::lie(&near, &corners.iter().map(about).collect::<Vec<_>>(), &|_| Ok(())).unwrap()
 }
 
 fn nearest(polygons: &[Vec<DVec3>], p: DVec3) -> f64 {

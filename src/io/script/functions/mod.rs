@@ -17,6 +17,7 @@ use crate::geometry::Pose;
 use rhai::{Dynamic, Engine, EvalAltResult, NativeCallContext};
 use std::any::TypeId;
 use std::rc::Rc;
+use std::time::Instant;
 
 /// A part of the table with its heading.
 type Section = (&'static str, &'static [Function]);
@@ -85,7 +86,10 @@ pub(super) fn register(engine: &mut Engine, studio: &Rc<Studio>) {
             types,
             move |context: NativeCallContext<'_>, args: &mut [&mut Dynamic]| -> Result<Dynamic, Box<EvalAltResult>> {
                 let mut call = Call { studio: &studio, function, at: spot(&context, &studio), args };
-                (function.run)(&mut call).map_err(|e| Fault::in_call(e, function, context.call_position()))
+                let start = Instant::now();
+                let done = (function.run)(&mut call);
+                studio.busy.set(studio.busy.get() + start.elapsed());
+                done.map_err(|e| Fault::in_call(e, function, context.call_position()))
             },
         );
     }

@@ -218,11 +218,8 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
         placed.push(PlacedFeature { feature, object: None, slots: Vec::new() });
     }
     let prediction = FeaturePrediction { features, ..FeaturePrediction::default() };
-    let options = BoxOptions {
-        sensor: product(&factors.sensor, factors.negative),
-        confidence: CONFIDENCE,
-        ..BoxOptions::default()
-    };
+    let options =
+        BoxOptions::default().with_sensor(product(&factors.sensor, factors.negative)).with_confidence(CONFIDENCE);
     Ok(BoxSetting { world, sensor, world_from_sensor, placed, prediction, options })
 }
 

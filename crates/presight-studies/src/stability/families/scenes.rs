@@ -8,7 +8,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use presight::Result;
 use presight::environment::NewObject;
 use presight::geometry::Pose;
-use presight::plan::{FramePlan, IdScheme, Images, Output, Outputs, Request};
+use presight::plan::{FramePlan, IdScheme, ImageRequest, Images, Output, Outputs};
 use std::sync::Arc;
 
 /// A family of scenes.
@@ -145,7 +145,7 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Subject]) -> Result<Vec<Fi
     let mut verdicts = vec![(Verdict::default(), 0); subjects.len()];
     for case in cases {
         let outputs = if case.sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
-        let request = Request { outputs, ids: IdScheme::Model };
+        let request = ImageRequest { outputs, ids: IdScheme::Model };
         let plan = FramePlan::new(&case.world, &case.sensor, &case.pose, &request)?;
         let picture = Picture::new(&plan);
         for (subject, (all, edge_on)) in subjects.iter_mut().zip(&mut verdicts) {

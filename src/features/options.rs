@@ -1,0 +1,87 @@
+//! Which features a prediction is asked for, and how finely.
+
+use super::roi::PoseCovariance;
+use super::{PlacedFeature, STEP, Visibility};
+use std::sync::Arc;
+
+/// Features with the polygons on which they lie in one world. Clones share them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlacedFeatures {
+    /// The features.
+    pub features: Arc<[PlacedFeature]>,
+    /// Rising numbers of the features that lie on no polygon any more and are left out.
+    pub lost: Arc<[u32]>,
+    /// Covariances of objects' poses by index of the object, in the object's own axes.
+    pub objects: Arc<[(u32, PoseCovariance)]>,
+}
+
+impl From<Vec<PlacedFeature>> for PlacedFeatures {
+    fn from(features: Vec<PlacedFeature>) -> Self {
+        Self { features: features.into(), ..Self::default() }
+    }
+}
+
+/// Where the features of a prediction come from.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub enum FeatureSource {
+    /// The world's own layer for the sensor's class. The predictor finds their polygons once per version of the world.
+    #[default]
+    World,
+    /// Features whose polygons were found before: by [`crate::placement::place_layer`], or from files.
+    Placed(PlacedFeatures),
+}
+
+/// Which features are predicted, and how.
+///
+/// ```
+/// use presight::features::FeatureOptions;
+/// let options = FeatureOptions::default().with_time(1_790_000_000.0).with_step(0.25);
+/// assert_eq!((options.time, options.step), (Some(1.79e9), 0.25));
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct FeatureOptions {
+    /// Where they come from.
+    pub source: FeatureSource,
+    /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
+    pub time: Option<f64>,
+    /// How visibility is decided.
+    pub visibility: Visibility,
+    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
+    /// fractions more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
+    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many where the step is finer.
+    pub step: f64,
+}
+
+impl Default for FeatureOptions {
+    fn default() -> Self {
+        Self { source: FeatureSource::default(), time: None, visibility: Visibility::default(), step: STEP }
+    }
+}
+
+impl FeatureOptions {
+    /// Features whose polygons were found before, instead of the world's own layer.
+    #[must_use]
+    pub fn with_placed(self, placed: impl Into<PlacedFeatures>) -> Self {
+        Self { source: FeatureSource::Placed(placed.into()), ..self }
+    }
+
+    /// With another time, UTC seconds.
+    #[must_use]
+    pub fn with_time(self, seconds: f64) -> Self {
+        Self { time: Some(seconds), ..self }
+    }
+
+    /// With another way to decide visibility.
+    #[must_use]
+    pub fn with_visibility(self, visibility: Visibility) -> Self {
+        Self { visibility, ..self }
+    }
+
+    /// With another step of sampling, pixels.
+    #[must_use]
+    pub fn with_step(self, step: f64) -> Self {
+        Self { step, ..self }
+    }
+}

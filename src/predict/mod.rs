@@ -1,0 +1,391 @@
+//! The predictor: from a world, a sensor and a pose to images, features and regions of interest, in one call.
+
+mod features;
+mod request;
+
+pub use request::Request;
+
+use crate::cpu;
+use crate::engine::{self, Device, Engine};
+use crate::error::{Error, ErrorKind, Result};
+use crate::features::FeaturePrediction;
+use crate::geometry::Pose;
+use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
+use crate::probe::{Probe, Task, Told};
+use crate::row::RowCuts;
+use crate::sensor::Sensor;
+use crate::threads::Threads;
+use crate::world::World;
+use std::time::Instant;
+
+/// The engine that predicts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Backend {
+    /// A hardware GPU if there is one, else the CPU engine.
+    #[default]
+    Auto,
+    /// The CPU engine; never loads Vulkan.
+    Cpu,
+    /// The GPU engine on any adapter, including software adapters.
+    Gpu,
+}
+
+/// How a [`Predictor`] works.
+///
+/// ```
+/// use presight::{Backend, Options, Predictor};
+/// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(2))?;
+/// assert_eq!(predictor.engine_name(), "cpu");
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Options {
+    /// The engine to use.
+    pub backend: Backend,
+    /// CPU threads: a handle to share, or a number (`2.into()`), 0 for all cores.
+    pub threads: Threads,
+}
+
+/// What a sensor should see at one pose: the answer to a [`Request`].
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Prediction {
+    /// The request.
+    pub request: Request,
+    /// The sensor.
+    pub sensor: Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: Pose,
+    /// The version of the world that was used.
+    pub world_version: u64,
+    /// The requested images, with `feature_id` if it was requested.
+    pub images: Images,
+    /// The requested features, with their regions of interest if these were requested.
+    pub features: Option<FeaturePrediction>,
+    /// What the prediction did and cost.
+    pub stats: Stats,
+}
+
+/// Predicts with one engine, reusing its buffers from call to call.
+///
+/// ```
+/// use presight::{Backend, Environment, Options, Pose, Predictor, Request, World};
+/// let world = World::new(Environment::new());
+/// let sensor = presight::preset("laser-scanner")?;
+/// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+/// let prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+/// assert!(prediction.images.range.iter().all(|r| *r == f32::INFINITY));
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub struct Predictor {
+    backend: Backend,
+    /// Work that no engine does runs here.
+    threads: Threads,
+    engine: Box<dyn Engine>,
+    /// What the engine's device was found able to do.
+    proven: Proven,
+    /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
+    buffers: PlanBuffers,
+    /// The world's own features that were placed last.
+    own: Option<features::OwnFeatures>,
+    /// What happened to the GPU, if something did.
+    notice: Option<String>,
+    row_cuts: RowCuts,
+}
+
+/// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
+#[derive(Default)]
+struct Proven {
+    images: Vec<Task>,
+    regions: Vec<(Task, Told)>,
+}
+
+impl Predictor {
+    /// Makes a predictor and opens its engine.
+    ///
+    /// # Errors
+    /// [`ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
+    /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
+    pub fn new(options: Options) -> Result<Self> {
+        let (engine, notice) = choose_engine(options.backend, &options.threads, engine::open_gpu)?;
+        Ok(Self { notice, ..Self::with_engine(options, engine) })
+    }
+
+    /// Makes a predictor of an engine that is open already. With [`Backend::Auto`] the CPU engine takes over if that one's
+    /// device fails.
+    #[doc(hidden)]
+    pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
+        Self {
+            backend: options.backend,
+            threads: options.threads,
+            engine,
+            proven: Proven::default(),
+            buffers: PlanBuffers::default(),
+            own: None,
+            notice: None,
+            row_cuts: RowCuts::default(),
+        }
+    }
+
+    /// The engine.
+    #[doc(hidden)]
+    pub fn engine(&self) -> &dyn Engine {
+        &*self.engine
+    }
+
+    /// The threads for tasks of batches, running.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if they cannot be started.
+    pub(crate) fn task_threads(&mut self) -> Result<Threads> {
+        self.threads = self.threads.started()?;
+        Ok(self.threads.clone())
+    }
+
+    pub(crate) fn row_cuts(&self) -> &RowCuts {
+        &self.row_cuts
+    }
+
+    /// The engine, and the threads on which it leaves work to the CPU.
+    #[doc(hidden)]
+    pub fn engine_mut(&mut self) -> (&mut dyn Engine, &Threads) {
+        (&mut *self.engine, &self.threads)
+    }
+
+    /// Name of the engine: `cpu`, or `gpu` with its adapter.
+    pub fn engine_name(&self) -> String {
+        self.engine.name()
+    }
+
+    /// Predicts all that a request asks for, of a sensor at a pose: the sensor's pose in the world, body axes.
+    ///
+    /// If the GPU is lost, it is opened again once per prediction. With [`Backend::Auto`] the CPU engine takes over if that
+    /// fails, or if the device has too little memory. [`Stats::notices`] says so from then on.
+    ///
+    /// ```
+    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
+    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use glam::{DMat3, DVec3};
+    ///
+    /// // An edge 3 m ahead in an empty world.
+    /// let ends = [DVec3::new(3.0, -0.2, 0.0), DVec3::new(3.0, 0.2, 0.1)];
+    /// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+    /// let (existence, properties) = (Existence::default(), Properties::default());
+    /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
+    /// let placed = vec![PlacedFeature { feature, object: None, slots: vec![] }];
+    ///
+    /// let request = Request::default()
+    ///     .with_features(FeatureOptions::default().with_placed(placed))
+    ///     .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.02, 0.0, 0.0, 0.01]));
+    /// let camera = presight::preset("video-camera")?;
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let seen = predictor.predict(&World::new(Environment::new()), &camera, &Pose::IDENTITY, &request)?;
+    /// let edge = &seen.features.as_ref().expect("they were asked for").features[0];
+    /// assert_eq!((edge.feature.id, edge.visible_fraction), (7, 1.0));
+    /// let [x0, y0, x1, y1] = edge.roi.expect("it is seen");
+    /// assert!(x0 < x1 && y0 < y1);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`Request::check`] and [`Pose::check`]; [`ErrorKind::Usage`] if features are asked for and the world has
+    /// none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not in the world;
+    /// [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
+    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`].
+    pub fn predict(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: &Request,
+    ) -> Result<Prediction> {
+        let mut prediction = Prediction {
+            request: request.clone(),
+            sensor: sensor.clone(),
+            world_from_sensor: *world_from_sensor,
+            world_version: world.version(),
+            images: Images::default(),
+            features: None,
+            stats: Stats::default(),
+        };
+        self.fill(world, &mut prediction)?;
+        Ok(prediction)
+    }
+
+    /// Predicts again, into an older prediction whose memory is reused: the same sensor and request, at another pose or in
+    /// another version of the world. After an error the older prediction is not to be used.
+    ///
+    /// ```
+    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let mut prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+    /// let pose = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.1);
+    /// predictor.predict_again(&world, &pose, &mut prediction)?;
+    /// assert_eq!(prediction.world_from_sensor, pose);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Predictor::predict`].
+    pub fn predict_again(
+        &mut self,
+        world: &World,
+        world_from_sensor: &Pose,
+        prediction: &mut Prediction,
+    ) -> Result<()> {
+        prediction.world_from_sensor = *world_from_sensor;
+        prediction.world_version = world.version();
+        self.fill(world, prediction)
+    }
+
+    /// Answers the request of a prediction that has sensor and pose.
+    fn fill(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
+        let Prediction { request, sensor, world_from_sensor, images, features, stats, .. } = prediction;
+        request.check(sensor)?;
+        world_from_sensor.check()?;
+        let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
+        *stats = self.predict_images(world, sensor, world_from_sensor, request.drawn(), images)?;
+        *features = match &placed {
+            Some(placed) => Some(self.features(world, sensor, world_from_sensor, request, placed, images, stats)?),
+            None => None,
+        };
+        if !request.outputs.has(Output::PolygonId) {
+            images.polygon_id.clear();
+        }
+        Ok(())
+    }
+
+    /// Predicts images alone into the caller's: for studies, which draw for many sensors into the same memory.
+    #[doc(hidden)]
+    pub fn predict_images(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: impl Into<ImageRequest>,
+        images: &mut Images,
+    ) -> Result<Stats> {
+        let request = request.into();
+        let start = Instant::now();
+        let buffers = std::mem::take(&mut self.buffers);
+        let plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
+        stats.stage("selection", start);
+        let rendered = self.render(&plan, images, &mut stats);
+        let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
+        stats.left_out.extend(by_engine);
+        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
+        stats.notices.extend(self.notice.clone());
+        self.buffers = plan.into_buffers();
+        rendered.map(|()| stats)
+    }
+
+    /// Runs a function on the predictor's own threads.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if threads cannot be started.
+    pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
+        self.threads = self.threads.started()?;
+        self.threads.run(work)
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        if self.engine.device().is_none() {
+            return self.engine.render(plan, images, stats);
+        }
+        let selection = stats.clone();
+        let mut again = true;
+        loop {
+            let drawn = self.prove(plan).and_then(|()| self.engine.render(plan, images, stats));
+            let Err(fault) = drawn else { return Ok(()) };
+            self.recover(fault, again)?;
+            again = false;
+            // Nothing of the attempt that failed is told.
+            stats.clone_from(&selection);
+        }
+    }
+
+    /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine.
+    fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
+        let Some(device) = self.engine.device() else { return Err(fault) };
+        if again && fault.kind() == ErrorKind::DeviceLost && device.reopen().is_ok() {
+            self.proven = Proven::default();
+            self.notice = Some(format!("the GPU was opened again after this: {fault}"));
+            return Ok(());
+        }
+        if self.backend != Backend::Auto {
+            return Err(fault);
+        }
+        self.engine = Box::new(cpu::Engine::new(self.threads.clone())?);
+        self.notice = Some(format!("the CPU engine took over: {fault}"));
+        Ok(())
+    }
+
+    /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
+    /// that this makes are those of the prediction to come, so that it costs little besides.
+    fn prove(&mut self, plan: &FramePlan) -> Result<()> {
+        let task = Task::of(&plan.sensor);
+        // Where nothing is drawn nothing has to be proven.
+        if plan.polygon_count == 0 || self.engine.device().is_none() || self.proven.images.contains(&task) {
+            return Ok(());
+        }
+        let engine = &mut *self.engine;
+        let draw = |plan: &FramePlan, images: &mut Images| engine.render(plan, images, &mut Stats::default());
+        let report = Probe::new()?.run(task, plan.drawn(), draw)?;
+        if let (Some(first), Some(device)) = (report.faults.first(), self.engine.device()) {
+            let (n, all) = (report.fault, report.pixels);
+            return Err(faulty(device, format!("draws {n} of {all} pixels of a probe wrong: {}", first.why)));
+        }
+        self.proven.images.push(task);
+        Ok(())
+    }
+}
+
+/// A device does something wrong.
+fn faulty(device: &dyn Device, what: String) -> Error {
+    let remedy = "update its driver, or use --backend cpu; see presight doctor";
+    Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
+}
+
+/// The engine of a backend, and what is to be said of it. `open_gpu` opens a GPU, on hardware or none if its second argument
+/// says so.
+fn choose_engine(
+    backend: Backend,
+    threads: &Threads,
+    open_gpu: impl Fn(&Threads, bool) -> Result<Box<dyn Engine>>,
+) -> Result<(Box<dyn Engine>, Option<String>)> {
+    let on_cpu = || Ok::<_, Error>(Box::new(cpu::Engine::new(threads.clone())?));
+    match backend {
+        Backend::Cpu => Ok((on_cpu()?, None)),
+        Backend::Gpu => Ok((open_gpu(threads, false)?, None)),
+        Backend::Auto => match open_gpu(threads, true) {
+            Ok(engine) => Ok((engine, None)),
+            // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
+            Err(e) if e.kind() == ErrorKind::NoDevice => Ok((on_cpu()?, None)),
+            Err(e) => Ok((on_cpu()?, Some(format!("the CPU engine is used: {e}")))),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
+        let fails =
+            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use --backend cpu"));
+        let threads = Threads::from(1);
+        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
+        assert_eq!((engine.name().as_str(), notice), ("cpu", None));
+        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::System)).unwrap();
+        assert_eq!(engine.name(), "cpu");
+        assert!(notice.is_some_and(|n| n.starts_with("the CPU engine is used: no adapter")));
+        let refused = choose_engine(Backend::Gpu, &threads, fails(ErrorKind::NoDevice)).err();
+        assert_eq!(refused.map(|e| e.kind()), Some(ErrorKind::NoDevice));
+        assert!(choose_engine(Backend::Cpu, &threads, fails(ErrorKind::System)).is_ok());
+    }
+}

@@ -1,0 +1,253 @@
+//! Scenes: a model from a file, as the world that predictions are made in.
+
+use crate::acquire::{ImportReport, Imported};
+use crate::environment::{Feature, FeatureLayer, FeatureShape};
+use crate::error::{Error, Result};
+use crate::features::{PlacedFeatures, place};
+use crate::geometry::Pose;
+use crate::index::{Params, Scheme};
+use crate::io::gltf::{ImportOptions, import};
+use crate::io::layer::{self, LayerFile};
+use crate::io::materials::Sidecar;
+use crate::io::{self, file};
+use crate::limits;
+use crate::placement::{self, Placement};
+use crate::world::World;
+use glam::DVec3;
+use std::path::{Path, PathBuf};
+
+/// What a store starts with.
+const SQLITE: &[u8; 16] = b"SQLite format 3\0";
+
+/// A scene: the world of a model, and what its file says besides.
+///
+/// ```
+/// use presight::Scene;
+/// let scene = Scene::open("scenes/room.glb")?;
+/// assert!(scene.world.environment().objects().len() > 5);
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Scene {
+    /// Where it was read.
+    pub path: PathBuf,
+    /// The world it becomes.
+    pub world: World,
+    /// Turns glTF's axes (y up) into the world's (z up), the `world_from_scene` of the materials file included.
+    pub world_from_gltf: Pose,
+    /// What the import found.
+    pub report: ImportReport,
+}
+
+/// How a scene is opened.
+///
+/// ```
+/// use presight::index::Scheme;
+/// use presight::io::gltf::ImportOptions;
+/// use presight::{Scene, SceneOptions};
+/// // For `source` ids: every triangle stays a polygon.
+/// let import = ImportOptions { merge: false, ..ImportOptions::default() };
+/// let options = SceneOptions::default().with_import(import).with_index(Scheme::Skd3);
+/// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
+/// assert_eq!(scene.world.index().scheme(), Scheme::Skd3);
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct SceneOptions {
+    /// How models are imported, and on which threads.
+    pub import: ImportOptions,
+    /// The index that the world gets.
+    pub index: Scheme,
+}
+
+impl SceneOptions {
+    /// With other options of the import.
+    #[must_use]
+    pub fn with_import(self, import: ImportOptions) -> Self {
+        Self { import, ..self }
+    }
+
+    /// With another index.
+    #[must_use]
+    pub fn with_index(self, index: Scheme) -> Self {
+        Self { index, ..self }
+    }
+}
+
+/// Features of layers, on their polygons.
+#[derive(Clone, Debug, Default)]
+pub struct SceneFeatures {
+    /// The features.
+    pub placed: PlacedFeatures,
+    /// Number of features for other sensor classes, which are left out.
+    pub other_classes: usize,
+}
+
+impl Scene {
+    /// Opens a scene with the default options: a glTF model (`.glb`, `.gltf`) with its `SCENE.materials.toml`, a scene script
+    /// (`.rhai`), or a stored environment (`.presight`). What a script prints is dropped.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming file and place; [`crate::ErrorKind::System`] if it cannot be read;
+    /// [`crate::ErrorKind::Unsupported`] for what this build cannot read.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open_with(path, &SceneOptions::default(), &mut |_| {})
+    }
+
+    /// As [`Scene::open`], with options; `say` hears each line that a script prints.
+    ///
+    /// # Errors
+    /// As [`Scene::open`].
+    pub fn open_with(path: impl AsRef<Path>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
+        let (path, scheme) = (path.as_ref(), options.index);
+        let threads = options.import.threads.started()?;
+        if is_store(path) {
+            return threads.run(|| stored(path, scheme))?;
+        }
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let (imported, world_from_scene) = match extension.as_str() {
+            "rhai" => (script(path, &options.import, say)?, Pose::IDENTITY),
+            _ => (import(path, &options.import)?, Sidecar::beside(path)?.world_from_scene),
+        };
+        let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
+        let world_from_gltf = world_from_scene * z_up_from_y_up();
+        Ok(Self { path: path.to_owned(), world, world_from_gltf, report: imported.report })
+    }
+
+    /// Reads layer files over the scene's own layer for a sensor class, and finds the polygons of the features. Later layers
+    /// win by id. Features of the scene's own layer that have lost their surface are left out and listed; those of a file
+    /// must lie on polygons, unless the file says that they lost theirs.
+    ///
+    /// ```
+    /// use presight::Scene;
+    /// # use presight::acquire::features::{GenerateOptions, generate};
+    /// let scene = Scene::open("scenes/room.glb")?;
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("room.video.layer.json");
+    /// # let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
+    /// # presight::io::layer::write(&path, &layer)?;
+    /// let features = scene.place_layers(&[&path], "video")?;
+    /// assert!(features.placed.features.len() > 10);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`layer::load`] and [`place`], naming the layer's file.
+    pub fn place_layers<P: AsRef<Path>>(&self, files: &[P], class: &str) -> Result<SceneFeatures> {
+        self.place_layers_of(files, class, |_| true)
+    }
+
+    /// As [`Scene::place_layers`], of some shapes of features only.
+    ///
+    /// # Errors
+    /// As [`Scene::place_layers`].
+    pub fn place_layers_of<P: AsRef<Path>>(
+        &self,
+        files: &[P],
+        class: &str,
+        wanted: impl Fn(&FeatureShape) -> bool,
+    ) -> Result<SceneFeatures> {
+        let mut loaded = layer::load(self.world.environment().layer(class), files, class)?;
+        loaded.layers.iter_mut().for_each(|l| l.layer.features.retain(|f| wanted(&f.shape)));
+        let (mut all, mut objects) = (Placement::default(), Vec::new());
+        for LayerFile { layer, path, lost, .. } in &loaded.layers {
+            let in_file = |e: Error| e.in_file(path.as_ref().unwrap_or(&self.path));
+            let mut set_apart = |layer: &FeatureLayer| -> Result<()> {
+                let Placement { placed, off } = placement::find(&self.world, layer).map_err(in_file)?;
+                all.placed.extend(placed);
+                all.off.extend(off);
+                Ok(())
+            };
+            match path {
+                None => set_apart(layer)?,
+                Some(_) if lost.is_empty() => all.placed.extend(place(&self.world, layer).map_err(in_file)?),
+                Some(_) => {
+                    let is_lost = |f: &Feature| lost.binary_search(&f.id).is_ok();
+                    let (marked, others) = layer.features.iter().cloned().partition(is_lost);
+                    set_apart(&FeatureLayer { features: marked, ..layer.clone() })?;
+                    let others = FeatureLayer { features: others, ..layer.clone() };
+                    all.placed.extend(place(&self.world, &others).map_err(in_file)?);
+                }
+            }
+            for (object, covariance) in &layer.pose_covariances {
+                objects.push((self.world.environment().index_of(object).map_err(in_file)?, *covariance));
+            }
+        }
+        all.placed.sort_by_key(|p| p.feature.id);
+        all.off.sort_unstable();
+        let placed = PlacedFeatures { features: all.placed.into(), lost: all.off.into(), objects: objects.into() };
+        Ok(SceneFeatures { placed, other_classes: loaded.other_classes })
+    }
+}
+
+/// BLAKE3 of a scene's file, hexadecimal, as predictions in EXR files name it.
+///
+/// # Errors
+/// Those of reading it; [`crate::ErrorKind::Invalid`] for a file too large for a scene.
+pub fn blake3_of(path: &Path) -> Result<String> {
+    let file = file::open(path)?;
+    if file.limit() > limits::MAX_FILE_BYTES && !file::starts_with(path, SQLITE) {
+        // No scene: it is not read for minutes to be told so.
+        let what = format!("the file is too large: it has {} bytes", file.limit());
+        return Err(Error::invalid(what, format!("{} are the limit", limits::MAX_FILE_BYTES)).in_file(path));
+    }
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file).map_err(|e| Error::io(path, "read it", e))?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+fn z_up_from_y_up() -> Pose {
+    Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0)
+}
+
+/// Runs a scene script.
+#[cfg(feature = "script")]
+fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<Imported> {
+    io::script::load(path, options, say)
+}
+
+#[cfg(not(feature = "script"))]
+fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<Imported> {
+    Err(io::not_built("scene scripts", "script").in_file(path))
+}
+
+/// True for a stored environment, whatever its name.
+fn is_store(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight")) || file::starts_with(path, SQLITE)
+}
+
+/// A store is in presight's frame already.
+#[cfg(feature = "store")]
+fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
+    let world = io::store::read_world(path, scheme, Params::tuned(scheme))?;
+    let mut report = ImportReport::default();
+    let mut seen = std::collections::HashSet::new();
+    for object in world.environment().objects() {
+        let polygons = object.mesh.polygon_count() as u64;
+        report.polygons_in_scene += polygons;
+        if seen.insert(std::sync::Arc::as_ptr(&object.mesh)) {
+            report.polygons_stored += polygons;
+        }
+    }
+    Ok(Scene { path: path.to_owned(), world, world_from_gltf: z_up_from_y_up(), report })
+}
+
+#[cfg(not(feature = "store"))]
+fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
+    Err(io::not_built("stored environments", "store").in_file(path))
+}
+
+#[cfg(all(test, not(feature = "script")))]
+mod tests {
+    use super::*;
+    use crate::error::ErrorKind;
+
+    #[test]
+    fn without_scripts_one_is_refused_with_a_remedy() {
+        let e = Scene::open("hall.rhai").err().expect("no scripts");
+        assert_eq!((e.kind(), e.file()), (ErrorKind::Unsupported, Some(Path::new("hall.rhai"))));
+        assert!(e.remedy().contains("script"), "{e}");
+    }
+}
