@@ -34,7 +34,7 @@ pub enum WorldFrame {
     /// presight's: z up, metres.
     #[default]
     ZUp,
-    /// The glTF file's: y up, metres.
+    /// That of the glTF file's axes (y up, unless it says otherwise), in metres.
     Gltf,
 }
 

@@ -95,6 +95,8 @@ pub const MAX_SCRIPT_FEATURES: u64 = 1 << 18;
 pub const MAX_SCRIPT_ASSEMBLIES: u32 = 64;
 /// Most sensors of a robot: a small file could otherwise name a large ray table any number of times.
 pub const MAX_ROBOT_SENSORS: usize = 256;
+/// Most poses of one series of predictions.
+pub const MAX_SERIES: usize = 1 << 20;
 /// Longest line of a file of changes, in bytes.
 pub const MAX_LINE_BYTES: u64 = 64 << 20;
 /// Most characters of one part of a message (file, place, what is wrong, remedy); what follows is left out.

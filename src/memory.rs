@@ -94,8 +94,8 @@ pub struct Frame {
     pub picture: u64,
     /// A depth image is written.
     pub depth_png: bool,
-    /// Points are written.
-    pub points: bool,
+    /// Bytes by pixel of points that are written.
+    pub points: u64,
     /// Bytes by pixel of what a virtual sensor reads from the images.
     pub reading: u64,
 }
@@ -120,8 +120,7 @@ impl Frame {
             if self.picture > 0 { 11 * self.pixels + 3 * self.picture } else { 0 },
             // Millimetres, their bytes, and what they are packed to.
             if self.depth_png { 7 * self.pixels } else { 0 },
-            // Positions in f64 and ids.
-            if self.points { 28 * self.pixels } else { 0 },
+            self.points * self.pixels,
         ];
         drawn + self.reading * self.pixels + files.into_iter().max().unwrap_or(0)
     }

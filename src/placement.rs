@@ -1,13 +1,11 @@
 //! Features and the polygons under them, as both change: a feature that is put in must lie on polygons, and one whose
 //! surface is later moved or deleted is kept, left out of predictions, and told of.
 
-use crate::acquire::{Problem, ProblemKind};
 use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
 use crate::features::{PlacedFeature, PlacedFeatures, place, place_lying};
 use crate::index::{Params, Scheme};
-use crate::limits;
 use crate::world::World;
 use std::collections::HashSet;
 
@@ -116,24 +114,10 @@ fn check(world: &World, class: &str, feature: &Feature) -> Result<()> {
     why_off(world, class, tolerance, feature).map_or(Ok(()), Err)
 }
 
-/// The features of the environment's own layers that lie on no polygon any more, as a problem with places; `None` if all do.
-///
-/// # Errors
-/// As [`find`].
-pub fn problem(environment: &Environment) -> Result<Option<Problem>> {
-    let lost = lost(environment)?;
-    if lost.is_empty() {
-        return Ok(None);
-    }
-    let world = World::new(environment.clone());
-    let why = |(class, id): &(String, u32)| check(&world, class, environment.feature(class, *id)?).err();
-    let places = lost.iter().take(limits::LISTED_PROBLEMS).filter_map(why).map(|why| why.to_string()).collect();
-    Ok(Some(Problem { kind: ProblemKind::LostFeature, total: lost.len() as u64, places }))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::acquire::{ProblemKind, lost_features};
     use crate::environment::{Existence, FeatureShape, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties};
     use crate::geometry::Pose;
     use glam::{DMat3, DVec3, Vec3};
@@ -216,12 +200,12 @@ mod tests {
     fn what_lost_its_surface_is_set_apart_and_told() {
         let mut world = world();
         apply(&mut world, Change::Group(vec![insert(1, 0.5), insert(2, 5.5), insert(3, 5.25)]), false, &[]).unwrap();
-        assert_eq!(problem(world.environment()).unwrap(), None);
+        assert_eq!(lost(world.environment()).unwrap(), []);
         apply(&mut world, move_to("far", 9.0), false, &[]).unwrap();
         let layer = world.environment().layer("video").unwrap();
         let found = find(&world, layer).unwrap();
         assert_eq!((found.placed[0].feature.id, found.placed.len(), found.off), (1, 1, vec![2, 3]));
-        let problem = problem(world.environment()).unwrap().unwrap();
+        let problem = lost_features(world.environment()).unwrap().unwrap();
         assert_eq!((problem.kind, problem.total, problem.places.len()), (ProblemKind::LostFeature, 2, 2));
         assert!(problem.places[0].starts_with("class \"video\": feature 2: the point is 3."), "{problem}");
     }

@@ -1,19 +1,17 @@
 //! Scenes: a model from a file, as the world that predictions are made in.
 
-use crate::acquire::{ImportReport, Imported};
+use crate::acquire::{ImportReport, Imported, SceneFrame};
 use crate::environment::{Feature, FeatureLayer, FeatureShape};
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::features::{PlacedFeatures, place};
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme};
 use crate::io::gltf::{ImportOptions, import};
 use crate::io::layer::{self, LayerFile};
-use crate::io::materials::Sidecar;
 use crate::io::{self, file};
 use crate::limits;
 use crate::placement::{self, Placement};
 use crate::world::World;
-use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// What a store starts with.
@@ -34,7 +32,9 @@ pub struct Scene {
     pub path: PathBuf,
     /// The world it becomes.
     pub world: World,
-    /// Turns glTF's axes (y up) into the world's (z up), the `world_from_scene` of the materials file included.
+    /// How the file lies in the world; `None` for scripts and stores, which are in the world's frame.
+    pub frame: Option<SceneFrame>,
+    /// Turns the file's axes (glTF's: y up), in metres, into the world's (z up), the `world_from_scene` of the materials file included.
     pub world_from_gltf: Pose,
     /// What the import found.
     pub report: ImportReport,
@@ -104,16 +104,22 @@ impl Scene {
         let (path, scheme) = (path.as_ref(), options.index);
         let threads = options.import.threads.started()?;
         if is_store(path) {
+            check_unframed(path, &options.import, "a store keeps the frame that it was made with")?;
             return threads.run(|| stored(path, scheme))?;
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        let (imported, world_from_scene) = match extension.as_str() {
-            "rhai" => (script(path, &options.import, say)?, Pose::IDENTITY),
-            _ => (import(path, &options.import)?, Sidecar::beside(path)?.world_from_scene),
+        let imported = match extension.as_str() {
+            "rhai" => {
+                check_unframed(path, &options.import, "a script is in metres and z-up")?;
+                script(path, &options.import, say)?
+            }
+            "obj" | "stl" | "ply" | "off" | "dae" if path.exists() => return Err(mesh_file(path)),
+            _ => import(path, &options.import)?,
         };
         let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
-        let world_from_gltf = world_from_scene * z_up_from_y_up();
-        Ok(Self { path: path.to_owned(), world, world_from_gltf, report: imported.report })
+        let frame = imported.frame;
+        let world_from_gltf = frame.unwrap_or_default().world_from_axes();
+        Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report })
     }
 
     /// Reads layer files over the scene's own layer for a sensor class, and finds the polygons of the features. Later layers
@@ -198,8 +204,26 @@ pub fn blake3_of(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-fn z_up_from_y_up() -> Pose {
-    Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0)
+/// Refuses --up and --scale for what has its frame.
+fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
+    let flag = match (options.up, options.scale) {
+        (None, None) => return Ok(()),
+        (Some(_), _) => "--up",
+        _ => "--scale",
+    };
+    let remedy = format!("drop {flag}, or give it where the glTF file is read");
+    Err(Error::usage(format!("{flag}: {why}"), remedy).in_file(path))
+}
+
+/// Meshes of other formats: what converts them.
+fn mesh_file(path: &Path) -> Error {
+    let (from, to) = (path.display(), path.with_extension("glb"));
+    let remedy = format!(
+        "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" (pip install trimesh), \
+         then --up z if it is z-up",
+        to.display()
+    );
+    Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy).in_file(path)
 }
 
 /// Runs a scene script.
@@ -231,7 +255,9 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
             report.polygons_stored += polygons;
         }
     }
-    Ok(Scene { path: path.to_owned(), world, world_from_gltf: z_up_from_y_up(), report })
+    // The axes of the file that `env export` writes.
+    let world_from_gltf = SceneFrame::default().world_from_axes();
+    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report })
 }
 
 #[cfg(not(feature = "store"))]

@@ -3,6 +3,7 @@
 
 mod edges;
 pub mod features;
+mod frame;
 mod merge;
 pub mod primitives;
 mod quality;
@@ -10,9 +11,11 @@ mod report;
 mod triangles;
 
 pub(crate) use edges::Edges;
+pub(crate) use frame::Z_UP_FROM_Y_UP;
+pub use frame::{SceneFrame, Up};
 pub use merge::MERGED_CORNERS;
 pub(crate) use merge::{merge, unmerged};
-pub use report::{ImportReport, Imported, Problem, ProblemKind};
+pub use report::{ImportReport, Imported, Problem, ProblemKind, lost_features};
 pub(crate) use report::{ProblemBook, ProblemList, Site};
 pub(crate) use triangles::place_of;
 pub use triangles::{Triangle, TriangleMesh, Welder};

@@ -1,7 +1,11 @@
 //! What an import found: counts, and every kind of problem with its first places.
 
+use super::SceneFrame;
 use crate::environment::Environment;
+use crate::error::Result;
 use crate::limits;
+use crate::placement::{lost, why_off};
+use crate::world::World;
 use glam::Vec3;
 use serde::Serialize;
 use std::fmt;
@@ -13,6 +17,8 @@ pub struct Imported {
     pub environment: Environment,
     /// Counts and problems.
     pub report: ImportReport,
+    /// How the file lies in the world; `None` for a script, which is in the world's frame.
+    pub frame: Option<SceneFrame>,
 }
 
 /// Counts and problems of an import. "Stored" counts each mesh once, "scene" each of its instances.
@@ -134,6 +140,24 @@ impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.lines("  ").join("\n"))
     }
+}
+
+/// The features of the environment's own layers that lie on no polygon any more, as a problem with places; `None` if all do.
+///
+/// # Errors
+/// As [`crate::placement::find`].
+pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
+    let lost = lost(environment)?;
+    if lost.is_empty() {
+        return Ok(None);
+    }
+    let world = World::new(environment.clone());
+    let why = |(class, id): &(String, u32)| {
+        let layer = environment.layer(class)?;
+        why_off(&world, class, layer.tolerance, environment.feature(class, *id)?)
+    };
+    let places = lost.iter().filter_map(why).take(limits::LISTED_PROBLEMS).map(|why| why.to_string()).collect();
+    Ok(Some(Problem { kind: ProblemKind::LostFeature, total: lost.len() as u64, places }))
 }
 
 /// Where in a mesh a problem is; words are made only for those that are listed.

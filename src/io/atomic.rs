@@ -29,12 +29,12 @@ use std::path::{Path, PathBuf};
 /// no fault of a file. So is a file that nobody, or not this user, may write.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
     let refused = |e| refused(path, e);
-    let old = match fs::metadata(path) {
+    match fs::metadata(path) {
         Ok(m) if m.is_dir() => return Err(refused(io::Error::from(io::ErrorKind::IsADirectory))),
         Ok(m) if !m.is_file() || is_given(path) => return write_through(path, fill).map_err(refused),
-        old => old.ok(),
-    };
-    let old = old.map(|old| open_old(path, &old)).transpose()?;
+        _ => {}
+    }
+    let old = open_to_replace(path)?;
     let target = target_of(path).map_err(refused)?;
     let folder = target.parent().filter(|_| target.file_name().is_some());
     let folder = folder.ok_or_else(|| refused(io::Error::from(io::ErrorKind::IsADirectory)))?;
@@ -49,8 +49,11 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<
     temporary.keep_as(&target).map_err(refused)
 }
 
-/// The file that is to be replaced, if it may be written. Root may write anything: a file without any write bit is meant to
-/// stay.
+/// The file that is to be replaced, if there is one. Root may write anything: a file without any write bit is meant to stay.
+pub(super) fn open_to_replace(path: &Path) -> Result<Option<File>> {
+    fs::metadata(path).ok().map(|old| open_old(path, &old)).transpose()
+}
+
 fn open_old(path: &Path, old: &Metadata) -> Result<File> {
     if old.permissions().readonly() {
         let remedy = "allow writing to it first, or write elsewhere";

@@ -239,11 +239,11 @@ fn distortion(file: &File, notices: &mut Vec<String>) -> Result<Distortion> {
         }
         Some(model) => model,
     };
-    if !matches!(model, "none" | "plumb_bob" | "rational_polynomial" | "equidistant" | "kannala_brandt") {
+    if !matches!(model, "none" | "plumb_bob" | "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye") {
         return Err(Error::new(
             ErrorKind::Unsupported,
             format!("distortion model {model:?}"),
-            "give plumb_bob, rational_polynomial or equidistant",
+            "give plumb_bob, rational_polynomial, equidistant or fisheye",
         )
         .at("distortion_model"));
     }

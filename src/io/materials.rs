@@ -8,6 +8,8 @@
 //! # Where the scene's origin (z-up, after the turn from glTF's y-up) stands in the world:
 //! # x, y, z in metres, then roll, pitch, yaw in degrees. Default: at the world's origin.
 //! world_from_scene = [4469320.25, 5333710.5, 512.0, 0.0, 0.0, 90.0]
+//! up = "z"                     # the axis of the file that points up: "y" (default, glTF's) or "z"
+//! scale = 0.001                # metres in one unit of the file, default 1
 //!
 //! [material."Glass"]           # the material's name in the scene; every material of that name is meant
 //! reflection = 0.1             # reflection factor, 0 to 1, default 1
@@ -18,6 +20,8 @@
 //! radar = "invisible"
 //! ```
 //!
+//! `scale` comes first, then the turn, then `world_from_scene`. All mistakes of a sidecar are told at once.
+//!
 //! In a glTF file a material's `extras` may hold `"presight": {"reflection": 0.1, "one_sided": false,
 //! "classes": {"laser": "transparent"}}`. What the sidecar names wins, key by key. Unknown keys and materials that
 //! the scene does not have are errors: a typing mistake would otherwise change images silently.
@@ -25,6 +29,8 @@
 //! glTF's own `doubleSided` is not used: it tells a renderer what to draw, and its default would make the backs of
 //! most models vanish.
 
+use super::faults::{Faults, Table};
+use crate::acquire::{SceneFrame, Up};
 use crate::environment::{Appearance, Material};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -40,17 +46,13 @@ use std::path::{Path, PathBuf};
 pub struct Sidecar {
     /// Pose of the z-up scene in the world.
     pub world_from_scene: Pose,
+    /// The axis of the file that points up, if it says so.
+    pub up: Option<Up>,
+    /// Metres in one unit of the file, if it says so.
+    pub scale: Option<f64>,
     materials: BTreeMap<String, Properties>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SidecarText {
-    #[serde(rename = "format")]
-    _format: i64,
-    world_from_scene: Option<[f64; 6]>,
-    #[serde(default)]
-    material: BTreeMap<String, Properties>,
+    /// What is wrong with the text.
+    faults: Faults,
 }
 
 /// Properties of one material; absent ones stay unchanged.
@@ -64,6 +66,18 @@ pub struct Properties {
 }
 
 impl Properties {
+    /// Reads the table of a sidecar.
+    fn read(text: &str, mut table: Table<'_>, faults: &mut Faults) -> Self {
+        let reflection = faults.take(text, &mut table, "reflection");
+        let one_sided = faults.take(text, &mut table, "one_sided");
+        let mut classes = BTreeMap::new();
+        for (class, value) in faults.take_table(text, &mut table, "classes") {
+            classes.extend(faults.read(text, value).map(|appearance| (class.into_inner().into_owned(), appearance)));
+        }
+        faults.check_empty(text, table, "reflection, one_sided and classes");
+        Self { reflection, one_sided, classes }
+    }
+
     /// Applies the properties that are given.
     pub fn apply_to(&self, material: &mut Material) {
         if let Some(reflection) = self.reflection {
@@ -85,13 +99,20 @@ impl Sidecar {
     /// Reads the sidecar of a scene. If there is none, the result changes nothing.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the line of an unknown key or impossible value,
+    /// [`crate::ErrorKind::Invalid`] naming the lines of all unknown keys and impossible values,
     /// [`crate::ErrorKind::Unsupported`] for a newer format.
     pub fn beside(scene: &Path) -> Result<Self> {
+        let sidecar = Self::beside_leniently(scene)?;
+        sidecar.faults.check().map_err(|e| e.in_file(sidecar_path(scene)))?;
+        Ok(sidecar)
+    }
+
+    /// As [`Sidecar::beside`], but wrong keys and values are told by [`Sidecar::apply_to`], with what does not fit the scene.
+    pub(in crate::io) fn beside_leniently(scene: &Path) -> Result<Self> {
         let path = sidecar_path(scene);
         match std::fs::metadata(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            _ => Self::parse(&text::read_settings(&path)?).map_err(|e| e.in_file(&path)),
+            _ => Self::read(&text::read_settings(&path)?).map_err(|e| e.in_file(&path)),
         }
     }
 
@@ -100,45 +121,64 @@ impl Sidecar {
     /// # Errors
     /// As [`Sidecar::beside`].
     pub fn parse(text: &str) -> Result<Self> {
+        let sidecar = Self::read(text)?;
+        sidecar.faults.check()?;
+        Ok(sidecar)
+    }
+
+    fn read(text: &str) -> Result<Self> {
+        let mut table = Faults::parse(text)?;
         text::check_format(text)?;
-        let parsed: SidecarText = text::toml_from_str(text)?;
-        let world_from_scene = match parsed.world_from_scene {
-            None => Pose::IDENTITY,
-            Some(v) if v.iter().all(|x| x.is_finite() && x.abs() <= limits::MAX_COORDINATE) => Pose::from_xyz_rpy(
-                DVec3::new(v[0], v[1], v[2]),
-                v[3].to_radians(),
-                v[4].to_radians(),
-                v[5].to_radians(),
-            ),
-            Some(_) => {
-                return Err(Error::invalid("a number is not finite", "give [x, y, z, roll_deg, pitch_deg, yaw_deg]")
-                    .at("world_from_scene"));
+        table.remove("format");
+        let mut faults = Faults::default();
+        let place: Option<[f64; 6]> = faults.take(text, &mut table, "world_from_scene");
+        let world_from_scene = match place {
+            Some(v) if !v.iter().all(|x| x.is_finite() && x.abs() <= limits::MAX_COORDINATE) => {
+                let remedy = "give [x, y, z, roll_deg, pitch_deg, yaw_deg]";
+                faults.note("world_from_scene", "a number is not finite, or too large", remedy);
+                Pose::IDENTITY
             }
+            Some([x, y, z, roll, pitch, yaw]) => {
+                Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
+            }
+            None => Pose::IDENTITY,
         };
-        Ok(Self { world_from_scene, materials: parsed.material })
+        let up = faults.take(text, &mut table, "up");
+        let scale: Option<f64> = faults.take(text, &mut table, "scale");
+        if let Some(Err(e)) = scale.map(SceneFrame::check_scale) {
+            faults.note("scale", e.what(), e.remedy());
+        }
+        let mut materials = BTreeMap::new();
+        for (name, value) in faults.take_table(text, &mut table, "material") {
+            let own = faults.as_table(text, value);
+            materials.insert(name.into_inner().into_owned(), Properties::read(text, own, &mut faults));
+        }
+        faults.check_empty(text, table, "format, world_from_scene, up, scale and material");
+        Ok(Self { world_from_scene, up, scale, materials, faults })
     }
 
     /// Changes the named materials of a scene.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if a name belongs to no material, or a reflection factor is outside 0..=1.
+    /// [`crate::ErrorKind::Invalid`] with all names that belong to no material, all reflection factors outside 0..=1, and what is
+    /// wrong with the text.
     pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
+        let mut faults = self.faults.clone();
         for (name, properties) in &self.materials {
             let mut known = false;
             for material in materials.iter_mut().filter(|m| &m.name == name) {
                 properties.apply_to(material);
-                material.check()?;
+                if let (Err(e), false) = (material.check(), known) {
+                    faults.note(e.place().unwrap_or("material"), e.what(), e.remedy());
+                }
                 known = true;
             }
             if !known {
-                return Err(Error::invalid(
-                    "the scene has no material of this name",
-                    "`presight inspect` lists the names; correct or remove it",
-                )
-                .at(format!("material {name:?}")));
+                let remedy = "`presight inspect` lists the names; correct or remove it";
+                faults.note(format!("material {name:?}"), "the scene has no material of this name", remedy);
             }
         }
-        Ok(())
+        faults.check()
     }
 }
 
@@ -201,8 +241,33 @@ mod tests {
             let e = Sidecar::parse(text).unwrap_err().to_string();
             assert!(e.contains(part) && !e.contains('\n'), "{text:?}: {e}");
         }
+        for (text, part) in
+            [("up = \"x\"", "line 2"), ("scale = 0", "0 is no scale"), ("scale = nan", "NaN is no scale")]
+        {
+            let e = Sidecar::parse(&format!("format = 1\n{text}")).unwrap_err().to_string();
+            assert!(e.contains(part), "{text:?}: {e}");
+        }
         let stray = Sidecar::parse(TEXT).unwrap().apply_to(&mut [Material::named("c")]).unwrap_err();
         assert!(stray.to_string().contains("a.b"), "{stray}");
+    }
+
+    #[test]
+    fn all_mistakes_are_told_at_once() {
+        let text = "format = 1\nscale = -1\nupp = \"z\"\n[material.a]\nreflektion = 1\none_sided = 3\n\
+            [material.a.classes]\nradar = \"glassy\"\n[material.b]\nreflection = 2.0\n[material.c]\n";
+        let e = Sidecar::read(text).unwrap().apply_to(&mut [Material::named("a"), Material::named("b")]).unwrap_err();
+        let said = e.to_string();
+        for part in ["7 mistakes", "-1 is no scale", "line 3", "line 5", "line 6", "line 8", "\"b\"", "\"c\""] {
+            assert!(said.contains(part), "{part}: {said}");
+        }
+        let syntax = Sidecar::parse("format = 1\na = = 2\nb = [\n").unwrap_err().to_string();
+        assert!(syntax.contains("line 2") && syntax.contains("mistakes"), "{syntax}");
+    }
+
+    #[test]
+    fn the_file_says_which_way_is_up() {
+        let sidecar = Sidecar::parse("format = 1\nup = \"z\"\nscale = 0.001\n").unwrap();
+        assert_eq!((sidecar.up, sidecar.scale), (Some(Up::Z), Some(0.001)));
     }
 
     #[test]

@@ -1,11 +1,14 @@
 //! Range images as points.
 
+use super::point_fields::Field;
+use crate::environment::Environment;
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
+use crate::geometry::{Pose, plane_of_polygon};
 use crate::memory;
-use crate::plan::Images;
-use crate::sensor::Sensor;
-use glam::DVec3;
+use crate::plan::{IdScheme, Images, Output, Outputs, PolygonsOfIds};
+use crate::sensor::{Geometry, Sensor};
+use glam::{DVec3, Vec3};
+use std::collections::HashMap;
 
 /// The frame of the points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,29 +19,36 @@ pub enum PointsFrame {
     World,
 }
 
-/// The points of a range image, one per pixel, row-major.
+/// The points of a range image, one per pixel, row-major, with what other images say of them.
+///
+/// Files get a field for each image of range, echo (`intensity`), object_id and polygon_id that is there, `ring` (the row of the
+/// image) if the sensor is no camera, and normals after [`PointCloud::with_normals`].
 #[derive(Clone, Debug)]
-pub struct PointCloud {
-    pub(super) width: u32,
-    pub(super) height: u32,
-    pub(super) frame: PointsFrame,
-    pub(super) world_from_sensor: Pose,
-    pub(super) positions: Vec<DVec3>,
-    pub(super) polygon_id: Vec<u32>,
+pub struct PointCloud<'a> {
+    images: &'a Images,
+    outputs: Outputs,
+    rings: bool,
+    frame: PointsFrame,
+    world_from_sensor: Pose,
+    positions: Vec<DVec3>,
+    normals: Vec<Vec3>,
 }
 
-impl PointCloud {
-    /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN. All ids are 0
-    /// if there is no `polygon_id` image.
+impl<'a> PointCloud<'a> {
+    /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no range image, or an image is not of the sensor's size;
     /// those of [`Pose::check`].
-    pub fn new(images: &Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
+    pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
-        let ids_fit = images.polygon_id.is_empty() || images.polygon_id.len() == pixels;
-        if images.range.len() != pixels || !ids_fit {
+        let fits = |output| {
+            let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len));
+            len.is_none_or(|len| len == pixels)
+        };
+        let of_size = (images.width, images.height) == (sensor.width(), sensor.height());
+        if images.range.len() != pixels || !of_size || !Output::WITH_FEATURES.into_iter().all(fits) {
             return Err(Error::invalid(
                 format!("{} ranges for the {pixels} pixels of {:?}", images.range.len(), sensor.spec().name),
                 "predict the range image with this sensor",
@@ -58,9 +68,58 @@ impl PointCloud {
                 positions.push(point.unwrap_or(DVec3::NAN));
             }
         }
-        let polygon_id = if images.polygon_id.is_empty() { vec![0; pixels] } else { images.polygon_id.clone() };
-        let (width, height) = (sensor.width(), sensor.height());
-        Ok(Self { width, height, frame, world_from_sensor: *world_from_sensor, positions, polygon_id })
+        let (rings, world_from_sensor) = (!matches!(sensor.spec().geometry, Geometry::Camera(_)), *world_from_sensor);
+        let outputs = images.outputs();
+        Ok(Self { images, outputs, rings, frame, world_from_sensor, positions, normals: Vec::new() })
+    }
+
+    /// Keeps only the fields of these images.
+    #[must_use]
+    pub fn only(mut self, outputs: Outputs) -> Self {
+        let there = self.images.outputs();
+        self.outputs = Outputs::of(&there.iter().filter(|o| outputs.has(*o)).collect::<Vec<_>>());
+        self
+    }
+
+    /// Adds the unit normals of the polygons that are seen, on the sensor's side, in the frame of the points. `ids` is what the
+    /// `polygon_id` image holds. NaN where nothing is seen.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is no image of polygon_id or object_id;
+    /// [`crate::ErrorKind::System`] if there is no memory for them.
+    pub fn with_normals(mut self, environment: &Environment, ids: IdScheme) -> Result<Self> {
+        let (objects, polygons) = (&self.images.object_id, &self.images.polygon_id);
+        if objects.is_empty() || polygons.is_empty() {
+            let remedy = "predict object_id and polygon_id";
+            return Err(Error::invalid("normals need to know which polygons are seen", remedy));
+        }
+        let mut found = PolygonsOfIds::new(environment, ids);
+        let mut known: HashMap<(u32, u32), Vec3> = HashMap::new();
+        let mut last = ((0, 0), Vec3::NAN);
+        let mut normals = memory::reserved(polygons.len())?;
+        for seen in objects.iter().copied().zip(polygons.iter().copied()) {
+            // Neighbouring pixels mostly show the same polygon.
+            if seen != last.0 {
+                let normal = || found.find(seen.0, seen.1).map_or(Vec3::NAN, |(o, p)| self.normal(environment, o, p));
+                last = (seen, *known.entry(seen).or_insert_with(normal));
+            }
+            normals.push(last.1);
+        }
+        self.normals = normals;
+        Ok(self)
+    }
+
+    fn normal(&self, environment: &Environment, object: u32, polygon: u32) -> Vec3 {
+        let pose = &self.world_from_sensor;
+        let corners = environment.objects()[object as usize].polygon_in_world(polygon);
+        // Differences to the sensor come first: far from the origin no digit is lost.
+        let relative: Vec<DVec3> = corners.iter().map(|p| *p - pose.translation).collect();
+        let Some(plane) = plane_of_polygon(&relative) else { return Vec3::NAN };
+        let normal = if plane.offset > 0.0 { -plane.normal } else { plane.normal };
+        match self.frame {
+            PointsFrame::Sensor => (pose.rotation.conjugate() * normal).as_vec3(),
+            PointsFrame::World => normal.as_vec3(),
+        }
     }
 
     /// Positions in the requested frame, metres; NaN where nothing is measured.
@@ -68,10 +127,42 @@ impl PointCloud {
         &self.positions
     }
 
-    /// Points with a position, and their polygon ids.
-    pub(super) fn seen(&self) -> impl Iterator<Item = (DVec3, u32)> + '_ {
-        let both = self.positions.iter().copied().zip(self.polygon_id.iter().copied());
-        both.filter(|(p, _)| !p.is_nan())
+    /// Pixels that have a position, with it.
+    pub(super) fn seen(&self) -> impl Iterator<Item = (usize, DVec3)> + '_ {
+        self.positions.iter().copied().enumerate().filter(|(_, p)| !p.is_nan())
+    }
+
+    /// What is written of each point after its position, in the order of both formats.
+    pub(super) fn fields(&self) -> Vec<Field<'a, '_>> {
+        let images = self.images;
+        let mut fields = Vec::new();
+        if !self.normals.is_empty() {
+            fields.push(Field::Normal(&self.normals));
+        }
+        for output in [Output::Range, Output::Echo] {
+            let asked = images.floats(output).filter(|_| self.outputs.has(output));
+            fields.extend(asked.map(|image| Field::Float(output, image)));
+        }
+        if self.rings {
+            fields.push(Field::Ring(images.width as usize));
+        }
+        for output in [Output::ObjectId, Output::PolygonId] {
+            let asked = images.ids(output).filter(|_| self.outputs.has(output));
+            fields.extend(asked.map(|image| Field::Id(output, image)));
+        }
+        fields
+    }
+
+    pub(super) fn size(&self) -> (u32, u32) {
+        (self.images.width, self.images.height)
+    }
+
+    pub(super) fn frame(&self) -> PointsFrame {
+        self.frame
+    }
+
+    pub(super) fn world_from_sensor(&self) -> &Pose {
+        &self.world_from_sensor
     }
 
     /// Description of the frame, for the comment in both formats.
@@ -80,15 +171,6 @@ impl PointCloud {
             PointsFrame::Sensor => "sensor body axes: x forward, y left, z up; metres",
             PointsFrame::World => "world: z up; metres",
         }
-    }
-}
-
-/// A point's bytes, little-endian: f32 in the sensor frame, f64 in the world, where f32 would lose the millimetres of
-/// a site in UTM coordinates.
-pub(super) fn position_bytes(frame: PointsFrame, p: DVec3) -> Vec<u8> {
-    match frame {
-        PointsFrame::Sensor => p.to_array().iter().flat_map(|v| (*v as f32).to_le_bytes()).collect(),
-        PointsFrame::World => p.to_array().iter().flat_map(|v| v.to_le_bytes()).collect(),
     }
 }
 
@@ -134,7 +216,6 @@ pub(super) mod tests {
         let cloud = PointCloud::new(&images, &sensor, &pose, PointsFrame::World).unwrap();
         let off = cloud.positions()[1] - DVec3::new(5e6, 3.0, 1.0);
         assert!(off.length() < 1e-8, "{off}");
-        assert_eq!(position_bytes(cloud.frame, cloud.positions()[1]).len(), 24);
     }
 
     #[test]

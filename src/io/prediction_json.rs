@@ -34,12 +34,13 @@ mod lines;
 
 use super::atomic::write_atomically;
 use crate::environment::{Environment, FeatureShape};
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
 use crate::geometry::Pose;
 use crate::virtual_sensors::VirtualReading;
 use glam::{DVec2, DVec3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::io::Write;
 use std::path::Path;
 
@@ -109,6 +110,40 @@ pub fn to_string(
     text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction is no JSON: {e}"), ""))
 }
 
+/// A file of predicted features, as it is read. The reading of a virtual sensor is skipped.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PredictionFile {
+    /// Of the format.
+    pub format: u32,
+    /// The sensor's name.
+    pub sensor: String,
+    /// The sensor's pose, body axes.
+    pub world_from_sensor: Pose,
+    /// 36 numbers, row-major, or none.
+    pub pose_covariance: Option<Vec<f64>>,
+    /// Of the regions of interest, if there are any.
+    pub confidence: Option<f64>,
+    /// What is seen of each feature.
+    pub features: Vec<FeatureRecord<'static>>,
+}
+
+/// Reads the text of [`write()`].
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] for text that is no such file; [`crate::ErrorKind::Unsupported`] for a newer format.
+pub fn parse(text: &str) -> Result<PredictionFile> {
+    let remedy = "give a file that presight predict --features wrote";
+    let file: PredictionFile = serde_json::from_str(text)
+        .map_err(|e| Error::invalid(format!("no prediction of features: {e}"), remedy).caused_by(e))?;
+    match file.format {
+        FORMAT => Ok(file),
+        newer => {
+            let what = format!("format {newer} is not the format {FORMAT} of this presight");
+            Err(Error::new(ErrorKind::Unsupported, what, "update presight"))
+        }
+    }
+}
+
 #[derive(Serialize)]
 struct File<'a> {
     format: u32,
@@ -116,71 +151,81 @@ struct File<'a> {
     world_from_sensor: [f64; 7],
     pose_covariance: Option<Vec<f64>>,
     confidence: Option<f64>,
-    features: Vec<Entry<'a>>,
+    features: Vec<FeatureRecord<'a>>,
     #[serde(rename = "virtual", skip_serializing_if = "Option::is_none")]
     reading: Option<&'a VirtualReading>,
 }
 
-#[derive(Serialize)]
-struct Entry<'a> {
-    id: u32,
-    kind: &'static str,
-    name: Option<&'a str>,
-    points_world: Vec<[f64; 3]>,
-    visible_fraction: f64,
-    visible: Vec<Visible>,
-    hidden: Vec<Hidden<'a>>,
-    range: Option<f64>,
-    cos_incidence: Option<f64>,
-    roi: Option<[f64; 4]>,
-    roi_flag: Option<&'static str>,
-    image_covariance: Option<&'a [[[f64; 2]; 2]]>,
-    properties: Properties<'a>,
-    history: Option<()>,
+/// What is seen of a feature, as the file holds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file, see the module")]
+pub struct FeatureRecord<'a> {
+    pub id: u32,
+    pub kind: Cow<'a, str>,
+    pub name: Option<Cow<'a, str>>,
+    pub points_world: Vec<[f64; 3]>,
+    pub visible_fraction: f64,
+    pub visible: Vec<Visible>,
+    pub hidden: Vec<Hidden<'a>>,
+    pub range: Option<f64>,
+    pub cos_incidence: Option<f64>,
+    pub roi: Option<[f64; 4]>,
+    pub roi_flag: Option<Cow<'a, str>>,
+    pub image_covariance: Option<Cow<'a, [[[f64; 2]; 2]]>>,
+    pub properties: Properties<'a>,
+    pub history: Option<()>,
 }
 
-#[derive(Serialize)]
-struct Visible {
-    t: [f64; 2],
-    pixels: [[f64; 2]; 2],
+/// A visible part, as the file holds it; see [`VisibleInterval`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file")]
+pub struct Visible {
+    pub t: [f64; 2],
+    pub pixels: [[f64; 2]; 2],
 }
 
-#[derive(Serialize)]
-struct Hidden<'a> {
-    t: [f64; 2],
-    reason: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    by: Option<By<'a>>,
+/// A hidden part, as the file holds it; see [`HiddenInterval`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file")]
+pub struct Hidden<'a> {
+    pub t: [f64; 2],
+    pub reason: Cow<'a, str>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub by: Option<By<'a>>,
 }
 
-#[derive(Serialize)]
-struct By<'a> {
-    polygon: u32,
-    object: &'a str,
+/// What hides it: `polygon_id`, and the path of the object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file")]
+pub struct By<'a> {
+    pub polygon: u32,
+    pub object: Cow<'a, str>,
 }
 
-#[derive(Serialize)]
-struct Properties<'a> {
-    #[serde(skip_serializing_if = "Option::is_none")]
-    strength: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    contrast: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    normal: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    direction: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    family: Option<&'a str>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    code: Option<u32>,
-    existence: f64,
+/// Properties, as the file holds them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file, see the module")]
+pub struct Properties<'a> {
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub strength: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub contrast: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub normal: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub direction: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub family: Option<Cow<'a, str>>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub code: Option<u32>,
+    pub existence: f64,
 }
 
-fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> Entry<'a> {
-    Entry {
+fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureRecord<'a> {
+    FeatureRecord {
         id: seen.feature.id,
-        kind: seen.feature.shape.kind(),
-        name: seen.feature.name.as_deref(),
+        kind: seen.feature.shape.kind().into(),
+        name: seen.feature.name.as_deref().map(Cow::from),
         points_world: seen.points_world.iter().map(DVec3::to_array).collect(),
         visible_fraction: seen.visible_fraction,
         visible: seen.visible.iter().map(visible).collect(),
@@ -188,8 +233,8 @@ fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> Entry<'a> {
         range: seen.range,
         cos_incidence: seen.cos_incidence,
         roi: seen.roi,
-        roi_flag: seen.roi_flag,
-        image_covariance: seen.image_covariance.as_deref(),
+        roi_flag: seen.roi_flag.map(Cow::from),
+        image_covariance: seen.image_covariance.as_deref().map(Cow::from),
         properties: properties(seen),
         history: None,
     }
@@ -200,8 +245,11 @@ fn visible(v: &VisibleInterval) -> Visible {
 }
 
 fn hidden<'a>(h: &HiddenInterval, environment: &'a Environment) -> Hidden<'a> {
-    let by = h.by.map(|by| By { polygon: by.polygon_id, object: &environment.objects()[by.object as usize].name });
-    Hidden { t: h.t, reason: h.reason.name(), by }
+    let by = h.by.map(|by| By {
+        polygon: by.polygon_id,
+        object: environment.objects()[by.object as usize].name.as_str().into(),
+    });
+    Hidden { t: h.t, reason: h.reason.name().into(), by }
 }
 
 fn properties(seen: &SeenFeature) -> Properties<'_> {
@@ -219,7 +267,7 @@ fn properties(seen: &SeenFeature) -> Properties<'_> {
         contrast: given.contrast,
         normal: seen.normal_world.map(|n| n.to_array()),
         direction: direction.map(|d| d.to_array()),
-        family,
+        family: family.map(Cow::from),
         code,
         existence: seen.existence,
     }
@@ -295,5 +343,26 @@ mod tests {
         assert_eq!(feature["hidden"][0]["reason"], "behind_sensor");
         assert_eq!(feature["properties"]["direction"][2], 1.0);
         assert_eq!(feature["properties"]["existence"], 0.5);
+    }
+
+    #[test]
+    fn what_is_written_reads_back_and_is_written_the_same() {
+        let mut feature = seen();
+        feature.image_covariance = Some(vec![[[1.0 / 3.0, 0.0], [0.0, 2.0]]]);
+        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some("linear"));
+        let prediction = FeaturePrediction { features: vec![feature], ..FeaturePrediction::default() };
+        let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.1, 0.2, 0.3);
+        let header = Header { sensor: "c".into(), world_from_sensor: pose, ..Header::default() };
+        let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
+        let read = parse(&text).unwrap();
+        assert_eq!((read.world_from_sensor, read.features[0].range), (pose, None), "what is not finite is null");
+        assert_eq!(
+            read.features[0],
+            FeatureRecord { range: None, ..entry(&prediction.features[0], &Environment::new()) }
+        );
+        let again = serde_json::to_value(&read).unwrap();
+        assert_eq!(again, serde_json::from_str::<serde_json::Value>(&text).unwrap());
+        assert_eq!(parse(&text.replace("\"format\": 1", "\"format\": 9")).unwrap_err().kind(), ErrorKind::Unsupported);
+        assert!(parse("[]").is_err());
     }
 }

@@ -35,7 +35,7 @@
 //! ```
 //!
 //! `kind = "camera"`: `width, height, fx, fy, cx, cy`, and `[distortion]` with `model = "none" | "plumb_bob" |
-//! "rational_polynomial" | "equidistant" | "kannala_brandt"` and `coefficients` in OpenCV's order (4 or 5, 8, 4).
+//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5, 8, 4).
 //! `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
 //! `file = "X.csv"` beside the sensor file, a direction `x,y,z` a line, `#` for comments.
 

@@ -27,16 +27,35 @@ pub fn read(path: &Path) -> Result<Vec<Stamped>> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 
+/// As [`read`], each pose with its time as it is written.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, Stamped)>> {
+    let text = read_text(path)?;
+    let poses = parse_with_stamps(&text).map_err(|e| e.in_file(path))?;
+    Ok(poses.into_iter().map(|(stamp, pose)| (stamp.to_owned(), pose)).collect())
+}
+
 /// Reads the text of a trajectory.
 ///
 /// # Errors
 /// As [`read`], without the file.
 pub fn parse(text: &str) -> Result<Vec<Stamped>> {
+    Ok(parse_with_stamps(text)?.into_iter().map(|(_, stamped)| stamped).collect())
+}
+
+/// As [`parse`], each pose with its time as it is written.
+///
+/// # Errors
+/// As [`parse`].
+pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, Stamped)>> {
     let mut poses = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
         let line = line.trim();
         if !line.is_empty() && !line.starts_with('#') {
-            poses.push(stamped(line).map_err(|e| e.at(format!("line {number}")))?);
+            let pose = stamped(line).map_err(|e| e.at(format!("line {number}")))?;
+            poses.push((line.split_whitespace().next().unwrap_or_default(), pose));
         }
     }
     Ok(poses)

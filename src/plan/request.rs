@@ -104,10 +104,14 @@ impl std::str::FromStr for Outputs {
         let mut outputs = Vec::new();
         for word in list.split(',').map(str::trim) {
             let found = Output::WITH_FEATURES.into_iter().find(|o| o.name() == word);
-            outputs.push(
-                found
-                    .ok_or_else(|| Error::usage(format!("unknown output {word:?}"), format!("choose from {names}")))?,
-            );
+            let unknown = || {
+                let what = format!("unknown output {word:?}");
+                match word {
+                    "depth" => Error::usage(what, "depth_z is planar, of cameras; range is along the ray"),
+                    _ => Error::usage(what, format!("choose from {names}")),
+                }
+            };
+            outputs.push(found.ok_or_else(unknown)?);
         }
         Ok(Self::of(&outputs))
     }

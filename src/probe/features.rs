@@ -46,7 +46,7 @@ impl Probe {
     pub fn occlusion(&self, task: Task, engine: &mut dyn Engine) -> Result<Told> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let request = ImageRequest { outputs: Outputs::of(&[Output::PolygonId]), ..ImageRequest::default() };
-        let plan = FramePlan::new(&self.world, &sensor, &pose, &request)?;
+        let plan = FramePlan::new(&self.world, &sensor, &pose, request)?;
         let mut images = Images::default();
         engine.render(&plan, &mut images, &mut Stats::default())?;
         let Some(device) = engine.device() else { return Ok(Told::default()) };

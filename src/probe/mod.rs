@@ -139,7 +139,7 @@ impl Probe {
         let all = outputs.without(Output::FeatureId);
         let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
         let request = ImageRequest { outputs, ..ImageRequest::default() };
-        let plan = FramePlan::new(&self.world, &sensor, &pose(), &request)?;
+        let plan = FramePlan::new(&self.world, &sensor, &pose(), request)?;
         let (mut expected, mut drawn) = (Images::default(), Images::default());
         reference::render(&plan, &mut expected)?;
         draw(&plan, &mut drawn)?;

@@ -26,7 +26,7 @@ pub enum Distortion {
 
 impl Distortion {
     /// Makes a model from its name in ROS and in sensor files, and its coefficients in OpenCV's order: `none` (0),
-    /// `plumb_bob` (4 or 5), `rational_polynomial` (8), `equidistant` and its alias `kannala_brandt` (4).
+    /// `plumb_bob` (4 or 5), `rational_polynomial` (8), `equidistant` and its aliases `kannala_brandt` and `fisheye` (4).
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] on an unknown name or another number of coefficients.
@@ -46,12 +46,12 @@ impl Distortion {
             ("rational_polynomial", c) => {
                 Ok(Self::RationalPolynomial(c.try_into().map_err(|_| count("8: k1, k2, p1, p2, k3, k4, k5, k6"))?))
             }
-            ("equidistant" | "kannala_brandt", c) => {
+            ("equidistant" | "kannala_brandt" | "fisheye", c) => {
                 Ok(Self::Equidistant(c.try_into().map_err(|_| count("4: k1, k2, k3, k4"))?))
             }
             _ => Err(Error::invalid(
                 format!("distortion model {model:?} is unknown"),
-                "give none, plumb_bob, rational_polynomial, equidistant or kannala_brandt",
+                "give none, plumb_bob, rational_polynomial or equidistant (also called fisheye, kannala_brandt)",
             )),
         }
     }

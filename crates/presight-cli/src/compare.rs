@@ -1,5 +1,6 @@
 //! `presight compare`: do two predictions agree?
 
+use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{Verdict, open_scene, print};
 use clap::ValueEnum;
@@ -47,6 +48,9 @@ pub struct Args {
     /// The merging tolerance that both were predicted with [default: 1e-6]
     #[arg(long, value_name = "X", requires = "scene")]
     merge_tolerance: Option<f64>,
+
+    #[command(flatten)]
+    frame: FrameArgs,
 
     /// Write the result as JSON
     #[arg(long, value_name = "FILE.json")]
@@ -184,7 +188,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
         return Err(Error::invalid(what, format!("give {was} as it was then, or predict again")).in_file(scene));
     }
     let ids = attributes.ids.unwrap_or_default();
-    let default = ImportOptions::default();
+    let default = args.frame.options()?;
     let options = ImportOptions {
         merge: ids == IdScheme::Model,
         merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
@@ -192,7 +196,7 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
     };
     let world = open_scene(scene, &options, Scheme::default())?.world;
     let request = ImageRequest { outputs: reference.images.outputs(), ids };
-    let plan = FramePlan::new(&world, &sensor, &world_from_sensor, &request)?;
+    let plan = FramePlan::new(&world, &sensor, &world_from_sensor, request)?;
     compare(&reference.images, other, &plan, args.precision.into())
 }
 

@@ -1,5 +1,6 @@
 //! `presight index`: what the spatial indexes cost and how well they select.
 
+use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{Verdict, folder, open_scene, print};
 use presight::Result;
@@ -30,6 +31,9 @@ const EXAMPLES: &str = "Examples:
 pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
+
+    #[command(flatten)]
+    frame: FrameArgs,
 
     /// Write index.csv into this folder
     #[arg(long, value_name = "DIR")]
@@ -85,7 +89,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let named = [Some(args.scene.as_path()), args.poses.as_deref(), args.sensor.as_deref().map(Path::new)];
     files.check_named(named.into_iter().flatten())?;
     let threads = Threads::from(args.threads).started()?;
-    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+    let import = ImportOptions { threads: threads.clone(), ..args.frame.options()? };
     let sensors = match &args.sensor {
         Some(name) => {
             let (sensor, notices) = load_sensor(name)?;

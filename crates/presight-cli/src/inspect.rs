@@ -1,12 +1,12 @@
 //! `presight inspect`: what is in a model, and what is wrong with it.
 
+use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::{Verdict, print};
+use presight::acquire::lost_features;
 use presight::environment::{Appearance, Environment, Material, Object};
 use presight::geometry::{Aabb, Pose};
 use presight::index::Scheme;
-use presight::io::gltf::ImportOptions;
-use presight::placement;
 use presight::{Error, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -29,6 +29,9 @@ pub struct Args {
     #[arg(long, value_name = "X")]
     merge_tolerance: Option<f64>,
 
+    #[command(flatten)]
+    frame: FrameArgs,
+
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -39,10 +42,10 @@ pub struct Args {
 /// # Errors
 /// Those of the import.
 pub fn run(args: &Args) -> Result<Verdict> {
-    let mut options = ImportOptions::default();
+    let mut options = args.frame.options()?;
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
     let mut scene = open_scene(&args.scene, &options, Scheme::None)?;
-    scene.report.problems.extend(placement::problem(scene.world.environment())?);
+    scene.report.problems.extend(lost_features(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);
         let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);
@@ -112,6 +115,9 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
         "format": FORMAT,
         "scene": path.display().to_string(),
         "content_hash": environment.content_hash().to_string(),
+        "up": scene.frame.map(|frame| frame.up),
+        "scale": scene.frame.map(|frame| frame.scale),
+        "hints": hints(scene),
         "triangles_in_scene": report.triangles_in_scene,
         "triangles_stored": report.triangles_stored,
         "polygons_in_scene": report.polygons_in_scene,
@@ -124,6 +130,13 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
         "materials": environment.materials().iter().zip(counts).map(material).collect::<Vec<_>>(),
         "problems": report.problems,
     })
+}
+
+/// What makes one suspect that the file was read in a wrong frame.
+fn hints(scene: &Scene) -> Vec<String> {
+    let Some(frame) = scene.frame else { return Vec::new() };
+    let scene_from_world = frame.world_from_scene.inverse().to_affine();
+    frame.hints(&scene.world.environment().bounds().transformed(&scene_from_world))
 }
 
 fn in_words(path: &Path, scene: &Scene) -> Vec<String> {
@@ -144,6 +157,11 @@ fn in_words(path: &Path, scene: &Scene) -> Vec<String> {
     }
     lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
     lines.push(format!("content    {}", environment.content_hash()));
+    lines.push(match scene.frame {
+        Some(frame) => format!("frame      {} of the file is up, its unit is {} m", frame.up.name(), frame.scale),
+        None => "frame      z is up, metres".into(),
+    });
+    lines.extend(hints(scene).iter().map(|hint| format!("hint       {hint}")));
     lines.extend([String::new(), "objects (id, polygons, bounds in the world, name)".into()]);
     for (index, o) in live(environment) {
         let (polygons, bounds) = (o.mesh.polygon_count(), bounds_in_words(&o.world_bounds()));

@@ -2,6 +2,7 @@
 
 use super::pose_cov;
 use super::print;
+use presight::features::roi::PoseCovariance;
 use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
 use presight::frames::GivenPose;
 use presight::geometry::Pose;
@@ -66,6 +67,8 @@ impl Asked {
 /// What is asked for of features.
 pub struct Layers {
     options: FeatureOptions,
+    /// Of the poses as they are given.
+    covariance: PoseCovariance,
     boxes: BoxOptions,
     /// Something shows the boxes, or only they were asked for.
     boxed: bool,
@@ -124,13 +127,7 @@ impl LayerArgs {
 
     /// Reads the layers over the scene's own and finds the polygons that their features lie on; `None` if none are asked
     /// for.
-    pub fn load(
-        &self,
-        scene: &Scene,
-        sensor: &Sensor,
-        (pose, world_from_sensor): (&GivenPose, &Pose),
-        asked: Asked,
-    ) -> Result<Option<Layers>> {
+    pub fn load(&self, scene: &Scene, sensor: &Sensor, asked: Asked) -> Result<Option<Layers>> {
         if !self.is_asked(asked) {
             return Ok(None);
         }
@@ -155,14 +152,12 @@ impl LayerArgs {
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
-        let of_sensor =
-            pose.covariance_of_sensor(&covariance, sensor.spec(), world_from_sensor, &scene.world_from_gltf);
-        let mut boxes = BoxOptions::default().with_sensor(of_sensor);
+        let mut boxes = BoxOptions::default();
         boxes.confidence = self.confidence.unwrap_or(boxes.confidence);
         // An image of numbers and the answer of a virtual sensor are made without boxes.
         let only_without = (asked.feature_id() || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
         let boxed = self.features.is_some() || asked.preview || !only_without;
-        Ok(Some(Layers { options, boxes, boxed }))
+        Ok(Some(Layers { options, covariance, boxes, boxed }))
     }
 
     /// Writes the prediction's file, if one is asked for.
@@ -172,8 +167,9 @@ impl LayerArgs {
         prediction: &Prediction,
         layers: Option<&Layers>,
         reading: Option<&VirtualReading>,
+        path: Option<&Path>,
     ) -> Result<()> {
-        let Some(path) = &self.features else { return Ok(()) };
+        let Some(path) = path else { return Ok(()) };
         let header = prediction_json::Header {
             sensor: prediction.sensor.spec().name.clone(),
             world_from_sensor: prediction.world_from_sensor,
@@ -187,6 +183,12 @@ impl LayerArgs {
 }
 
 impl Layers {
+    /// Takes the uncertainty of the sensor's next pose, along the axes of the world.
+    pub fn move_to(&mut self, pose: &GivenPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
+        let (covariance, world_from_gltf) = (&self.covariance, &scene.world_from_gltf);
+        self.boxes.sensor = pose.covariance_of_sensor(covariance, sensor.spec(), world_from_sensor, world_from_gltf);
+    }
+
     /// The request with their features.
     pub fn add_to(&self, request: Request) -> Request {
         let request = request.with_features(self.options.clone());

@@ -7,7 +7,9 @@ mod doctor;
 #[cfg(feature = "store")]
 mod env;
 mod features;
+mod file_names;
 mod folder;
+mod frame_args;
 mod index;
 mod inspect;
 mod layers;
@@ -15,12 +17,14 @@ mod outputs;
 pub mod pose;
 pub mod pose_cov;
 mod predict;
+mod predict_poses;
 mod print;
 #[cfg(feature = "report")]
 mod report;
 mod sensors;
 mod signals;
 mod statistics;
+mod summary;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -183,9 +187,9 @@ fn refuse(e: &clap::Error) -> ExitCode {
     let text = e.to_string();
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
-    // To write `--` before it helps no option.
-    let useless = |line: &str| line.starts_with("tip: to pass") && line.contains("'-- ");
-    let message: Vec<String> = before_usage.map(words).filter(|line| !line.is_empty() && !useless(line)).collect();
+    // Tips name what is spelled like it, not what does it.
+    let useful = |line: &String| !line.is_empty() && !line.starts_with("tip:");
+    let message: Vec<String> = before_usage.map(words).filter(useful).collect();
     let command = std::env::args_os()
         .nth(1)
         .and_then(|a| a.into_string().ok())

@@ -4,28 +4,25 @@ use presight::internal::inputs;
 use presight::internal::{is_given, target_of};
 use presight::{Error, Result};
 use same_file::Handle;
+use std::collections::HashMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Files to be written.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct OutputFiles {
-    files: Vec<OutputFile>,
-}
-
-#[derive(Debug)]
-struct OutputFile {
-    /// As messages call it, such as `--out a.exr`.
-    name: String,
-    identity: Identity,
+    /// As messages call them, such as `--out a.exr`.
+    by_file: HashMap<FileId, String>,
+    by_place: HashMap<PathBuf, String>,
+    folders: Folders,
 }
 
 impl OutputFiles {
     /// None; from now on it is noted what is read.
     pub fn new() -> Self {
         inputs::record();
-        Self { files: Vec::new() }
+        Self::default()
     }
 
     /// Adds a file that is named on the command line and holds a format, by the option and the endings of names that the
@@ -68,13 +65,20 @@ impl OutputFiles {
     }
 
     fn add_named(&mut self, name: String, path: &Path) -> Result<()> {
-        let identity = Identity::of(path)?;
-        if let Some(other) = self.files.iter().find(|other| other.identity.is(&identity)) {
-            let what = format!("{name}: the same file as {}", other.name);
+        let identity = Identity::of(path, &mut self.folders)?;
+        if let Some(other) = self.find(&identity) {
+            let what = format!("{name}: the same file as {other}");
             return Err(Error::usage(what, "give each a file of its own"));
         }
-        self.files.push(OutputFile { name, identity });
+        self.by_file.extend(identity.file.map(|file| (file, name.clone())));
+        self.by_place.extend(identity.place.map(|place| (place, name)));
         Ok(())
+    }
+
+    /// The output that is this file.
+    fn find(&self, identity: &Identity) -> Option<&String> {
+        let by_file = identity.file.as_ref().and_then(|file| self.by_file.get(file));
+        by_file.or_else(|| identity.place.as_ref().and_then(|place| self.by_place.get(place)))
     }
 
     /// That none is a file that will be read: before any work.
@@ -83,9 +87,9 @@ impl OutputFiles {
     /// [`presight::ErrorKind::Usage`] naming both.
     pub fn check_named<'a>(&self, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
         for input in inputs {
-            let identity = Identity::of(input)?;
-            if let Some(output) = self.files.iter().find(|output| output.identity.is(&identity)) {
-                let what = format!("{}: this would overwrite {}, which is read", output.name, input.display());
+            let identity = Identity::of(input, &mut Folders::new())?;
+            if let Some(output) = self.find(&identity) {
+                let what = format!("{output}: this would overwrite {}, which is read", input.display());
                 return Err(Error::usage(what, "write elsewhere"));
             }
         }
@@ -98,7 +102,7 @@ impl OutputFiles {
     /// # Errors
     /// As [`OutputFiles::check_named`].
     pub fn check_read(self) -> Result<()> {
-        if self.files.is_empty() {
+        if self.by_file.is_empty() && self.by_place.is_empty() {
             return Ok(());
         }
         // No store is open now: whoever closes one, even a second time, gives up this process's locks on it.
@@ -127,8 +131,11 @@ struct Identity {
     place: Option<PathBuf>,
 }
 
+/// Folders without links, by how they are given.
+type Folders = HashMap<PathBuf, PathBuf>;
+
 impl Identity {
-    fn of(path: &Path) -> Result<Self> {
+    fn of(path: &Path, folders: &mut Folders) -> Result<Self> {
         match fs::metadata(path) {
             // Two that are there at different places may be one; one that cannot be read was not read.
             Ok(metadata) if metadata.is_file() => match id_of(path) {
@@ -139,15 +146,8 @@ impl Identity {
                 Err(e) => Err(Error::io(path, "open it", e)),
             },
             Ok(_) => Ok(Self { file: None, place: None }),
-            Err(_) => Ok(Self { file: None, place: new_place(path) }),
+            Err(_) => Ok(Self { file: None, place: new_place(path, folders) }),
         }
-    }
-
-    fn is(&self, other: &Self) -> bool {
-        fn equal<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
-            a.is_some() && a == b
-        }
-        equal(&self.file, &other.file) || equal(&self.place, &other.place)
     }
 }
 
@@ -169,8 +169,13 @@ fn id_of(path: &Path) -> io::Result<FileId> {
 }
 
 /// Where a file would come to be.
-fn new_place(path: &Path) -> Option<PathBuf> {
+fn new_place(path: &Path, folders: &mut Folders) -> Option<PathBuf> {
     let target = std::path::absolute(target_of(path).ok()?).ok()?;
     let (folder, name) = (target.parent()?, target.file_name()?);
-    Some(fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned()).join(name))
+    // Many files go into few folders.
+    if !folders.contains_key(folder) {
+        let real = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+        folders.insert(folder.to_owned(), real);
+    }
+    Some(folders.get(folder)?.join(name))
 }

@@ -6,6 +6,7 @@ use presight::frames::{self, GivenPose};
 use presight::geometry::Pose;
 use presight::limits;
 use presight::{Error, Result};
+use std::path::Path;
 
 /// Which axes a pose turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -40,16 +41,17 @@ pub struct PoseArgs {
     /// Where the sensor is: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw
     ///
     /// Metres; rotation about the fixed axes x, then y, then z; positive pitch looks down, positive yaw to the left.
+    /// Commas or blanks stand between the numbers.
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
-    pose: String,
+    pose: Option<String>,
 
     /// Which axes the pose turns
     #[arg(long, value_enum, default_value_t = PoseFrame::Body)]
     pose_frame: PoseFrame,
 
-    /// Whose pose it is
-    #[arg(long, value_enum, default_value_t = PoseOf::Sensor)]
-    pose_of: PoseOf,
+    /// Whose pose it is [default: sensor, with --robot robot]
+    #[arg(long, value_enum)]
+    pose_of: Option<PoseOf>,
 
     /// In which world the pose is
     #[arg(long, value_enum, default_value_t = WorldFrame::ZUp)]
@@ -62,10 +64,32 @@ impl PoseArgs {
     /// # Errors
     /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
     pub fn parse(&self) -> Result<GivenPose> {
-        // What is wrong with the flags is said before what is wrong with the numbers.
-        given_pose(Pose::IDENTITY, self.pose_frame, self.pose_of, self.world_frame)?;
-        let pose = parse_pose(&self.pose).map_err(|e| e.at(format!("--pose {}", self.pose)))?;
-        given_pose(pose, self.pose_frame, self.pose_of, self.world_frame)
+        self.parse_as(PoseOf::Sensor)
+    }
+
+    /// As [`PoseArgs::parse`], of a sensor or robot unless the flags say otherwise.
+    pub fn parse_as(&self, of: PoseOf) -> Result<GivenPose> {
+        let meaning = self.given(Pose::IDENTITY, of)?;
+        let text = self.pose.as_deref().ok_or_else(|| Error::usage("--pose is missing", REMEDY))?;
+        let file = Path::new(text);
+        if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("tum")) || file.is_file() {
+            let remedy = "predict --poses FILE takes the poses of a file, one a line";
+            return Err(Error::usage(format!("--pose {text}: this is a file, not a pose"), remedy));
+        }
+        let pose = parse_pose(text).map_err(|e| e.at(format!("--pose {text}")))?;
+        Ok(GivenPose::new(pose).with_frame(meaning.frame).with_of(meaning.of).with_world(meaning.world))
+    }
+
+    /// A pose that was read elsewhere, as the flags say that it is meant.
+    ///
+    /// # Errors
+    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot, or one sensor's pose for all of a robot.
+    pub fn given(&self, pose: Pose, of: PoseOf) -> Result<GivenPose> {
+        if of == PoseOf::Robot && self.pose_of == Some(PoseOf::Sensor) {
+            let remedy = "drop --pose-of sensor, or give one --sensor";
+            return Err(Error::usage("--pose-of sensor: each sensor of a robot has its own place on it", remedy));
+        }
+        given_pose(pose, self.pose_frame, self.pose_of.unwrap_or(of), self.world_frame)
     }
 }
 
@@ -93,13 +117,17 @@ pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -
 
 const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";
 
-/// Reads `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`.
+/// Reads `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`, with blanks for commas, too.
 ///
 /// # Errors
 /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, a wrong count, or a quaternion without length.
 pub fn parse_pose(text: &str) -> Result<Pose> {
     let mut numbers = Vec::new();
-    for word in text.split(',').map(str::trim) {
+    let words: Vec<&str> = match text.contains(',') {
+        true => text.split(',').map(str::trim).collect(),
+        false => text.split_whitespace().collect(),
+    };
+    for word in words {
         let number: f64 = word.parse().map_err(|_| Error::usage(format!("{word:?} is no number"), REMEDY))?;
         if !number.is_finite() {
             return Err(Error::usage(format!("{word} is not finite"), REMEDY));
@@ -123,8 +151,8 @@ mod tests {
     use super::*;
 
     fn given(text: &str) -> PoseArgs {
-        let (pose_frame, pose_of, world_frame) = (PoseFrame::Body, PoseOf::Sensor, WorldFrame::ZUp);
-        PoseArgs { pose: text.into(), pose_frame, pose_of, world_frame }
+        let (pose_frame, world_frame) = (PoseFrame::Body, WorldFrame::ZUp);
+        PoseArgs { pose: Some(text.into()), pose_frame, pose_of: None, world_frame }
     }
 
     fn near(a: DVec3, b: DVec3) -> bool {
@@ -137,13 +165,25 @@ mod tests {
             |args: &PoseArgs| args.parse().map(|given| (given.pose.translation, given.pose.rotation * DVec3::X));
         let (p, f) = forward(&given("-1,2.5,-3e-1,0,0,90")).unwrap();
         assert!(near(p, DVec3::new(-1.0, 2.5, -0.3)) && near(f, DVec3::Y));
+        let (p, f) = forward(&given(" -1 2.5  -3e-1 0 0\t90")).unwrap();
+        assert!(near(p, DVec3::new(-1.0, 2.5, -0.3)) && near(f, DVec3::Y));
         let (p, f) = forward(&given("-1, 2, 3, 0, 0, 2, 2")).unwrap();
         assert!(near(p, DVec3::new(-1.0, 2.0, 3.0)) && near(f, DVec3::Y));
     }
 
     #[test]
     fn wrong_poses_are_wrong_usage() {
-        let wrong = ["", "1,2,3", "0,0,nan,0,0,0", "0,0,0,inf,0,0", "a,0,0,0,0,0", "0,0,0,0,0,0,0", "1,2,3,4,5,6,7,8"];
+        let wrong = [
+            "",
+            "1,2,3",
+            "0,0,nan,0,0,0",
+            "0,0,0,inf,0,0",
+            "a,0,0,0,0,0",
+            "0,0,0,0,0,0,0",
+            "1,2,3,4,5,6,7,8",
+            "1,2 3 4 5 6",
+            "t.tum",
+        ];
         // Squares that overflow: no rotation is left of such a quaternion, and no range of such a place.
         let huge = ["0,0,0,1e200,0,0,1", "1e300,0,0,0,0,0", "0,-1e13,0,0,0,0,1"];
         for text in wrong.into_iter().chain(huge) {
@@ -151,7 +191,7 @@ mod tests {
             assert_eq!(e.kind(), presight::ErrorKind::Usage, "{text}");
             assert!(!e.remedy().is_empty() && e.place().is_some_and(|p| p.contains("--pose")), "{e}");
         }
-        let args = PoseArgs { pose_of: PoseOf::Robot, pose_frame: PoseFrame::Optical, ..given("0,0,0,0,0,0") };
+        let args = PoseArgs { pose_of: Some(PoseOf::Robot), pose_frame: PoseFrame::Optical, ..given("0,0,0,0,0,0") };
         assert!(args.parse().is_err());
     }
 }

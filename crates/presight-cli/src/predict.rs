@@ -1,25 +1,30 @@
 //! `presight predict`: what a sensor at a pose sees.
 
+use super::file_names::{FileNames, Paths};
+use super::frame_args::FrameArgs;
 use super::layers::{Asked, LayerArgs, Layers};
 use super::outputs::OutputFiles;
-use super::pose::PoseArgs;
+use super::pose::{PoseArgs, PoseOf};
 use super::statistics::{Statistics, Subject};
+use super::summary::Summary;
 use super::virtual_sensor::VirtualArgs;
-use super::{Verdict, open_scene, print};
+use super::{Verdict, open_scene, predict_poses, print};
 use clap::ValueEnum;
 use presight::Threads;
-use presight::features::{FeaturePrediction, SeenFeature};
+use presight::features::SeenFeature;
 use presight::frames::GivenPose;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
-use presight::io::{PointCloud, PointsFrame, exr, load_sensor, pcd, ply, png, sensor_toml};
+use presight::io::templates::Names;
+use presight::io::{PointCloud, PointsFrame, exr, load_robot, load_sensor, npy, pcd, ply, png, sensor_toml, tum};
+use presight::limits;
 use presight::memory::{self, Frame};
 use presight::plan::{IdScheme, Output, Outputs, Stats};
 use presight::sensor::{Geometry, Sensor};
 use presight::virtual_sensors::VirtualReading;
-use presight::{Backend, Error, Options, Prediction, Predictor, Request, Result, Scene, blake3_of};
-use std::collections::HashSet;
+use presight::{Backend, Options, Prediction, Predictor, Request, Scene, blake3_of};
+use presight::{Error, Result};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -43,12 +48,18 @@ const EXAMPLES: &str = "Examples:
     presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,20,0 \\
       --virtual free-floor --features floor.json --png floor.png
 
+  Depth images along a trajectory as one NumPy array of (poses, rows, columns), and a picture of each:
+    presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
+      --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
+
   How fast, and what was left out:
     presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
 
 /// Predict the images of a sensor at a pose
 ///
-/// Without an output flag a one-line summary is printed.
+/// Without an output flag a one-line summary is printed. With --poses or --robot the names of files are templates: {i} is the
+/// number of the pose from 0 ({i:06} in six digits), {t} its time stamp as written, {sensor} the sensor. A series that was
+/// interrupted goes on when the same command is given again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -56,11 +67,19 @@ pub struct Args {
     scene: PathBuf,
 
     /// A preset (see `presight sensors`) or a sensor file
-    #[arg(long, value_name = "PRESET|FILE")]
-    sensor: String,
+    #[arg(long, value_name = "PRESET|FILE", required_unless_present = "robot", conflicts_with = "robot")]
+    sensor: Option<String>,
+
+    /// Predict for all sensors of a robot; poses are the robot's
+    #[arg(long, value_name = "ROBOT.toml")]
+    robot: Option<PathBuf>,
 
     #[command(flatten)]
     pose: PoseArgs,
+
+    /// Predict at every pose of a file, `timestamp tx ty tz qx qy qz qw` a line; - reads stdin
+    #[arg(long, value_name = "FILE.tum|-", conflicts_with = "pose")]
+    poses: Option<PathBuf>,
 
     /// Which engine predicts
     #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
@@ -77,6 +96,17 @@ pub struct Args {
     /// Write the images as OpenEXR, lossless
     #[arg(long, value_name = "FILE.exr")]
     out: Option<PathBuf>,
+
+    /// Write each image as a NumPy array of (rows, columns), <f4 or <u4, such as 'run/{i:06}.{output}.npy'
+    ///
+    /// {output} is the image; of one image it may be left out. With --poses and neither {i} nor {t} in the name, the array is of
+    /// (poses, rows, columns).
+    #[arg(long, value_name = "TEMPLATE.npy")]
+    npy: Option<String>,
+
+    /// Write the sensor's unit rays as a NumPy array of (rows, columns, 3), <f8, body axes, NaN where there is no ray
+    #[arg(long, value_name = "FILE.npy")]
+    rays: Option<PathBuf>,
 
     /// Write a preview for people
     #[arg(long, value_name = "FILE.png")]
@@ -97,12 +127,18 @@ pub struct Args {
     depth_png: Option<PathBuf>,
 
     /// Write the seen points as a point cloud; to a device or pipe without an ending as PLY
+    ///
+    /// Each has a field for every asked image of range, echo (as intensity), object_id and polygon_id, the normal where both ids
+    /// are asked, and the row of a scanner as ring.
     #[arg(long, value_name = "FILE.ply|FILE.pcd")]
     points: Option<PathBuf>,
 
     /// In which frame the points are
     #[arg(long, value_enum, default_value_t = PointsFrameArg::Sensor, requires = "points")]
     points_frame: PointsFrameArg,
+
+    #[command(flatten)]
+    frame: FrameArgs,
 
     /// What polygon_id numbers: merged polygons of the model, or triangles of the file
     #[arg(long, value_enum, default_value_t = IdsArg::Model)]
@@ -115,6 +151,10 @@ pub struct Args {
     /// CPU threads, 0 = all cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
+
+    /// Print the summary as JSON, an object a line
+    #[arg(long, conflicts_with = "explain")]
+    pub json: bool,
 
     /// Print what was done, what it cost, what was left out and why
     #[arg(long)]
@@ -162,48 +202,138 @@ fn parse_output(name: &str) -> Result<Output> {
 }
 
 /// The arguments, checked as far as they go without touching the world.
-struct Job {
-    pose: GivenPose,
-    files: OutputFiles,
-    import: ImportOptions,
-    options: Options,
+pub struct Job {
+    /// With their time stamps as written; without --poses one, with none.
+    pub poses: Vec<(String, GivenPose)>,
+    pub sensors: Vec<Sensor>,
+    pub files: OutputFiles,
+    pub names: FileNames,
+    pub import: ImportOptions,
+    pub options: Options,
 }
 
 impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
         self.virtual_sensor.check()?;
-        let (pose, files, import) = (self.pose.parse()?, self.files()?, self.import_options()?);
+        self.check_series()?;
+        let import = self.import_options()?;
+        // From here on it is noted what is read.
+        let mut files = OutputFiles::new();
+        let (poses, sensors) = (self.given_poses()?, self.sensors()?);
+        let names = self.names()?;
+        let stamps: Vec<&str> = poses.iter().map(|(stamp, _)| stamp.as_str()).collect();
+        names.add_to(&mut files, &stamps, &sensors)?;
+        files.add("--stats", self.stats.as_deref(), &["json"])?;
+        files.check_named(self.inputs())?;
+        sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
         let threads = Threads::from(self.threads).started()?;
+        let import = ImportOptions { threads: threads.clone(), ..import };
         Ok(Job {
-            pose,
+            poses,
+            sensors,
             files,
-            import: ImportOptions { threads: threads.clone(), ..import },
+            names,
+            import,
             options: Options::new(self.backend.into()).with_threads(threads),
         })
     }
 
-    /// The files to write, none of which is named as one to read.
-    fn files(&self) -> Result<OutputFiles> {
-        let mut files = OutputFiles::new();
-        for (option, path, endings) in [
-            ("--out", &self.out, &["exr"] as &[_]),
-            ("--png", &self.png, &["png"]),
-            ("--depth-png", &self.depth_png, &["png"]),
-            ("--mask", &self.virtual_sensor.mask, &["png"]),
-            ("--points", &self.points, &["ply", "pcd"]),
-            ("--features", &self.layers.features, &["json"]),
-            ("--stats", &self.stats, &["json"]),
-        ] {
-            files.add(option, path.as_deref(), endings)?;
+    /// True if there may be more than one prediction.
+    fn is_series(&self) -> bool {
+        self.poses.is_some() || self.robot.is_some()
+    }
+
+    fn check_series(&self) -> Result<()> {
+        let of_one =
+            [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
+        match of_one.iter().find(|(_, given)| *given && self.is_series()) {
+            None => Ok(()),
+            Some((flag, _)) => {
+                let what = format!("{flag} is of one sensor at one pose");
+                Err(Error::usage(what, "give --pose and --sensor; --json tells what each pose took"))
+            }
         }
-        files.check_named([self.scene.as_path(), Path::new(&self.sensor)])?;
-        files.check_named(self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref()))?;
-        Ok(files)
+    }
+
+    fn names(&self) -> Result<FileNames> {
+        let mask = self.virtual_sensor.mask.as_ref();
+        let features = self.layers.features.as_ref();
+        let given =
+            [self.out.as_ref(), self.png.as_ref(), self.depth_png.as_ref(), mask, self.points.as_ref(), features];
+        FileNames::new(given, self.npy.as_deref(), self.rays.as_ref(), self.outputs, self.is_series())
+    }
+
+    /// Files that are named to be read.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let sensor = self.sensor.as_deref().map(Path::new).or(self.robot.as_deref());
+        let poses = self.poses.as_deref().filter(|path| *path != Path::new("-"));
+        let features = self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref());
+        [self.scene.as_path()].into_iter().chain(sensor).chain(poses).chain(features)
+    }
+
+    fn sensors(&self) -> Result<Vec<Sensor>> {
+        let (sensors, notices) = match (&self.robot, &self.sensor) {
+            (Some(robot), _) => load_robot(robot).map(|(robot, notices)| (robot.sensors, notices))?,
+            (None, sensor) => {
+                let (sensor, notices) = load_sensor(sensor.as_deref().unwrap_or_default())?;
+                (vec![sensor], notices)
+            }
+        };
+        print::notices(&notices);
+        Ok(sensors)
+    }
+
+    fn given_poses(&self) -> Result<Vec<(String, GivenPose)>> {
+        let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
+        let Some(path) = &self.poses else { return Ok(vec![(String::new(), self.pose.parse_as(of)?)]) };
+        let path = if path == Path::new("-") { Path::new("/dev/stdin") } else { path };
+        let poses = tum::read_with_stamps(path)?;
+        let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
+        if poses.is_empty() {
+            return Err(Error::invalid("there is no pose", remedy).in_file(path));
+        }
+        if poses.len() > limits::MAX_SERIES {
+            let what = format!("there are {} poses", poses.len());
+            return Err(
+                Error::invalid(what, format!("{} are the limit: split the file", limits::MAX_SERIES)).in_file(path)
+            );
+        }
+        poses.into_iter().map(|(stamp, p)| Ok((stamp, self.pose.given(p.pose, of)?))).collect()
+    }
+
+    /// The virtual sensor, its reading included.
+    pub fn virtual_sensor(&self) -> &VirtualArgs {
+        &self.virtual_sensor
+    }
+
+    /// Which features are asked for.
+    pub fn layers(&self) -> &LayerArgs {
+        &self.layers
+    }
+
+    /// The model.
+    pub fn scene(&self) -> &Path {
+        &self.scene
+    }
+
+    /// How polygons are selected.
+    pub fn index(&self) -> Scheme {
+        self.index
+    }
+
+    /// True if EXR files are written.
+    pub fn writes_exr(&self) -> bool {
+        self.out.is_some()
+    }
+
+    /// True if a preview is drawn.
+    pub fn draws(&self) -> bool {
+        self.png.is_some()
     }
 
     fn import_options(&self) -> Result<ImportOptions> {
-        let default = ImportOptions::default();
+        let default = self.frame.options()?;
         match (self.ids, self.merge_tolerance) {
             (IdsArg::Source, Some(_)) => {
                 let remedy = "drop --merge-tolerance or --ids source";
@@ -217,14 +347,14 @@ impl Args {
     }
 
     /// Everything asked for by name.
-    fn asked(&self) -> Asked {
+    pub fn asked(&self) -> Asked {
         let of_preview = self.png.as_ref().map(|_| self.png_of);
         let outputs = Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>());
         Asked { outputs, virtual_sensor: self.virtual_sensor.task, preview: self.png.is_some() }
     }
 
     /// The images to predict: what was asked for, and what the other files are drawn from.
-    fn request(&self, sensor: &Sensor) -> Result<Request> {
+    pub fn request(&self, sensor: &Sensor) -> Result<Request> {
         let mut wanted: Vec<Output> = self.outputs.iter().collect();
         if self.png.is_some() {
             wanted.extend(png::preview_needs(sensor, self.png_of).iter());
@@ -232,7 +362,7 @@ impl Args {
         wanted.extend(self.layers.needs(self.asked()));
         wanted.extend(self.virtual_sensor.outputs().iter());
         if self.points.is_some() {
-            wanted.extend([Output::Range, Output::PolygonId]);
+            wanted.push(Output::Range);
         }
         if wanted.contains(&Output::DepthZ) && !sensor.is_camera() {
             let what = format!("depth_z: sensor {:?} is no camera and has no optical axis", sensor.spec().name);
@@ -245,7 +375,7 @@ impl Args {
     }
 
     /// What the prediction and its files take of memory.
-    fn frame(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> Frame {
+    pub fn memory(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> Frame {
         let mut images = request.outputs;
         // What the echo is made of, for which there may be no other reason; more only where reflection factors differ, as is
         // known when the scene is.
@@ -262,19 +392,26 @@ impl Args {
             exr: written as u64,
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
-            points: self.points.is_some(),
+            // Positions in f64, and normals.
+            points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 }),
             reading: self.virtual_sensor.bytes_by_pixel(self.layers.writes_something()),
         }
     }
 
-    fn scheme(&self) -> IdScheme {
+    /// Points get normals where it is asked which polygons they are on.
+    fn normals(&self) -> bool {
+        self.outputs.has(Output::PolygonId) && self.outputs.has(Output::ObjectId)
+    }
+
+    pub fn scheme(&self) -> IdScheme {
         if self.ids == IdsArg::Source { IdScheme::Source } else { IdScheme::Model }
     }
 
-    fn writes_something(&self) -> bool {
+    pub fn writes_something(&self) -> bool {
         let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
         let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
-        self.explain || tells || files.iter().any(|f| f.is_some())
+        let arrays = self.npy.is_some() || self.rays.is_some();
+        self.explain || tells || arrays || files.iter().any(|f| f.is_some())
     }
 }
 
@@ -294,18 +431,21 @@ impl From<BackendArg> for Backend {
 /// Wrong usage, those of scene and sensor, of the engine, and of writing.
 pub fn run(args: &Args) -> Result<Verdict> {
     let job = args.check()?;
-    let (sensor, notices) = load_sensor(&args.sensor)?;
-    print::notices(&notices);
-    args.virtual_sensor.check_sensor(&sensor)?;
+    if args.is_series() { predict_poses::run(args, job) } else { run_one(args, job) }
+}
+
+fn run_one(args: &Args, mut job: Job) -> Result<Verdict> {
+    let (sensor, (_, pose)) = (job.sensors.remove(0), job.poses.remove(0));
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
-    let frame = args.frame(&sensor, &request, &predictor);
+    let frame = args.memory(&sensor, &request, &predictor);
     memory::require(frame.bytes())?;
     let scene = open_scene(&args.scene, &job.import, args.index)?;
-    let world_from_sensor = job.pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
-    let layers = args.layers.load(&scene, &sensor, (&job.pose, &world_from_sensor), args.asked())?;
-    if layers.is_some() {
-        sensor.check_projection().map_err(|e| e.in_file(&args.sensor))?;
+    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+    let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
+    if let Some(layers) = &mut layers {
+        layers.move_to(&pose, &sensor, &world_from_sensor, &scene);
+        sensor.check_projection().map_err(|e| e.in_file(args.sensor.as_deref().unwrap_or_default()))?;
     }
     let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
@@ -340,34 +480,44 @@ pub fn run(args: &Args) -> Result<Verdict> {
         false => Vec::new(),
     };
     job.files.check_read()?;
-    write_files(args, &scene, &prediction, (layers.as_ref(), &sides), reading.as_ref())?;
+    let paths = job.names.paths(&Names { sensor: &sensor.spec().name, ..Names::default() })?;
+    let attributes = args.out.as_ref().map(|_| attributes(args, &scene, &sensor)).transpose()?;
+    write_files(args, &paths, &scene, &prediction, attributes, (layers.as_ref(), &sides), reading.as_ref())?;
+    paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?;
+    job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
             .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
+    let summary = Summary::of(&scene, &prediction);
+    let (ms, engine) = (statistics.median_ms(), statistics.engine_in_words());
     if args.explain {
         print::lines(statistics.explanation())?;
+    } else if args.json {
+        print::data(&format!("{}\n", summary.json(&args.scene, &prediction, ms, &engine)))?;
     } else if !args.writes_something() {
-        print::lines([summary(&scene, &prediction, &statistics)])?;
+        print::lines([format!("{}, {ms:.2} ms on {engine}", summary.in_words(&prediction))])?;
     }
     Ok(Verdict::Done)
 }
 
-/// Writes all files that are asked for; `sides` are of patches that are seen in part.
-fn write_files(
+/// Writes all files of a prediction but arrays; `sides` are of patches that are seen in part.
+pub fn write_files(
     args: &Args,
+    paths: &Paths,
     scene: &Scene,
     prediction: &Prediction,
+    attributes: Option<exr::Attributes>,
     (layers, sides): (Option<&Layers>, &[SeenFeature]),
     reading: Option<&VirtualReading>,
 ) -> Result<()> {
     let (sensor, images) = (&prediction.sensor, &prediction.images);
-    if let Some(path) = &args.out {
-        let attributes = attributes(args, scene, prediction)?;
-        exr::write(path, images, args.outputs, &attributes)?;
+    if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
+        let world_from_sensor = Some(prediction.world_from_sensor);
+        exr::write(path, images, args.outputs, &exr::Attributes { world_from_sensor, ..attributes })?;
     }
-    if let Some(path) = &args.png {
+    if let Some(path) = &paths.png {
         let overlay = prediction.features.as_ref().map(|features| png::Overlay {
             features,
             sides,
@@ -378,61 +528,38 @@ fn write_files(
         let mark = reading.and_then(VirtualReading::mask);
         png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref(), mark)?;
     }
-    args.layers.write(scene, prediction, layers, reading)?;
-    args.virtual_sensor.tell(reading, args.layers.writes_something())?;
-    if let Some(path) = &args.depth_png {
+    args.layers.write(scene, prediction, layers, reading, paths.features.as_deref())?;
+    args.virtual_sensor.tell(reading, paths.mask.as_deref(), args.layers.writes_something())?;
+    if let Some(path) = &paths.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
     }
-    if let Some(path) = &args.points {
+    if let Some(path) = &paths.points {
         let frame = match args.points_frame {
             PointsFrameArg::Sensor => PointsFrame::Sensor,
             PointsFrameArg::World => PointsFrame::World,
         };
-        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?;
-        match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
+        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?.only(args.outputs);
+        let cloud = match args.normals() {
+            true => cloud.with_normals(scene.world.environment(), args.scheme())?,
+            false => cloud,
+        };
+        print::notices(&match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
             true => pcd::write(path, &cloud)?,
             false => ply::write(path, &cloud)?,
-        }
+        });
     }
     Ok(())
 }
 
-fn attributes(args: &Args, scene: &Scene, prediction: &Prediction) -> Result<exr::Attributes> {
+/// What an EXR file says besides the pose.
+pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::Attributes> {
     let objects = scene.world.environment().objects();
     Ok(exr::Attributes {
-        sensor: Some(sensor_toml::to_string(prediction.sensor.spec())),
-        world_from_sensor: Some(prediction.world_from_sensor),
+        sensor: Some(sensor_toml::to_string(sensor.spec())),
+        world_from_sensor: None,
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),
         ids: Some(args.scheme()),
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
-}
-
-/// One line: what was predicted, what is in it, what it took.
-fn summary(scene: &Scene, prediction: &Prediction, statistics: &Statistics) -> String {
-    let (sensor, images) = (&prediction.sensor, &prediction.images);
-    let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
-    let percent = |n: usize| 100.0 * n as f64 / images.pixels() as f64;
-    if !images.range.is_empty() {
-        let seen = || images.range.iter().copied().filter(|r| r.is_finite());
-        let (near, far) = seen().fold((f32::INFINITY, 0f32), |(lo, hi), r| (lo.min(r), hi.max(r)));
-        parts.push(match seen().count() {
-            0 => "no ray hits".into(),
-            hits => format!("{:.1} % of rays hit at {near:.3}..{far:.3} m", percent(hits)),
-        });
-    }
-    if !images.object_id.is_empty() {
-        // Neighbours mostly are the same: few are looked up.
-        let mut ids: HashSet<u32> = images.object_id.chunk_by(|a, b| a == b).map(|run| run[0]).collect();
-        ids.remove(&0);
-        let there = scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
-        parts.push(format!("{} of {there} objects seen", ids.len()));
-    }
-    if let Some(FeaturePrediction { features, .. }) = &prediction.features {
-        let seen = features.iter().filter(|f| !f.visible.is_empty()).count();
-        parts.push(format!("{seen} of {} features seen", features.len()));
-    }
-    parts.push(format!("{:.2} ms on {}", statistics.median_ms(), statistics.engine_in_words()));
-    parts.join(", ")
 }

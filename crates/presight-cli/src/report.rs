@@ -1,6 +1,7 @@
 //! `presight report`: studies as pages.
 
 use super::bar::bar;
+use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{Verdict, features, folder, open_scene, print};
 use presight::Threads;
@@ -8,7 +9,6 @@ use presight::free_poses::free_poses;
 use presight::index::Scheme;
 use presight::internal::printable;
 use presight::io::atomic::write_atomically;
-use presight::io::gltf::ImportOptions;
 use presight::io::{load_sensor, preset};
 use presight::sensor::Sensor;
 use presight::{Error, Result};
@@ -42,6 +42,9 @@ pub struct Args {
     /// Write the study into this folder
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+
+    #[command(flatten)]
+    frame: FrameArgs,
 
     /// Fewer poses, runs and draws: under a minute on two cores
     #[arg(long)]
@@ -162,7 +165,7 @@ impl Args {
         let given = self.poses.as_deref().map(folder::poses).transpose()?;
         let mut scenes = Vec::new();
         for path in &self.scenes {
-            let world = open_scene(path, &ImportOptions::default(), Scheme::default())?.world;
+            let world = open_scene(path, &self.frame.options()?, Scheme::default())?.world;
             let poses = match &given {
                 Some(given) => given.clone(),
                 None => {

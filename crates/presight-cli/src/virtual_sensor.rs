@@ -7,7 +7,7 @@ use presight::plan::Outputs;
 use presight::sensor::Sensor;
 use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor, floor_below};
 use presight::{Error, Prediction, Predictor, Result, Scene};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The virtual sensor of a prediction.
 #[derive(Debug, clap::Args)]
@@ -89,9 +89,9 @@ impl VirtualArgs {
     }
 
     /// Writes the mask, if it is asked for, and says in a line what was found unless that goes into a file.
-    pub fn tell(&self, reading: Option<&VirtualReading>, in_file: bool) -> Result<()> {
+    pub fn tell(&self, reading: Option<&VirtualReading>, mask: Option<&Path>, in_file: bool) -> Result<()> {
         let Some(reading) = reading else { return Ok(()) };
-        if let (Some(path), Some(mask)) = (&self.mask, reading.mask()) {
+        if let (Some(path), Some(mask)) = (mask, reading.mask()) {
             png::write_mask(path, mask)?;
         }
         if in_file { Ok(()) } else { print::lines([reading.summary()]) }

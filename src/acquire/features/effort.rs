@@ -123,6 +123,11 @@ pub(super) struct Thing<'a> {
 }
 
 impl Thing<'_> {
+    /// One that was looked at before: no step is free.
+    pub fn again(self) -> Self {
+        Self { taken: FREE, ..self }
+    }
+
     /// Counts steps at a place, before they are taken.
     ///
     /// # Errors
@@ -245,6 +250,21 @@ mod tests {
         // A hundred around one edge are far from the limit.
         let hundred = steps_of(&fan(100));
         assert!(hundred < limits::MAX_FEATURE_STEPS / 100, "{hundred}");
+    }
+
+    #[test]
+    fn each_thing_has_free_steps_once() {
+        let environment = equal(1);
+        let effort = Effort::new(&environment, &|_| {}).with_most(10);
+        let spend = |thing: &mut Thing<'_>, steps| thing.spend(steps, || DVec3::X);
+        let taken = || effort.taken.load(Relaxed);
+        let (mut one, mut other) = (effort.thing(0), effort.thing(0));
+        assert!(spend(&mut one, FREE).is_ok() && spend(&mut other, FREE - 1).is_ok() && taken() == 0);
+        assert!(spend(&mut one, 4).is_ok() && spend(&mut other, 3).is_ok() && taken() == 6);
+        assert!(spend(&mut effort.thing(0).again(), 4).is_ok() && taken() == 10);
+        assert!(spend(&mut effort.thing(0), FREE).is_ok());
+        let e = spend(&mut one, 1).unwrap_err().to_string();
+        assert!(e.contains("about [1, 0, 0] in the world") && e.contains("over 10 steps"), "{e}");
     }
 
     #[test]

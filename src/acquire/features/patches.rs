@@ -72,8 +72,8 @@ fn of_plane(
     let pieces = faces.iter().filter_map(|&f| Piece::around(soup.corners(f).iter().map(|p| flat(*p)).collect()));
     let object = soup.faces[*first as usize].object;
     let place = |at: DVec2| origin + u * at.x + v * at.y;
-    let begin = || {
-        let mut thing = effort.thing(object);
+    let begin = |again| {
+        let mut thing = if again { effort.thing(object).again() } else { effort.thing(object) };
         move |steps: usize, at: DVec2| thing.spend(steps, || place(at))
     };
     let large = joined(pieces.collect(), touch, begin)?.into_iter().filter(|p| p.area >= least);
@@ -188,13 +188,14 @@ fn turns_right(a: DVec2, b: DVec2, c: DVec2) -> bool {
     ab.perp_dot(bc) <= 1e-7 * ab.length() * bc.length()
 }
 
-/// Joins pieces until no two have a convex union, nearest in order of their low x first. `begin` begins with a piece, which then
-/// tells of the steps that it takes.
+/// Joins pieces until no two have a convex union, nearest in order of their low x first. `begin` begins with a piece, for
+/// the first time or again, which then tells of the steps that it takes.
 fn joined<S: FnMut(usize, DVec2) -> Result<()>>(
     mut pieces: Vec<Piece>,
     touch: f64,
-    begin: impl Fn() -> S,
+    begin: impl Fn(bool) -> S,
 ) -> Result<Vec<Piece>> {
+    let mut again = false;
     loop {
         pieces.sort_by(|a, b| {
             a.low.x.total_cmp(&b.low.x).then(a.low.y.total_cmp(&b.low.y)).then(a.area.total_cmp(&b.area))
@@ -205,7 +206,7 @@ fn joined<S: FnMut(usize, DVec2) -> Result<()>>(
             if gone[i] {
                 continue;
             }
-            let mut spend = begin();
+            let mut spend = begin(again);
             for j in i + 1..pieces.len() {
                 if pieces[j].low.x > pieces[i].high.x + touch {
                     break;
@@ -221,6 +222,7 @@ fn joined<S: FnMut(usize, DVec2) -> Result<()>>(
         if !gone.contains(&true) {
             return Ok(pieces);
         }
+        again = true;
         let mut gone = gone.into_iter();
         pieces.retain(|_| gone.next() == Some(false));
     }

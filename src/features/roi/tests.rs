@@ -1,4 +1,4 @@
-//! Derivatives and special boxes; tests/roi_coverage holds boxes to draws of the errors.
+//! Derivatives and special boxes; tests/features/roi_coverage holds boxes to draws of the errors.
 
 use super::*;
 use crate::environment::FeatureShape;

@@ -19,6 +19,7 @@ mod write;
 pub use write::write_glb;
 
 use crate::acquire::{self, Edges, ImportReport, Imported, ProblemBook, ProblemKind, ProblemList, TriangleMesh};
+use crate::acquire::{SceneFrame, Up};
 use crate::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
@@ -29,7 +30,7 @@ use crate::threads::Threads;
 use accessor::{Document, Proven};
 use buffers::Buffers;
 use exact::Placed;
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3};
 use gltf::json;
 pub(in crate::io) use memory::Memory;
 use mesh::mesh_words;
@@ -47,18 +48,31 @@ pub struct ImportOptions {
     pub merge: bool,
     /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
     pub merge_tolerance: f64,
+    /// The axis of the file that points up; `None`: as the sidecar says, else y.
+    pub up: Option<Up>,
+    /// Metres in one unit of the file; `None`: as the sidecar says, else 1.
+    pub scale: Option<f64>,
     /// Where meshes are built, side by side.
     pub threads: Threads,
 }
 
-impl Default for ImportOptions {
-    fn default() -> Self {
-        Self { merge: true, merge_tolerance: 1e-6, threads: Threads::SHARED }
+impl ImportOptions {
+    /// How a file with this sidecar lies in the world.
+    fn frame(&self, sidecar: &Sidecar) -> SceneFrame {
+        let default = SceneFrame::default();
+        SceneFrame {
+            up: self.up.or(sidecar.up).unwrap_or(default.up),
+            scale: self.scale.or(sidecar.scale).unwrap_or(default.scale),
+            world_from_scene: sidecar.world_from_scene,
+        }
     }
 }
 
-/// z-up from glTF's y-up: (x, y, z) -> (x, -z, y).
-const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
+impl Default for ImportOptions {
+    fn default() -> Self {
+        Self { merge: true, merge_tolerance: 1e-6, up: None, scale: None, threads: Threads::SHARED }
+    }
+}
 
 /// Extensions that change how a surface looks, not where it is.
 const HARMLESS: [&str; 7] = [
@@ -101,13 +115,14 @@ pub(in crate::io) fn import_within(
             "give a share of the object's size, such as 1e-6",
         ));
     }
+    options.scale.map_or(Ok(()), SceneFrame::check_scale)?;
     if let Some(within) = within {
         container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
     }
     let file = file::open(path)?;
     memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
     let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
-    let sidecar = Sidecar::beside(path)?;
+    let sidecar = Sidecar::beside_leniently(path)?;
     import_bytes(&bytes, (path, within), &sidecar, options, memory).map_err(|e| e.in_file(path))
 }
 
@@ -150,12 +165,13 @@ fn import_bytes(
         });
         by_mesh.insert(mesh, built);
     }
-    insert_objects(&nodes, &by_mesh, sidecar, &mut environment, &mut report, &mut book)?;
+    let frame = options.frame(sidecar);
+    insert_objects(&nodes, &by_mesh, &frame, &mut environment, &mut report, &mut book)?;
     if environment.slot_count() == 0 {
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
     report.problems = book.into_problems();
-    Ok(Imported { environment, report })
+    Ok(Imported { environment, report, frame: Some(frame) })
 }
 
 /// A name in quotes for a message, cut where it would not fit a line.
@@ -355,14 +371,14 @@ fn place_of(node: &SceneNode) -> String {
 fn insert_objects(
     nodes: &[SceneNode],
     by_mesh: &HashMap<usize, Built>,
-    sidecar: &Sidecar,
+    frame: &SceneFrame,
     environment: &mut Environment,
     report: &mut ImportReport,
     book: &mut ProblemBook,
 ) -> Result<()> {
-    let world_from_gltf = sidecar.world_from_scene.to_affine() * DAffine3::from_mat3(Z_UP_FROM_Y_UP);
+    let world_from_gltf = frame.world_from_file();
     // Our own writer knows of no sidecar.
-    let exact = sidecar.world_from_scene == Pose::IDENTITY;
+    let exact = *frame == SceneFrame::default();
     let built_of = |node: &SceneNode| node.mesh.and_then(|mesh| by_mesh.get(&mesh));
     let is_object = |node: &SceneNode| built_of(node).is_some_and(|built| built.mesh.polygon_count() > 0);
     let paths = paths::paths(nodes, is_object);

@@ -10,7 +10,7 @@
 //! Not carried: objects without polygons, materials' empty names, numbers of objects and slots, ids of deleted features,
 //! and feature layers, which are files of their own.
 
-use super::Z_UP_FROM_Y_UP;
+use crate::acquire::Z_UP_FROM_Y_UP;
 use crate::environment::{Environment, Material, Mesh, Object, PolygonOrder};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;

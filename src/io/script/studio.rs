@@ -177,7 +177,7 @@ impl Studio {
         }
         let environment = check_features(built.environment, &spots).map_err(|e| e.in_file(file))?;
         built.report.polygons_in_scene = u64::from(environment.slot_count());
-        Ok(Outcome { environment, report: built.report })
+        Ok(Outcome { environment, report: built.report, frame: None })
     }
 }
 
@@ -316,7 +316,7 @@ impl Built {
 
     /// Materials and report of an imported scene; its objects as parts.
     fn take_over(&mut self, outcome: Outcome, file: &str, budget: &Rc<Budget>) -> Result<Assembly> {
-        let Outcome { environment, report } = outcome;
+        let Outcome { environment, report, .. } = outcome;
         let mut materials = Vec::with_capacity(environment.materials().len());
         for material in environment.materials() {
             materials.push(self.environment.add_material(material.clone())?);

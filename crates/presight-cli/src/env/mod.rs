@@ -4,14 +4,15 @@ mod apply;
 mod export;
 mod show;
 
+use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{Verdict, print};
 use presight::Change;
 use presight::World;
+use presight::acquire::Up;
 use presight::environment::Environment;
 use presight::index::Scheme;
-use presight::io::gltf::ImportOptions;
 use presight::io::layer;
 use presight::io::store::{self, Note, Store};
 use presight::memory;
@@ -56,6 +57,8 @@ enum Command {
         /// The scene: .glb, .gltf, or whatever else is read as a scene
         scene: PathBuf,
         #[command(flatten)]
+        frame: FrameArgs,
+        #[command(flatten)]
         note: NoteArgs,
     },
     /// Merge a scene or a layer file (.json), as one change
@@ -71,6 +74,8 @@ enum Command {
         /// Put objects of the file in the place of those of the same path; features given in their frame stay
         #[arg(long)]
         replace: bool,
+        #[command(flatten)]
+        frame: FrameArgs,
         #[command(flatten)]
         note: NoteArgs,
     },
@@ -142,8 +147,8 @@ impl NoteArgs {
 /// Those of the store.
 pub fn run(args: &Args) -> Result<Verdict> {
     match &args.command {
-        Command::Create { store, scene, note } => create(store, scene, note)?,
-        Command::Import { store, file, replace, note } => import(store, file, *replace, note)?,
+        Command::Create { store, scene, frame, note } => create(store, scene, frame, note)?,
+        Command::Import { store, file, replace, frame, note } => import(store, file, *replace, frame, note)?,
         Command::Export(args) => export::run(args)?,
         Command::Apply(args) => apply::run(args)?,
         Command::Info { store, json } => show::info(store, *json)?,
@@ -154,9 +159,12 @@ pub fn run(args: &Args) -> Result<Verdict> {
     Ok(Verdict::Done)
 }
 
-fn environment_of(scene: &Path) -> Result<Environment> {
-    let world = open_scene(scene, &ImportOptions::default(), Scheme::None)?.world;
-    Ok(std::sync::Arc::unwrap_or_clone(world.into_environment()))
+/// A scene, and how its file lay, for the log.
+fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, String)> {
+    let scene = open_scene(scene, &frame.options()?, Scheme::None)?;
+    let lay = scene.frame.filter(|f| (f.up, f.scale) != (Up::Y, 1.0));
+    let lay = lay.map(|f| format!(" (up {}, scale {})", f.up.name(), f.scale)).unwrap_or_default();
+    Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay))
 }
 
 /// A world for changes: nothing is predicted, so it needs no index.
@@ -164,13 +172,14 @@ fn unindexed(environment: Environment) -> World {
     World::with_index(environment, Scheme::None, presight::index::Params::default())
 }
 
-fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
+fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {
     check_no_dash(store)?;
     let mut files = OutputFiles::new();
     files.add_any(store)?;
     files.check_named([scene])?;
-    let note = note.note(|| format!("create of {}", scene.display()))?;
-    let environment = environment_of(scene)?;
+    let mut note = note.note(|| format!("create of {}", scene.display()))?;
+    let (environment, lay) = environment_of(scene, frame)?;
+    note.cause += &lay;
     let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
     memory::require(memory::of_writing(polygons))?;
     files.check_read()?;
@@ -178,8 +187,8 @@ fn create(store: &Path, scene: &Path, note: &NoteArgs) -> Result<()> {
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
 }
 
-fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()> {
-    let note = note.note(|| format!("import of {}", file.display()))?;
+fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {
+    let mut note = note.note(|| format!("import of {}", file.display()))?;
     let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     if is_layer && replace {
         let what = "--replace is of objects, and this is a layer file";
@@ -188,7 +197,11 @@ fn import(path: &Path, file: &Path, replace: bool, note: &NoteArgs) -> Result<()
     // Read before the store is locked: it may be the same file.
     let (layer, scene) = match is_layer {
         true => (Some(layer::read(file)?), None),
-        false => (None, Some(environment_of(file)?)),
+        false => {
+            let (scene, lay) = environment_of(file, frame)?;
+            note.cause += &lay;
+            (None, Some(scene))
+        }
     };
     if let Some(scene) = &scene {
         memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;

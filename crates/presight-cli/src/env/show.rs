@@ -1,10 +1,10 @@
 //! What a store is and was.
 
 use crate::print;
+use presight::acquire::lost_features;
 use presight::environment::{Environment, Object};
 use presight::internal::clipped;
 use presight::io::store::{self, LogEntry};
-use presight::placement;
 use presight::{Error, Result};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -56,7 +56,7 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
 pub fn check(path: &Path) -> Result<()> {
     let info = store::check(path)?;
     print::data(&format!("sound: {} objects, {} changes\n", live(&info.environment).count(), info.changes))?;
-    match placement::problem(&info.environment)? {
+    match lost_features(&info.environment)? {
         Some(problem) => print::lines(problem.lines("    ")),
         None => Ok(()),
     }

@@ -3,6 +3,7 @@
 mod near;
 mod pick;
 
+use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::OutputFiles;
 use super::{Verdict, print};
@@ -10,7 +11,6 @@ use clap::builder::NonEmptyStringValueParser;
 use presight::acquire::features::{GenerateOptions, Generated, Kind, generate_watched};
 use presight::environment::Environment;
 use presight::index::Scheme;
-use presight::io::gltf::ImportOptions;
 use presight::io::layer;
 use presight::{Error, Result};
 use std::path::PathBuf;
@@ -50,6 +50,9 @@ pub struct Args {
     /// Write the layer
     #[arg(long, value_name = "FILE.layer.json")]
     out: Option<PathBuf>,
+
+    #[command(flatten)]
+    frame: FrameArgs,
 
     #[command(flatten)]
     options: OptionArgs,
@@ -119,7 +122,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut files = OutputFiles::new();
     files.add("--out", args.out.as_deref(), &["json"])?;
     files.check_named([scene.as_path()])?;
-    let scene = open_scene(scene, &ImportOptions::default(), Scheme::None)?;
+    let scene = open_scene(scene, &args.frame.options()?, Scheme::None)?;
     let start = Instant::now();
     let generated = generated(scene.world.environment(), class, &options)?;
     files.check_read()?;
@@ -131,7 +134,6 @@ pub fn run(args: &Args) -> Result<Verdict> {
 }
 
 /// With a bar that shows how far it has come.
-#[cfg(feature = "report")]
 fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
     let bar = super::bar::bar(0);
     let generated = generate_watched(environment, class, options, &|progress| {
@@ -141,12 +143,6 @@ fn generated(environment: &Environment, class: &str, options: &GenerateOptions) 
     });
     bar.finish_and_clear();
     generated
-}
-
-/// Without what draws bars.
-#[cfg(not(feature = "report"))]
-fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
-    generate_watched(environment, class, options, &|_| {})
 }
 
 fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> Vec<String> {

@@ -1,5 +1,6 @@
 //! `presight features pick`: what is at a pixel.
 
+use super::super::frame_args::FrameArgs;
 use super::super::open_scene;
 use super::super::pose::PoseArgs;
 use super::super::{Verdict, print};
@@ -10,7 +11,6 @@ use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::geometry::{Aabb, Pose, plane_of_polygon};
 use presight::index::Scheme;
-use presight::io::gltf::ImportOptions;
 use presight::io::{layer, load_sensor};
 use presight::plan::{Images, Output, Outputs};
 use presight::sensor::Sensor;
@@ -29,6 +29,9 @@ pub struct Args {
 
     #[command(flatten)]
     pose: PoseArgs,
+
+    #[command(flatten)]
+    frame: FrameArgs,
 
     /// Column and row; the top left pixel is 0,0
     #[arg(long, value_name = "U,V", value_parser = parse_pixel)]
@@ -80,7 +83,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         let what = format!("--pixel {column},{row}: the image is {} x {}", sensor.width(), sensor.height());
         return Err(Error::usage(what, "give column,row inside it"));
     }
-    let scene = open_scene(&args.scene, &ImportOptions::default(), Scheme::default())?;
+    let scene = open_scene(&args.scene, &args.frame.options()?, Scheme::default())?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let sight = Sight::new(&scene, &sensor, world_from_sensor)?;
     let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {

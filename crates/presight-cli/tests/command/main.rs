@@ -1,11 +1,14 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
 mod features;
+mod frames;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;
 #[cfg(unix)]
 mod outputs;
+#[cfg(unix)]
+mod poses;
 #[cfg(feature = "script")]
 mod scripts;
 #[cfg(unix)]
@@ -466,7 +469,7 @@ fn wrong_usage() {
             bad(with("--pose 0,0,1,0,0,-inf"), 2, &["--pose", "not finite", "; give x,y,z"]),
             bad(with("--pose 0,0,1"), 2, &["--pose 0,0,1", "3 numbers", "; give x,y,z"]),
             bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion", "; give x,y,z"]),
-            bad(with(""), 2, &["--pose", "; see presight predict --help"]),
+            bad(with(""), 2, &["--pose is missing", "; give x,y,z"]),
             bad(posed("--outputs range,colour"), 2, &["colour", "choose from range"]),
             bad(posed("--outputs depth_z"), 2, &["depth_z", "no camera", "; ask for range"]),
             bad(posed("--png-of range"), 2, &["--png", "; see presight predict --help"]),

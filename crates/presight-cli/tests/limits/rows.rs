@@ -44,6 +44,10 @@ pub const ROWS: &[Row] = &[
     row("predict IN/hall.rhai VIEW --out a.exr --points a.pcd --index s3d --threads 2", &["a.exr", "a.pcd"]),
     row("predict IN/hall.presight VIEW --virtual free-floor --features f.json --png a.png", &["f.json", "a.png"]),
     row("predict IN/hall.glb VIEW --explain", &[]),
+    row(
+        "predict IN/hall.glb --sensor IN/small.toml --poses IN/drive.tum --backend cpu --outputs range --out {i}.exr --npy r.npy",
+        &["0.exr", "1.exr", "r.npy"],
+    ),
     row("inspect IN/hall.glb --json", &[]),
     row("sensors", &[]),
     row("index IN/hall.glb --count 1 --repeat 1 --sensor IN/small.toml --out study", &["study/index.csv"]),
@@ -148,6 +152,7 @@ impl Pantry {
         write("balls.rhai", BALLS);
         write("changes.jsonl", CHANGES);
         write("small.toml", &camera(160, 120, 80.0));
+        write("drive.tum", "0 0 0 1.2 0 0 0 1\n1 0.1 0 1.2 0 0 0 1\n");
         write("tiny.toml", &camera(32, 24, 16.0));
         write("wide.toml", &camera(1024, 1024, 512.0));
         write("large.toml", &camera(16_384, 4096, 4096.0));

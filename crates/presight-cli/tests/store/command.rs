@@ -30,6 +30,44 @@ pub(super) fn refusal(folder: &Path, args: &[&str], status: i32) -> String {
     e
 }
 
+/// Many lines that delete, in one run, leave what a run for each few of them leaves, and an unsound line at their end takes none
+/// of them back.
+#[test]
+fn a_row_of_deletions_is_as_each_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (here, glb) = (folder.path(), scene().to_str().unwrap());
+    run(here, &["env", "create", "whole.presight", glb]);
+    run(here, &["features", "whole.presight", "--class", "video", "--out", "l.layer.json"]);
+    run(here, &["env", "import", "whole.presight", "l.layer.json"]);
+    let (_, environment) = Store::open(&here.join("whole.presight")).unwrap();
+    let features = &environment.layer("video").unwrap().features;
+    assert!(features.len() > 500 && environment.objects().len() > 100);
+    let alone = features.iter().filter(|f| f.id % 7 == 0).take(60);
+    let alone = alone.map(|f| format!(r#"{{"op":"delete_feature","class":"video","feature":{}}}"#, f.id));
+    let objects = environment.objects().iter().take(60);
+    let objects = objects.map(|o| format!(r#"{{"op":"delete_object","object":{:?}}}"#, o.name));
+    let lines: Vec<String> = alone.chain(objects).collect();
+    let apply = |store: &str, lines: &[String]| {
+        std::fs::write(here.join("c.jsonl"), lines.join("\n") + "\n").unwrap();
+        presight().args(["env", "apply", store, "c.jsonl"]).current_dir(here).output().unwrap()
+    };
+    for name in ["one.presight", "many.presight"] {
+        std::fs::copy(here.join("whole.presight"), here.join(name)).unwrap();
+    }
+    for few in lines.chunks(20) {
+        assert!(apply("one.presight", few).status.success());
+    }
+    let wrong = r#"{"op":"delete_object","object":"none"}"#.to_owned();
+    let output = apply("many.presight", &[&lines[..], &[wrong]].concat());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && said.contains("c.jsonl: line 121: "), "{said}");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 120);
+    let content = |name: &str| store::info(&here.join(name)).unwrap().environment.content_hash();
+    assert_eq!(content("many.presight"), content("one.presight"));
+    assert_ne!(content("many.presight"), content("whole.presight"));
+    run(here, &["env", "check", "many.presight"]);
+}
+
 #[test]
 fn a_store_is_a_scene() {
     let folder = tempfile::tempdir().unwrap();

@@ -214,7 +214,7 @@ fn the_judge_sees_each_planted_fault() {
     let sensor =
         Sensor::new(SensorSpec::new("s", "study", Geometry::Camera(Camera::pinhole(33, 17, 20.0, 15.0, 16.2, 8.1))));
     let request = ImageRequest { outputs: Outputs::ALL, ids: IdScheme::Model };
-    let plan = FramePlan::new(&world, &sensor.unwrap(), &Pose::IDENTITY, &request).unwrap();
+    let plan = FramePlan::new(&world, &sensor.unwrap(), &Pose::IDENTITY, request).unwrap();
     let picture = Picture::new(&plan);
     let mut images = Images::default();
     reference::render(&plan, &mut images).unwrap();

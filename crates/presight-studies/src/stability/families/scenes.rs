@@ -146,7 +146,7 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Subject]) -> Result<Vec<Fi
     for case in cases {
         let outputs = if case.sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
         let request = ImageRequest { outputs, ids: IdScheme::Model };
-        let plan = FramePlan::new(&case.world, &case.sensor, &case.pose, &request)?;
+        let plan = FramePlan::new(&case.world, &case.sensor, &case.pose, request)?;
         let picture = Picture::new(&plan);
         for (subject, (all, edge_on)) in subjects.iter_mut().zip(&mut verdicts) {
             let mut images = Images::default();

@@ -1,0 +1,235 @@
+//! `presight predict --poses`, `--robot`: many predictions in one world, with one predictor.
+
+use super::file_names::{FileNames, Paths};
+use super::layers::Layers;
+use super::predict::{self, Args, Job};
+use super::summary::Summary;
+use super::{Verdict, bar, open_scene, print};
+use presight::frames::GivenPose;
+use presight::io::npy::{self, Stack, Values};
+use presight::io::series::Progress;
+use presight::io::templates::Names;
+use presight::io::{exr, sensor_toml};
+use presight::memory;
+use presight::plan::Output;
+use presight::sensor::Sensor;
+use presight::{Error, Result};
+use presight::{Prediction, Predictor, Request, Scene, blake3_of};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Predicts at every pose for every sensor, and writes what is not yet written.
+///
+/// # Errors
+/// Those of scene and sensors, of the engine, and of writing. What was written before stays, and the same command goes on.
+pub fn run(args: &Args, mut job: Job) -> Result<Verdict> {
+    let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
+    let mut predictor = Predictor::new(job.options.clone())?;
+    let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor).bytes());
+    let largest = frames.max().unwrap_or(0);
+    memory::require(largest)?;
+    let scene = open_scene(args.scene(), &job.import, args.index())?;
+    let sensors = std::mem::take(&mut job.sensors);
+    let mut setups = Vec::new();
+    for (sensor, request) in sensors.into_iter().zip(requests) {
+        setups.push(Setup::new(args, &scene, sensor, request)?);
+    }
+    // What the scene has left.
+    memory::require(largest)?;
+    let files = std::mem::take(&mut job.files);
+    files.check_read()?;
+    for setup in &setups {
+        job.names.rays(&setup.sensor)?.iter().try_for_each(|path| npy::write_rays(path, &setup.sensor))?;
+    }
+    let mut series = Series { args, scene: &scene, names: &job.names, poses: &job.poses, told: HashSet::new() };
+    let progress = series.progress(&mut setups)?;
+    let bar = bar::bar(job.poses.len() as u64);
+    let mut work = |index: usize| {
+        setups.iter_mut().try_for_each(|setup| series.predict(&mut predictor, setup, index))?;
+        bar.set_position(index as u64 + 1);
+        Ok(())
+    };
+    match progress {
+        None => (0..job.poses.len()).try_for_each(work)?,
+        Some(mut progress) => {
+            progress.run(|_, index| work(index))?;
+            setups.into_iter().flat_map(|setup| setup.stacks).try_for_each(|(_, stack)| stack.finish())?;
+            progress.complete()?;
+        }
+    }
+    bar.finish_and_clear();
+    Ok(Verdict::Done)
+}
+
+/// A sensor with what its predictions need.
+struct Setup {
+    sensor: Sensor,
+    /// The images, without features.
+    request: Request,
+    layers: Option<Layers>,
+    attributes: Option<exr::Attributes>,
+    /// Arrays of all poses.
+    stacks: Vec<(Output, Stack)>,
+    /// The last one, whose memory the next takes.
+    last: Option<Prediction>,
+}
+
+impl Setup {
+    fn new(args: &Args, scene: &Scene, sensor: Sensor, request: Request) -> Result<Self> {
+        let layers = args.layers().load(scene, &sensor, args.asked())?;
+        if layers.is_some() {
+            sensor.check_projection().map_err(|e| e.at(&sensor.spec().name))?;
+        }
+        let attributes = args.writes_exr().then(|| predict::attributes(args, scene, &sensor)).transpose()?;
+        Ok(Self { sensor, request, layers, attributes, stacks: Vec::new(), last: None })
+    }
+}
+
+/// Predictions at all poses.
+struct Series<'a> {
+    args: &'a Args,
+    scene: &'a Scene,
+    names: &'a FileNames,
+    poses: &'a [(String, GivenPose)],
+    /// Notices that were printed.
+    told: HashSet<String>,
+}
+
+impl Series<'_> {
+    fn paths(&self, sensor: &Sensor, index: usize) -> Result<Paths> {
+        let stamp = &self.poses[index].0;
+        self.names.paths(&Names { index, stamp, sensor: &sensor.spec().name, output: "" })
+    }
+
+    /// What an interrupted series left, with the arrays that it was filling; `None` if nothing is written.
+    fn progress(&self, setups: &mut [Setup]) -> Result<Option<Progress>> {
+        if !self.names.write_predictions() {
+            return Ok(None);
+        }
+        let mut progress = Progress::open(&self.record(setups)?, &self.job(setups)?, self.poses.len())?;
+        let until = progress.written().filter(|_| progress.finished() > 0);
+        let mut kept = true;
+        for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {
+            let (rows, columns) = (setup.sensor.height() as usize, setup.sensor.width() as usize);
+            for (output, path) in self.paths(&setup.sensor, 0)?.npy {
+                let descr = if is_id(output) { "<u4" } else { "<f4" };
+                let shape = [self.poses.len(), rows, columns];
+                let (stack, goes_on) = Stack::open(&path, shape, descr, until)?;
+                kept &= goes_on;
+                setup.stacks.push((output, stack));
+            }
+        }
+        let stacked = self.names.are_stacked();
+        let are_there = |setup: &Setup, i| {
+            until.is_some_and(|until| self.paths(&setup.sensor, i).is_ok_and(|paths| paths.are_there(stacked, until)))
+        };
+        progress.keep_if(|i| kept && setups.iter().all(|setup| are_there(setup, i)));
+        if progress.finished() > 0 {
+            let (finished, all) = (progress.finished(), self.poses.len());
+            print::message(&format!(
+                "note: {finished} of {all} poses are finished already; this goes on with the others"
+            ));
+        }
+        if progress.replaced() {
+            print::message("note: another series was left unfinished here; all files are written anew");
+        }
+        Ok(Some(progress))
+    }
+
+    /// The record of what is finished: beside the first file.
+    fn record(&self, setups: &[Setup]) -> Result<PathBuf> {
+        let paths = self.paths(&setups[0].sensor, 0)?;
+        let named = [paths.out, paths.png, paths.depth_png, paths.mask, paths.points, paths.features];
+        let all: Vec<PathBuf> =
+            named.into_iter().flatten().chain(paths.npy.into_iter().map(|(_, path)| path)).collect();
+        let regular = |path: &&PathBuf| path.metadata().map_or(true, |m| m.is_file());
+        let Some(first) = all.iter().find(regular) else {
+            let what = "a series writes files, and only devices and pipes are named";
+            return Err(Error::usage(what, "name a file, or give one --pose"));
+        };
+        let hash = blake3::hash(format!("{all:?}").as_bytes()).to_hex();
+        Ok(first.parent().unwrap_or(Path::new("")).join(format!(".presight-{}.series", &hash[..12])))
+    }
+
+    /// A hash over all that the files depend on.
+    fn job(&self, setups: &[Setup]) -> Result<String> {
+        let mut hasher = blake3::Hasher::new();
+        let environment = self.scene.world.environment();
+        let what = format!("{} {:?} {}", env!("CARGO_PKG_VERSION"), self.args, environment.content_hash());
+        hasher.update(what.as_bytes());
+        for pose in self.poses {
+            hasher.update(format!("{pose:?}").as_bytes());
+        }
+        for setup in setups {
+            hasher.update(sensor_toml::to_string(setup.sensor.spec()).as_bytes());
+        }
+        let files = self.args.layers().inputs().chain(self.args.virtual_sensor().corridor.as_deref());
+        for file in files {
+            hasher.update(blake3_of(file)?.as_bytes());
+        }
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
+    /// Predicts at one pose for one sensor, and writes its files.
+    fn predict(&mut self, predictor: &mut Predictor, setup: &mut Setup, index: usize) -> Result<()> {
+        let Self { args, scene, .. } = *self;
+        let Setup { sensor, request, layers, attributes, stacks, last } = setup;
+        let pose = &self.poses[index].1;
+        let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+        if let Some(layers) = layers {
+            layers.move_to(pose, sensor, &world_from_sensor, scene);
+        }
+        let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
+        let settings = args.virtual_sensor().settings(scene, sensor, &world_from_sensor, predictor)?;
+        let start = Instant::now();
+        let prediction = match last {
+            None => last.insert(predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?),
+            Some(prediction) => {
+                prediction.request = request;
+                predictor.predict_again(&scene.world, &world_from_sensor, prediction)?;
+                prediction
+            }
+        };
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        for notice in &prediction.stats.notices {
+            if self.told.insert(notice.clone()) {
+                print::notices([notice]);
+            }
+        }
+        let reading = args.virtual_sensor().read(scene, prediction, &settings)?;
+        let sides = match args.draws() {
+            true => predictor.predict_outlines(&scene.world, prediction)?,
+            false => Vec::new(),
+        };
+        let paths = self.paths(sensor, index)?;
+        let shown = (layers.as_ref(), sides.as_slice());
+        predict::write_files(args, &paths, scene, prediction, attributes.clone(), shown, reading.as_ref())?;
+        for (output, stack) in stacks.iter_mut() {
+            Values::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))?;
+        }
+        for (output, path) in paths.npy.iter().filter(|_| stacks.is_empty()) {
+            npy::write_image(path, &prediction.images, *output)?;
+        }
+        self.tell(prediction, index, (ms, &predictor.engine_name()))
+    }
+
+    fn tell(&self, prediction: &Prediction, index: usize, (ms, engine): (f64, &str)) -> Result<()> {
+        if self.args.json {
+            let summary = Summary::of(self.scene, prediction);
+            let mut value = summary.json(self.args.scene(), prediction, ms, engine);
+            value["pose"] = index.into();
+            value["stamp"] = self.poses[index].0.as_str().into();
+            return print::data(&format!("{value}\n"));
+        }
+        if self.args.writes_something() {
+            return Ok(());
+        }
+        let summary = Summary::of(self.scene, prediction);
+        print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
+    }
+}
+
+fn is_id(output: Output) -> bool {
+    matches!(output, Output::PolygonId | Output::ObjectId | Output::FeatureId)
+}

@@ -1,0 +1,71 @@
+//! A prediction in a line, for people and for programs.
+
+use presight::features::FeaturePrediction;
+use presight::{Prediction, Scene};
+use serde_json::{Value, json};
+use std::collections::HashSet;
+use std::path::Path;
+
+/// What was predicted, and what is in it.
+pub struct Summary {
+    /// Rays that hit, the nearest and the farthest range; `None` without a range image.
+    hits: Option<(usize, f32, f32)>,
+    /// Objects seen, of how many; `None` without an image of them.
+    objects: Option<(usize, usize)>,
+    features: Option<(usize, usize)>,
+}
+
+impl Summary {
+    pub fn of(scene: &Scene, prediction: &Prediction) -> Self {
+        let images = &prediction.images;
+        let seen = || images.range.iter().copied().filter(|r| r.is_finite());
+        let (near, far) = seen().fold((f32::INFINITY, 0f32), |(lo, hi), r| (lo.min(r), hi.max(r)));
+        // Neighbours mostly are the same: few are looked up.
+        let mut ids: HashSet<u32> = images.object_id.chunk_by(|a, b| a == b).map(|run| run[0]).collect();
+        ids.remove(&0);
+        let there = || scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
+        Self {
+            hits: (!images.range.is_empty()).then(|| (seen().count(), near, far)),
+            objects: (!images.object_id.is_empty()).then(|| (ids.len(), there())),
+            features: prediction.features.as_ref().map(|FeaturePrediction { features, .. }| {
+                (features.iter().filter(|f| !f.visible.is_empty()).count(), features.len())
+            }),
+        }
+    }
+
+    /// A line without its end.
+    pub fn in_words(&self, prediction: &Prediction) -> String {
+        let (sensor, pixels) = (&prediction.sensor, prediction.images.pixels());
+        let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
+        parts.extend(self.hits.map(|(hits, near, far)| match hits {
+            0 => "no ray hits".into(),
+            _ => format!("{:.1} % of rays hit at {near:.3}..{far:.3} m", 100.0 * hits as f64 / pixels as f64),
+        }));
+        parts.extend(self.objects.map(|(seen, there)| format!("{seen} of {there} objects seen")));
+        parts.extend(self.features.map(|(seen, all)| format!("{seen} of {all} features seen")));
+        parts.join(", ")
+    }
+
+    /// An object of format 1; null is what was not asked for or is not there.
+    pub fn json(&self, scene: &Path, prediction: &Prediction, ms: f64, engine: &str) -> Value {
+        let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
+        let hit = self.hits.filter(|(hits, ..)| *hits > 0);
+        json!({
+            "format": 1,
+            "scene": scene.display().to_string(),
+            "sensor": sensor.spec().name,
+            "columns": sensor.width(),
+            "rows": sensor.height(),
+            "world_from_sensor": pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect::<Vec<_>>(),
+            "pixels_hit": self.hits.map(|(hits, ..)| hits),
+            "nearest_m": hit.map(|(_, near, _)| near),
+            "farthest_m": hit.map(|(.., far)| far),
+            "objects_seen": self.objects.map(|(seen, _)| seen),
+            "objects": self.objects.map(|(_, there)| there),
+            "features_seen": self.features.map(|(seen, _)| seen),
+            "features": self.features.map(|(_, all)| all),
+            "prediction_ms": ms,
+            "engine": engine,
+        })
+    }
+}

@@ -1,0 +1,306 @@
+//! serde's forms of poses, sensors and requests: those of the files and of the command.
+//!
+//! | type | form |
+//! |---|---|
+//! | [`Pose`] | `[x, y, z, qx, qy, qz, qw]`; `[x, y, z, roll_deg, pitch_deg, yaw_deg]` is read, too |
+//! | [`SensorSpec`], [`Sensor`] | the keys of a sensor file ([`super::sensor_toml`]); an infinite `range_max` is left out, a ray that is not there is three nulls |
+//! | [`Outputs`] | a list of names |
+//! | [`IdScheme`] | `"model"` or `"source"` |
+//! | [`Request`] | `outputs`, `ids`, `features` (`time`, `step`, `visibility`) and `regions` (`pose_covariance`: 36 numbers, `objects`, `confidence`, `method`); each may be left out |
+//!
+//! What predictions say of features is in [`super::prediction_json`].
+
+use super::sensor_toml;
+use crate::features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, STEP, Visibility};
+use crate::geometry::Pose;
+use crate::plan::{IdScheme, Outputs};
+use crate::predict::Request;
+use crate::sensor::{Sensor, SensorSpec};
+use glam::{DQuat, DVec3};
+use serde::de::Error as _;
+use serde::ser::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::Value;
+
+impl Serialize for Pose {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let (t, q) = (self.translation, self.rotation);
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w].serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Pose {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let numbers = Vec::<f64>::deserialize(deserializer)?;
+        let pose = match numbers[..] {
+            [x, y, z, roll, pitch, yaw] => {
+                Self::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
+            }
+            [x, y, z, qx, qy, qz, qw] => {
+                Self { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) }
+            }
+            _ => return Err(D::Error::custom(format!("a pose of {} numbers; give 6 or 7", numbers.len()))),
+        };
+        pose.check().map_err(D::Error::custom)?;
+        Ok(pose)
+    }
+}
+
+impl Serialize for SensorSpec {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut table: toml::Table = toml::from_str(&sensor_toml::to_string(self)).map_err(S::Error::custom)?;
+        if self.range_max == f64::INFINITY {
+            table.remove("range_max");
+        }
+        json_of(toml::Value::Table(table)).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for SensorSpec {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let table = toml_of(Value::deserialize(deserializer)?).map_err(D::Error::custom)?;
+        sensor_toml::parse(&table.to_string(), "sensor", None).map_err(D::Error::custom)
+    }
+}
+
+impl Serialize for Sensor {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.spec().serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Sensor {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Self::new(SensorSpec::deserialize(deserializer)?).map_err(D::Error::custom)
+    }
+}
+
+/// NaN becomes null, which JSON has.
+fn json_of(value: toml::Value) -> Value {
+    match value {
+        toml::Value::Float(x) => Value::from(x),
+        toml::Value::Integer(n) => Value::from(n),
+        toml::Value::Boolean(b) => Value::from(b),
+        toml::Value::String(text) => Value::from(text),
+        toml::Value::Datetime(date) => Value::from(date.to_string()),
+        toml::Value::Array(all) => all.into_iter().map(json_of).collect(),
+        toml::Value::Table(all) => Value::Object(all.into_iter().map(|(key, value)| (key, json_of(value))).collect()),
+    }
+}
+
+/// Null is NaN in a list; a key whose value is null is not there.
+fn toml_of(value: Value) -> Result<toml::Value, String> {
+    Ok(match value {
+        Value::Null => toml::Value::Float(f64::NAN),
+        Value::Bool(b) => b.into(),
+        Value::Number(n) => match n.as_i64() {
+            Some(n) => n.into(),
+            None => n.as_f64().ok_or_else(|| format!("{n} is no number"))?.into(),
+        },
+        Value::String(text) => text.into(),
+        Value::Array(all) => toml::Value::Array(all.into_iter().map(toml_of).collect::<Result<_, _>>()?),
+        Value::Object(all) => {
+            let there = all.into_iter().filter(|(_, value)| !value.is_null());
+            toml::Value::Table(there.map(|(key, value)| Ok((key, toml_of(value)?))).collect::<Result<_, String>>()?)
+        }
+    })
+}
+
+impl Serialize for Outputs {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.iter().map(|output| output.name()))
+    }
+}
+
+impl<'de> Deserialize<'de> for Outputs {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let names = Vec::<String>::deserialize(deserializer)?;
+        match names[..] {
+            [] => Ok(Self::of(&[])),
+            _ => names.join(",").parse().map_err(D::Error::custom),
+        }
+    }
+}
+
+/// [`IdScheme`] by name.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "IdScheme", rename_all = "snake_case")]
+enum IdsForm {
+    Model,
+    Source,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "Visibility", rename_all = "snake_case")]
+enum VisibilityForm {
+    Image,
+    Rays,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "BoxMethod", rename_all = "snake_case")]
+enum MethodForm {
+    AsNeeded,
+    Linear,
+    Set,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RequestForm {
+    #[serde(default)]
+    outputs: Outputs,
+    #[serde(with = "IdsForm", default)]
+    ids: IdScheme,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    features: Option<FeaturesForm>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    regions: Option<RegionsForm>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FeaturesForm {
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    time: Option<f64>,
+    #[serde(with = "VisibilityForm", default)]
+    visibility: Visibility,
+    #[serde(default = "default_step")]
+    step: f64,
+}
+
+fn default_step() -> f64 {
+    STEP
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RegionsForm {
+    pose_covariance: Vec<f64>,
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    objects: Vec<(u32, Vec<f64>)>,
+    confidence: f64,
+    #[serde(with = "MethodForm", default)]
+    method: BoxMethod,
+}
+
+fn flat(covariance: &[[f64; 6]; 6]) -> Vec<f64> {
+    covariance.as_flattened().to_vec()
+}
+
+fn matrix(numbers: &[f64]) -> Result<[[f64; 6]; 6], String> {
+    match numbers.len() {
+        36 => Ok(std::array::from_fn(|i| std::array::from_fn(|j| numbers[6 * i + j]))),
+        n => Err(format!("a covariance of {n} numbers; give 36")),
+    }
+}
+
+impl Serialize for Request {
+    /// # Errors
+    /// For features that are placed already: they hold for one world in memory.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let features = match &self.features {
+            Some(FeatureOptions { source: FeatureSource::Placed(_), .. }) => {
+                return Err(S::Error::custom("placed features are of one world in memory and are not written"));
+            }
+            Some(f) => Some(FeaturesForm { time: f.time, visibility: f.visibility, step: f.step }),
+            None => None,
+        };
+        let regions = self.regions.as_ref().map(|r| RegionsForm {
+            pose_covariance: flat(&r.sensor),
+            objects: r.objects.iter().map(|(object, c)| (*object, flat(c))).collect(),
+            confidence: r.confidence,
+            method: r.method,
+        });
+        RequestForm { outputs: self.outputs, ids: self.ids, features, regions }.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Request {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let form = RequestForm::deserialize(deserializer)?;
+        let mut request = Self::of(form.outputs).with_ids(form.ids);
+        if let Some(FeaturesForm { time, visibility, step }) = form.features {
+            let options = FeatureOptions::default().with_visibility(visibility).with_step(step);
+            request = request.with_features(FeatureOptions { time, ..options });
+        }
+        if let Some(regions) = form.regions {
+            let sensor = matrix(&regions.pose_covariance).map_err(D::Error::custom)?;
+            let object = |(object, c): &(u32, Vec<f64>)| matrix(c).map(|c| (*object, c)).map_err(D::Error::custom);
+            let objects = regions.objects.iter().map(object).collect::<Result<_, _>>()?;
+            let options = BoxOptions::default().with_sensor(sensor).with_objects(objects);
+            request = request.with_regions(options.with_confidence(regions.confidence).with_method(regions.method));
+        }
+        Ok(request)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Output;
+    use crate::sensor::{Geometry, PRESETS, RayTable};
+    use serde::de::DeserializeOwned;
+
+    fn through_json<T: Serialize + DeserializeOwned>(value: &T) -> T {
+        serde_json::from_str(&serde_json::to_string(value).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn poses_keep_their_bits_and_bad_ones_are_refused() {
+        let pose = Pose::from_xyz_rpy(DVec3::new(5e6, -0.1, 1.0 / 3.0), 0.1, 0.2, 3.0);
+        assert_eq!(through_json(&pose), pose);
+        let degrees: Pose = serde_json::from_str("[1, 2, 3, 0, 0, 90]").unwrap();
+        assert!((degrees.rotation * DVec3::X - DVec3::Y).length() < 1e-12);
+        for bad in ["[1, 2, 3]", "[0, 0, 0, 0, 0, 0, 2]", "[1e300, 0, 0, 0, 0, 0]", "[null, 0, 0, 0, 0, 0]", "{}"] {
+            assert!(serde_json::from_str::<Pose>(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn sensors_read_back_equal_infinities_and_missing_rays_included() {
+        for preset in PRESETS {
+            let sensor = crate::preset(preset.name).unwrap();
+            assert_eq!(through_json(sensor.spec()), *sensor.spec(), "{}", preset.name);
+            assert_eq!(through_json(&sensor).spec(), sensor.spec());
+            let toml = toml::to_string(sensor.spec()).unwrap();
+            assert_eq!(toml::from_str::<SensorSpec>(&toml).unwrap(), *sensor.spec(), "{toml}");
+        }
+        let rays = RayTable::new(2, 1, vec![DVec3::X, DVec3::NAN]).unwrap();
+        let spec = SensorSpec::new("two", "laser", Geometry::Rays(rays));
+        assert_eq!(spec.range_max, f64::INFINITY);
+        let text = serde_json::to_string(&spec).unwrap();
+        assert!(text.contains("[null,null,null]") && !text.contains("range_max"), "{text}");
+        let back = through_json(&spec);
+        assert_eq!(back.range_max, f64::INFINITY);
+        let Geometry::Rays(table) = &back.geometry else { panic!("{back:?}") };
+        assert!(table.directions()[0] == DVec3::X && table.directions()[1].is_nan());
+        let unknown = r#"{"format": 1, "kind": "camera", "width": 2, "lens": 3}"#;
+        assert!(serde_json::from_str::<SensorSpec>(unknown).is_err());
+    }
+
+    #[test]
+    fn requests_read_back_equal_and_say_what_they_cannot_hold() {
+        let full = Request::of(Outputs::of(&[Output::Range, Output::FeatureId]))
+            .with_ids(IdScheme::Source)
+            .with_features(FeatureOptions::default().with_time(1.79e9).with_visibility(Visibility::Rays).with_step(0.1))
+            .with_regions(
+                BoxOptions::default()
+                    .with_sensor_sigmas([0.1, 0.2, 0.0, 0.0, 0.0, 1.0 / 3.0])
+                    .with_objects(vec![(3, [[0.25; 6]; 6])])
+                    .with_method(BoxMethod::Linear)
+                    .with_confidence(0.9),
+            );
+        for request in [Request::default(), Request::of(Outputs::of(&[])), full.clone()] {
+            assert_eq!(through_json(&request), request);
+        }
+        let json = serde_json::to_value(&full).unwrap();
+        assert_eq!(json["outputs"], serde_json::json!(["range", "feature_id"]));
+        assert_eq!((&json["ids"], &json["regions"]["method"]), (&"source".into(), &"linear".into()));
+        assert_eq!(serde_json::from_str::<Request>("{}").unwrap(), Request::default());
+        assert!(serde_json::from_str::<Request>(r#"{"outputs": ["walls"]}"#).is_err());
+        assert!(serde_json::from_str::<Request>(r#"{"deadlines": 1}"#).is_err());
+        let placed = Request::default().with_features(FeatureOptions::default().with_placed(Vec::new()));
+        assert!(serde_json::to_string(&placed).unwrap_err().to_string().contains("placed"));
+    }
+}

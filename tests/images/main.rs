@@ -1,0 +1,13 @@
+//! Images: every engine against the reference, the reference against other libraries, and what a request costs.
+
+mod echo;
+mod embree;
+mod engines;
+mod gpu;
+mod hard_scenes;
+mod indexes;
+mod left_out;
+mod merged;
+mod oracle;
+mod ray_tables;
+mod recovery;

@@ -1,8 +1,0 @@
-//! Importing: every feature of a scene file on files made by hand, every way to be broken, and the real scenes.
-
-mod bad;
-mod build;
-use presight_testkit as common;
-mod features;
-mod memory;
-mod scenes;

@@ -1,0 +1,97 @@
+//! Nothing runs on rayon's global pool, which panics where the system has no more threads.
+#![cfg(feature = "script")]
+
+use glam::DVec3;
+use presight::acquire::features::{GenerateOptions, generate};
+use presight::compare::{Precision, candidates};
+use presight::features::{BoxOptions, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features};
+use presight::index::{Params, Scheme};
+use presight::io::gltf::{self, ImportOptions};
+use presight::{Backend, FramePlan, Options, Output, Outputs, Pose, Predictor, Request, Threads, World, preset};
+use presight_testkit::{self as common, forbid_global_pool};
+use std::path::{Path, PathBuf};
+
+/// Balls with so many polygons that the sorting of meshes and indexes goes parallel.
+const BALLS: &str = r#"
+    place("ball", sphere(1, 256), pose(4, 0, 1, 0, 0, 0));
+    place("large", sphere(2, 200), pose(0, 6, 1, 0, 0, 0));
+    place("floor", box(20, 20, 0.1), pose(0, 0, -0.1, 0, 0, 0));
+    "#;
+
+/// The scene as a script and as glTF, which the first makes.
+fn scene(folder: &Path) -> (PathBuf, PathBuf) {
+    let (script, glb) = (folder.join("balls.rhai"), folder.join("balls.glb"));
+    std::fs::write(&script, BALLS).unwrap();
+    let made = presight::io::script::load(&script, &ImportOptions::default(), &mut |_| ()).unwrap();
+    gltf::write_glb(&glb, &made.environment).unwrap();
+    (script, glb)
+}
+
+#[test]
+fn nothing_uses_the_global_pool() {
+    forbid_global_pool();
+    let folder = tempfile::tempdir().unwrap();
+    let (_, glb) = scene(folder.path());
+    let world = World::new(gltf::import(&glb, &ImportOptions::default()).unwrap().environment);
+    for scheme in Scheme::ALL {
+        let _ = world.reindexed(scheme, Params::tuned(scheme));
+    }
+    let (camera, pose) = (preset("video-camera").unwrap(), Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.0));
+    let plan = common::plan(&world, &camera, &pose);
+    let images = common::reference(&plan);
+    assert_eq!(candidates(&plan, &[(256, 256)], Precision::F32).len(), 1);
+
+    let options = GenerateOptions { min_length: 0.5, ..GenerateOptions::default() };
+    let layer = generate(world.environment(), "video", &options).unwrap().layer;
+    let placed = place(&world, &layer).unwrap();
+    for visibility in [Visibility::Rays, Visibility::default()] {
+        let options = FeatureSettings { visibility, ..FeatureSettings::default() };
+        let mut seen = predict_features(&world, &camera, &pose, &images, &placed, &options).unwrap();
+        add_boxes(&mut seen, &placed, &world, &camera, &pose, &BoxOptions::default()).unwrap();
+    }
+    #[cfg(feature = "store")]
+    {
+        use presight::io::store::{Note, Store, create};
+        let path = folder.path().join("balls.presight");
+        create(&path, world.environment(), &Note::default()).unwrap();
+        let stored = presight::io::store::read_world(&path, Scheme::default(), Params::default()).unwrap();
+        assert_eq!(stored.environment().content_hash(), world.environment().content_hash());
+        drop(Store::open(&path).unwrap());
+    }
+    for backend in [Backend::Cpu, Backend::Gpu] {
+        // Where there is no adapter, the other engines are still looked at.
+        let Ok(mut predictor) = Predictor::new(Options::new(backend).with_threads(2)) else { continue };
+        predict_all(&mut predictor, &world, &plan, &layer);
+    }
+}
+
+/// Images, features and regions of interest.
+fn predict_all(
+    predictor: &mut Predictor,
+    world: &World,
+    plan: &FramePlan,
+    layer: &presight::environment::FeatureLayer,
+) {
+    let options = FeatureOptions::default().with_placed(place(world, layer).unwrap());
+    let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]))
+        .with_features(options)
+        .with_regions(BoxOptions::default());
+    let prediction = predictor.predict(world, &plan.sensor, &plan.world_from_sensor, &request).unwrap();
+    assert!(prediction.features.is_some());
+}
+
+/// A script has a thread of its own; what it imports is built on the threads of the options, of which the only one waits
+/// for the script here.
+#[test]
+fn a_script_that_imports_may_be_loaded_on_a_single_thread() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let script = folder.path().join("outer.rhai");
+    std::fs::write(&script, r#"print("hello"); place("balls", import_gltf("balls.glb"));"#).unwrap();
+    let threads = Threads::new(1).unwrap();
+    let options = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+    let mut said = Vec::new();
+    let load = || presight::io::script::load(&script, &options, &mut |line| said.push(line.to_owned()));
+    let made = threads.run(load).unwrap().unwrap();
+    assert_eq!((made.environment.objects().len(), said), (3, vec!["hello".to_owned()]));
+}
