@@ -81,6 +81,7 @@
 //! works without them.
 
 pub mod acquire;
+pub mod batch;
 mod change;
 pub mod compare;
 pub mod cost;
@@ -114,6 +115,8 @@ mod printable;
 pub mod probe;
 mod random;
 pub mod reference;
+#[doc(hidden)]
+pub mod row;
 mod scene;
 pub mod sensor;
 pub mod simulate;
@@ -130,7 +133,7 @@ pub use io::preset;
 pub use plan::{FramePlan, IdScheme, ImageRequest, Images, LeftOut, Output, Outputs, StageRow, Stats, Work};
 pub use predict::{Backend, Options, Prediction, Predictor, Request};
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
-pub use sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, Sensor, SensorSpec};
+pub use sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;
 pub use world::World;
 

@@ -37,6 +37,8 @@ use std::time::{Duration, Instant};
 /// The CPU engine with its threads and buffers.
 pub struct Engine {
     pool: Arc<rayon::ThreadPool>,
+    /// All work of a frame is done by the thread that asks.
+    alone: bool,
     batches: Vec<Batch>,
     winners: Winners,
     canvas: Vec<Buffer>,
@@ -58,7 +60,13 @@ impl Engine {
     /// As [`Threads::new`].
     pub fn new(threads: impl Into<Threads>) -> Result<Self> {
         let pool = threads.into().pool()?;
-        Ok(Self { pool, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+        Ok(Self { pool, alone: false, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+    }
+
+    /// Another one that hands no work to other threads, for a task on one of the pool's.
+    pub(crate) fn on_one_thread(&self) -> Self {
+        let pool = self.pool.clone();
+        Self { pool, alone: true, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() }
     }
 
     /// How many threads it has.
@@ -75,8 +83,8 @@ impl Engine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "cpu".into();
-        stats.threads = self.pool.current_num_threads();
-        let bands = Bands::new(plan.sensor.grid(), self.pool.current_num_threads());
+        stats.threads = if self.alone { 1 } else { self.pool.current_num_threads() };
+        let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
         // Winners are numbered in 32 bits, and a polygon over the azimuth seam is set up twice.
@@ -98,14 +106,16 @@ impl Engine {
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
-        let Self { pool, batches, winners, canvas } = self;
+        let Self { pool, alone, batches, winners, canvas } = self;
         let canvas = &mut canvas[..bands.count()];
         for (band, buffer) in canvas.iter_mut().enumerate() {
             buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
         }
+        // What is never split never waits for another task, and no other one comes between.
+        let least = if *alone { usize::MAX } else { 1 };
         // The whole frame on the pool: between two stages its threads stay awake.
         pool.install(|| {
-            let used = draw_waves(plan, &bands, (batches, winners), canvas, images, stats);
+            let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
             stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
         });
@@ -132,10 +142,12 @@ impl Engine {
     }
 }
 
-/// Sets up and draws all runs, nearest first; the answer is the number of batches in use.
+/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads; the answer is the
+/// number of batches in use.
 fn draw_waves(
     plan: &FramePlan,
     bands: &Bands,
+    least: usize,
     (batches, winners): (&mut Vec<Batch>, &mut Winners),
     canvas: &mut [Buffer],
     images: &mut Images,
@@ -154,7 +166,7 @@ fn draw_waves(
             plan.runs[wave.clone()].to_vec()
         } else {
             let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
-            plan.runs[wave.clone()].par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat()
+            plan.runs[wave.clone()].par_chunks(SIFTED).with_min_len(least).map(sift).collect::<Vec<_>>().concat()
         };
         hidden += wave.len() - runs.len();
         done = wave.end;
@@ -162,7 +174,7 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let left_out = set_up(plan, bands, &runs, batches, &mut used);
+        let left_out = set_up(plan, bands, (&runs, least), batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -170,14 +182,14 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
-        let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
+        let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate().with_min_len(least);
         parts.for_each(|(band, ((buffer, target), progress))| {
             let (target, clear) = (last.then_some(target), waves == 0);
             arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress });
         });
         waves += 1;
         if !last && progress.is_over() {
-            let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate();
+            let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate().with_min_len(least);
             parts.for_each(|(band, ((buffer, target), progress))| {
                 arch.dispatch(Resolve { buffer, target, plan, winners, bands, band, progress });
             });
@@ -205,7 +217,13 @@ fn draw_waves(
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
 /// was up.
-fn set_up(plan: &FramePlan, bands: &Bands, runs: &[Run], batches: &mut Vec<Batch>, used: &mut usize) -> Option<f32> {
+fn set_up(
+    plan: &FramePlan,
+    bands: &Bands,
+    (runs, least): (&[Run], usize),
+    batches: &mut Vec<Batch>,
+    used: &mut usize,
+) -> Option<f32> {
     let arch = pulp::Arch::new();
     let groups = batch::group_runs(runs);
     let first = *used;
@@ -213,7 +231,7 @@ fn set_up(plan: &FramePlan, bands: &Bands, runs: &[Run], batches: &mut Vec<Batch
         batches.resize_with(first + groups.len(), Batch::default);
     }
     let new = &mut batches[first..first + groups.len()];
-    new.par_iter_mut().zip(&groups).for_each(|(batch, group)| {
+    new.par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
         batch.nearest = runs[group.start].nearest_below();
         batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
         if batch.is_set_up {

@@ -50,6 +50,12 @@ pub trait Engine: Any + Send {
         None
     }
 
+    /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
+    /// `None` for an engine that cannot be one of several.
+    fn for_task(&self) -> Option<Box<dyn Engine>> {
+        None
+    }
+
     /// The device that it works on, if it works on one.
     fn device(&mut self) -> Option<&mut dyn Device> {
         None
@@ -184,6 +190,10 @@ impl Engine for cpu::Engine {
 
     fn threads_with_deadline(&self) -> Option<usize> {
         Some(self.threads())
+    }
+
+    fn for_task(&self) -> Option<Box<dyn Engine>> {
+        Some(Box::new(self.on_one_thread()))
     }
 }
 

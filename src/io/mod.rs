@@ -14,6 +14,7 @@ pub mod gltf;
 pub(crate) mod inputs;
 pub mod layer;
 mod load;
+pub mod log;
 pub mod materials;
 pub mod npy;
 pub mod pcd;
@@ -23,6 +24,7 @@ mod point_fields;
 mod points;
 pub mod prediction_json;
 pub mod robot_toml;
+pub mod rows;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;

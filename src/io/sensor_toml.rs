@@ -24,8 +24,14 @@
 //!
 //! [noise]                     # one sigma, default 0
 //! range_sigma = 0.02          # metres
+//! range_sigma_quadratic = 0.0 # times the range squared, added to range_sigma, 1 / metre
 //! angle_sigma_deg = 0.01
 //! pixel_sigma = 0.0
+//! p_hit = 0.75                # shares of beams, which add up to 1: they meet the predicted surface,
+//! p_short = 0.1               # something nearer that the model does not have,
+//! p_none = 0.05               # nothing,
+//! p_any = 0.1                 # or anything
+//! beam_dependence = 1.0       # so many beams tell as much as one independent beam
 //! ```
 //!
 //! `kind = "camera"`: `width, height, fx, fy, cx, cy`, and `[distortion]` with `model = "none" | "plumb_bob" |
@@ -44,7 +50,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::printable::quoted;
-use crate::sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, SensorSpec};
+use crate::sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, SensorSpec};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 use std::path::Path;
@@ -168,14 +174,30 @@ struct NoiseTable {
     angle_sigma_deg: f64,
     #[serde(default)]
     pixel_sigma: f64,
+    #[serde(default)]
+    range_sigma_quadratic: f64,
+    p_hit: Option<f64>,
+    p_short: Option<f64>,
+    p_none: Option<f64>,
+    p_any: Option<f64>,
+    beam_dependence: Option<f64>,
 }
 
 impl NoiseTable {
     fn noise(&self) -> Noise {
+        let usual = Mixture::default();
         Noise {
             range_sigma: self.range_sigma,
+            range_sigma_quadratic: self.range_sigma_quadratic,
             angle_sigma: self.angle_sigma_deg.to_radians(),
             pixel_sigma: self.pixel_sigma,
+            mixture: Mixture {
+                hit: self.p_hit.unwrap_or(usual.hit),
+                short: self.p_short.unwrap_or(usual.short),
+                none: self.p_none.unwrap_or(usual.none),
+                any: self.p_any.unwrap_or(usual.any),
+                beam_dependence: self.beam_dependence.unwrap_or(usual.beam_dependence),
+            },
         }
     }
 }

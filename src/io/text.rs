@@ -5,6 +5,7 @@ use crate::io::file;
 use crate::limits;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use std::io::{BufRead, Read};
 use std::path::Path;
 
 /// The only version of the TOML files that this build reads.
@@ -65,6 +66,25 @@ fn read_up_to(path: &Path, limit: u64) -> Result<String> {
         Error::invalid(format!("byte {} is not UTF-8", e.utf8_error().valid_up_to()), "save the file as UTF-8 text")
             .in_file(path)
     })
+}
+
+/// The next line of a file that is read line by line, with its end; `None` at the end of the file.
+pub(crate) fn read_line(reader: &mut impl BufRead, number: usize) -> Result<Option<String>> {
+    let mut line = Vec::new();
+    let read = reader.by_ref().take(limits::MAX_LINE_BYTES + 1).read_until(b'\n', &mut line);
+    let at = |e: Error| e.at(format!("line {number}"));
+    if read.map_err(|e| at(Error::io("", "read it", e)))? == 0 {
+        return Ok(None);
+    }
+    if line.len() as u64 > limits::MAX_LINE_BYTES {
+        let remedy = "split it";
+        let what = format!("the line is longer than {} bytes", limits::MAX_LINE_BYTES);
+        return Err(at(Error::invalid(what, remedy)));
+    }
+    let text =
+        String::from_utf8(line).map_err(|_| at(Error::invalid("it is not UTF-8", "save the file as UTF-8 text")))?;
+    let text = if number == 1 { file::without_mark(text) } else { text };
+    Ok(Some(text))
 }
 
 /// The line (from 1) of a byte offset.

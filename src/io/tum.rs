@@ -1,11 +1,14 @@
 //! Trajectories in the format of the TUM RGB-D benchmark: one pose per line, `timestamp tx ty tz qx qy qz qw`.
 
-use super::text::read_text;
+use super::file;
+use super::text::{read_line, read_text};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::printable::quoted;
 use glam::{DQuat, DVec3};
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufReader, Take};
+use std::path::{Path, PathBuf};
 
 /// A pose with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,6 +61,47 @@ pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, Stamped)>> {
     Ok(poses)
 }
 
+/// Poses of a file, read line by line.
+pub struct Stream {
+    path: PathBuf,
+    reader: BufReader<Take<File>>,
+    line: usize,
+    ended: bool,
+}
+
+/// Opens a trajectory that may be longer than memory. What is wrong with a line is told when it is read; then the stream ends.
+///
+/// # Errors
+/// Those of opening a file; pipes are refused, for what is read twice.
+pub fn stream(path: &Path) -> Result<Stream> {
+    let reader = BufReader::new(file::open(path)?);
+    Ok(Stream { path: path.to_owned(), reader, line: 0, ended: false })
+}
+
+impl Iterator for Stream {
+    type Item = Result<Stamped>;
+
+    fn next(&mut self) -> Option<Result<Stamped>> {
+        while !self.ended {
+            self.line += 1;
+            let line = match read_line(&mut self.reader, self.line).transpose()? {
+                Ok(line) => line,
+                Err(e) => {
+                    self.ended = true;
+                    return Some(Err(e.in_file(&self.path)));
+                }
+            };
+            let line = line.trim();
+            if !line.is_empty() && !line.starts_with('#') {
+                let pose = stamped(line).map_err(|e| e.at(format!("line {}", self.line)).in_file(&self.path));
+                self.ended = pose.is_err();
+                return Some(pose);
+            }
+        }
+        None
+    }
+}
+
 fn stamped(line: &str) -> Result<Stamped> {
     let wrong = |what: String| Error::invalid(what, "write timestamp tx ty tz qx qy qz qw, separated by spaces");
     let mut numbers = [0.0; 8];
@@ -91,6 +135,7 @@ mod tests {
         assert_eq!(read_back.len(), 1);
         assert_eq!((read_back[0].time, read_back[0].pose.translation), (1.5, DVec3::new(1.0, 2.0, 3.0)));
         assert_eq!(read_back[0].pose.rotation, DQuat::IDENTITY);
+        assert_eq!(stream(&path).unwrap().map(Result::unwrap).collect::<Vec<_>>(), read_back);
         for bad in [
             "1 2 3",
             "0 0 0 0 0 0 0 0",
@@ -103,6 +148,9 @@ mod tests {
             std::fs::write(&path, format!("# a\n{bad}\n")).unwrap();
             let e = read(&path).unwrap_err();
             assert!(e.to_string().contains("line 2"), "{e}");
+            let mut stream = stream(&path).unwrap();
+            assert_eq!(stream.next().unwrap().unwrap_err().to_string(), e.to_string());
+            assert!(stream.next().is_none());
         }
     }
 }

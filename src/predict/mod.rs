@@ -14,6 +14,7 @@ use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
 use crate::probe::{Probe, Task, Told};
+use crate::row::RowCuts;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
@@ -94,6 +95,7 @@ pub struct Predictor {
     controller: Controller,
     /// What happened to the GPU, if something did.
     notice: Option<String>,
+    row_cuts: RowCuts,
 }
 
 /// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
@@ -127,6 +129,7 @@ impl Predictor {
             own: None,
             controller: Controller::default(),
             notice: None,
+            row_cuts: RowCuts::default(),
         }
     }
 
@@ -134,6 +137,19 @@ impl Predictor {
     #[doc(hidden)]
     pub fn engine(&self) -> &dyn Engine {
         &*self.engine
+    }
+
+    /// The threads for tasks of batches, running.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if they cannot be started.
+    pub(crate) fn task_threads(&mut self) -> Result<Threads> {
+        self.threads = self.threads.started()?;
+        Ok(self.threads.clone())
+    }
+
+    pub(crate) fn row_cuts(&self) -> &RowCuts {
+        &self.row_cuts
     }
 
     /// The engine, and the threads on which it leaves work to the CPU.

@@ -4,6 +4,7 @@ mod camera;
 mod cone_tree;
 mod distortion;
 mod grid;
+mod noise;
 mod polynomial;
 mod presets;
 mod project;
@@ -17,6 +18,7 @@ pub(crate) use cone_tree::ConeTree;
 pub use distortion::Distortion;
 pub(crate) use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};
+pub use noise::{Mixture, Noise};
 pub use presets::{PRESETS, Preset};
 pub(crate) use ray_grid::{Ahead, Cones, Sides, TILE_SIDE, TileRays, View};
 pub use ray_grid::{RayGrid, Tile};
@@ -40,17 +42,6 @@ pub enum Geometry {
     Scanner(Scanner),
     /// Any set of rays from one centre.
     Rays(RayTable),
-}
-
-/// Measurement noise, one standard deviation each. It is used when poses are estimated and never added to predictions.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Noise {
-    /// Metres.
-    pub range_sigma: f64,
-    /// Radians.
-    pub angle_sigma: f64,
-    /// Pixels.
-    pub pixel_sigma: f64,
 }
 
 /// The specification of a [`Sensor`].
@@ -234,9 +225,5 @@ fn check(spec: &SensorSpec) -> Result<()> {
             "give more than 0 and at most 90 degrees",
         ));
     }
-    let noise = [spec.noise.range_sigma, spec.noise.angle_sigma, spec.noise.pixel_sigma];
-    if !noise.iter().all(|s| *s >= 0.0 && s.is_finite()) {
-        return Err(Error::invalid(format!("noise {noise:?}"), "give finite sigmas of at least 0"));
-    }
-    Ok(())
+    spec.noise.check()
 }

@@ -1,6 +1,7 @@
 //! The command: parse first, then touch the world. The only place that prints.
 
 mod bar;
+mod batch;
 mod compare;
 mod deadline;
 mod doctor;
@@ -67,6 +68,7 @@ Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong us
 #[derive(Debug, Subcommand)]
 enum Command {
     Predict(Box<predict::Args>),
+    Batch(Box<batch::Args>),
     Inspect(inspect::Args),
     Sensors(sensors::Args),
     Index(index::Args),
@@ -116,6 +118,7 @@ pub fn main() -> ExitCode {
     };
     let done = match cli.command {
         Command::Predict(args) => predict::run(&args),
+        Command::Batch(args) => batch::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Sensors(args) => sensors::run(&args),
         Command::Index(args) => index::run(&args),

@@ -89,22 +89,30 @@ impl PoseArgs {
             let remedy = "drop --pose-of sensor, or give one --sensor";
             return Err(Error::usage("--pose-of sensor: each sensor of a robot has its own place on it", remedy));
         }
-        let frame = match self.pose_frame {
-            PoseFrame::Body => frames::PoseFrame::Body,
-            PoseFrame::Optical => frames::PoseFrame::Optical,
-        };
-        let of = match self.pose_of.unwrap_or(of) {
-            PoseOf::Sensor => frames::PoseOf::Sensor,
-            PoseOf::Robot => frames::PoseOf::Robot,
-        };
-        let world = match self.world_frame {
-            WorldFrame::ZUp => frames::WorldFrame::ZUp,
-            WorldFrame::Gltf => frames::WorldFrame::Gltf,
-        };
-        let given = GivenPose::new(pose).with_frame(frame).with_of(of).with_world(world);
-        given.check()?;
-        Ok(given)
+        given_pose(pose, self.pose_frame, self.pose_of.unwrap_or(of), self.world_frame)
     }
+}
+
+/// A pose that means what the flags say.
+///
+/// # Errors
+/// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
+pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<GivenPose> {
+    let frame = match frame {
+        PoseFrame::Body => frames::PoseFrame::Body,
+        PoseFrame::Optical => frames::PoseFrame::Optical,
+    };
+    let of = match of {
+        PoseOf::Sensor => frames::PoseOf::Sensor,
+        PoseOf::Robot => frames::PoseOf::Robot,
+    };
+    let world = match world {
+        WorldFrame::ZUp => frames::WorldFrame::ZUp,
+        WorldFrame::Gltf => frames::WorldFrame::Gltf,
+    };
+    let given = GivenPose::new(pose).with_frame(frame).with_of(of).with_world(world);
+    given.check()?;
+    Ok(given)
 }
 
 const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";

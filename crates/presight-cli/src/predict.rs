@@ -174,7 +174,7 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum BackendArg {
+pub enum BackendArg {
     /// A hardware GPU if there is one, otherwise the CPU engine
     Auto,
     /// The CPU engine

@@ -185,7 +185,14 @@ proptest! {
         spec.range_max = if far { f64::INFINITY } else { range_min + 1.0 / 3.0 };
         spec.max_incidence = far.then(|| (f64::from(incidence) / 10.0).to_radians());
         spec.mount = Pose::from_xyz_rpy(DVec3::from_array(xyz), rpy[0], rpy[1], rpy[2]);
-        spec.noise = Noise { range_sigma: sigma, angle_sigma: sigma.to_radians(), pixel_sigma: 0.0 };
+        let mixture = Mixture { hit: 0.5, short: 0.25, none: 0.125, any: 0.125, beam_dependence: 1.0 + sigma };
+        spec.noise = Noise {
+            range_sigma: sigma,
+            range_sigma_quadratic: if far { sigma / 7.0 } else { 0.0 },
+            angle_sigma: sigma.to_radians(),
+            mixture: if far { mixture } else { Mixture::default() },
+            ..Noise::default()
+        };
         let text = to_string(&spec);
         prop_assert_eq!(parse(&text, "other", None).unwrap(), spec);
     }

@@ -1,7 +1,7 @@
 //! Writing sensor TOML: text that reads back to an equal sensor.
 
 use crate::geometry::Pose;
-use crate::sensor::{Angles, Camera, Distortion, Geometry, Noise, RayTable, Scanner, SensorSpec};
+use crate::sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, SensorSpec};
 
 /// The sensor as TOML, from which [`super::parse`] makes an equal one.
 ///
@@ -46,6 +46,7 @@ pub fn to_string(spec: &SensorSpec) -> String {
         out.number("range_sigma", spec.noise.range_sigma);
         out.number("angle_sigma_deg", degrees(spec.noise.angle_sigma));
         out.number("pixel_sigma", spec.noise.pixel_sigma);
+        out.beams(&spec.noise);
     }
     out.0
 }
@@ -101,6 +102,18 @@ impl Writer {
                 }
                 Angles::Listed(listed) => self.list("angles_deg", listed),
             }
+        }
+    }
+
+    /// What is not as usual.
+    fn beams(&mut self, noise: &Noise) {
+        if noise.range_sigma_quadratic != 0.0 {
+            self.number("range_sigma_quadratic", noise.range_sigma_quadratic);
+        }
+        let Mixture { hit, short, none, any, beam_dependence } = noise.mixture;
+        if noise.mixture != Mixture::default() {
+            let keys = ["p_hit", "p_short", "p_none", "p_any", "beam_dependence"];
+            keys.iter().zip([hit, short, none, any, beam_dependence]).for_each(|(key, value)| self.number(key, value));
         }
     }
 

@@ -1,0 +1,155 @@
+//! Batches beside single predictions: `cargo bench --bench batch [-- FOLDER]`.
+//!
+//! - A real scan weighed at 360 headings of many places of its map, by pose; the panoramas are counted.
+//! - A sensed image weighed at free poses of two scenes (`PRESIGHT_POSES`, default 1000), by the batch and by single predictions
+//!   of range and cos_incidence with the weighing after each.
+//!
+//! Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`, default 2. With a FOLDER the poses are written there as
+//! SCENE.tum, for `benches/peers/batch.py`.
+
+#![allow(missing_docs, reason = "a bench has no interface")]
+#![allow(clippy::print_stdout, reason = "the table is what it is for")]
+
+use presight::batch::{BatchRequest, Headings, PoseCell, Sensed};
+use presight::free_poses::free_poses;
+use presight::io::gltf::{ImportOptions, import};
+use presight::io::log;
+use presight::{Backend, Images, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Instant;
+
+fn number(name: &str, default: usize) -> usize {
+    std::env::var(name).map_or(default, |text| text.parse().expect("a number"))
+}
+
+fn data(name: &str) -> PathBuf {
+    let default = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    std::env::var_os("PRESIGHT_DATA").map_or_else(default, PathBuf::from).join(name)
+}
+
+fn world(name: &str) -> World {
+    World::new(import(data(name), &ImportOptions::default()).expect("the scene imports").environment)
+}
+
+fn predictor() -> Predictor {
+    let threads = number("PRESIGHT_THREADS", 2);
+    Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
+}
+
+fn noisy(spec: &SensorSpec) -> Sensor {
+    let noise = Noise { range_sigma: 0.03, angle_sigma: 2e-3, ..Noise::default() };
+    Sensor::new(SensorSpec { noise, ..spec.clone() }).expect("a sound sensor")
+}
+
+/// The least of some times, milliseconds.
+fn least(times: usize, mut run: impl FnMut()) -> f64 {
+    let time = |()| {
+        let start = Instant::now();
+        run();
+        start.elapsed().as_secs_f64() * 1e3
+    };
+    std::iter::repeat_n((), times).map(time).fold(f64::INFINITY, f64::min)
+}
+
+/// A scan of the Malaga run at all headings of places 0.25 m apart near the map's walls.
+fn malaga() {
+    let world = world("lidar2d/malaga_corridor_map.glb");
+    let log = log::open(&data("lidar2d/malaga_corridor_run_scans.json")).expect("the log opens");
+    let sensor = noisy(log.sensor().spec());
+    let frame = log.map(|frame| frame.expect("a sound frame")).nth(10).expect("eleven frames");
+    let headings = Headings::new(&sensor, 360).expect("a step of half a degree");
+    let bounds = world.environment().bounds();
+    let mut places = Vec::new();
+    let mut at = bounds.min.with_z(sensor.spec().mount.translation.z);
+    while at.y < bounds.max.y {
+        at.x = bounds.min.x;
+        while at.x < bounds.max.x {
+            places.push(Pose { translation: at, ..Pose::IDENTITY });
+            at.x += 0.25;
+        }
+        at.y += 0.25;
+    }
+    // Spread over the whole map.
+    let every = places.len() as f64 / 3714.0;
+    let places: Vec<Pose> = (0..3714).map(|i| places[(i as f64 * every) as usize]).collect();
+    let beams = frame.range.iter().filter(|r| r.is_finite()).count();
+    let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
+    let sensed = Sensed::new(&sensor, frame.range, cell).expect("a sound scan");
+    let request = BatchRequest { likelihood: Some(sensed), headings: Some(headings), ..BatchRequest::default() };
+    let mut predictor = predictor();
+    let mut cut_ms = 0.0;
+    let mut best = f32::NEG_INFINITY;
+    let ms = least(5, || {
+        // Another version of the world each time: the cut is counted.
+        let world = world.reindexed(presight::index::Scheme::default(), Default::default());
+        let batch = predictor.batch(&world, &sensor, places.clone(), &request).expect("a sound request");
+        best = batch.flat_map(|item| item.expect("a place").headings).fold(f32::NEG_INFINITY, f32::max);
+    });
+    let first = least(5, || {
+        let batch = predictor.batch(&world, &sensor, places[..1].to_vec(), &request).expect("a sound request");
+        cut_ms += batch.count() as f64;
+    });
+    let poses = places.len() * 360;
+    println!(
+        "Malaga: {} places x 360 headings, {beams} beams with a reading: {ms:.0} ms, first place {first:.2} ms",
+        places.len()
+    );
+    println!("{poses} poses; by 1,000,000 poses {:.0} ms; best log-likelihood {best}", ms * 1e6 / poses as f64);
+}
+
+fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
+    let sensor = noisy(presight::preset(preset).expect("a preset").spec());
+    let mut predictor = predictor();
+    let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+    let asked = Request::of(outputs);
+    let mut images = Images::default();
+    predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
+    let sensed = Sensed::new(&sensor, images.range.clone(), PoseCell::default()).expect("a sound image");
+    let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
+    let mut sums = [0.0, 0.0];
+    let batch = least(3, || {
+        let items = predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a sound request");
+        sums[0] = items.map(|item| item.expect("a pose").log_likelihood.unwrap_or(0.0)).sum();
+    });
+    let single = least(3, || {
+        sums[1] = 0.0;
+        for pose in poses {
+            predictor.predict_images(world, &sensor, pose, &asked, &mut images).expect("it predicts");
+            sums[1] += sensed.log_likelihood(&images.range, &images.cos_incidence);
+        }
+    });
+    let n = poses.len() as f64;
+    let (batch, single) = (batch / n, single / n);
+    println!(
+        "| {name} | {preset} | {n} | {batch:.4} | {single:.4} | {:.2} | {:.1e} |",
+        single / batch,
+        (sums[0] / sums[1] - 1.0).abs()
+    );
+}
+
+fn main() {
+    let folder = std::env::args().skip(1).find(|a| !a.starts_with("--")).map(PathBuf::from);
+    malaga();
+    println!("\n| scene | sensor | poses | batch, ms a pose | single, ms a pose | times as fast | sums differ by |");
+    println!("|---|---|---|---|---|---|---|");
+    for name in ["hospital", "factory_hall"] {
+        let world = world(&format!("env/{name}.glb"));
+        let poses = free_poses(&world, number("PRESIGHT_POSES", 1000), 1).expect("free poses");
+        if let Some(folder) = &folder {
+            let mut text = String::new();
+            for pose in &poses {
+                let (p, q) = (pose.translation, pose.rotation);
+                writeln!(text, "0 {} {} {} {} {} {} {}", p.x, p.y, p.z, q.x, q.y, q.z, q.w).expect("a string");
+            }
+            std::fs::write(folder.join(format!("{name}.tum")), text).expect("the poses are written");
+        }
+        // One-row scanners stand level on a robot, all at one height.
+        let height = poses[0].translation.z;
+        let yaw = |pose: &Pose| Pose::from_xyz_rpy(pose.translation.with_z(height), 0.0, 0.0, pose.rpy().2);
+        let level: Vec<Pose> = poses.iter().map(yaw).collect();
+        scene(name, "laser-range-camera", &poses, &world);
+        scene(name, "laser-scanner", &level, &world);
+        scene(name, "microwave-radar-scan", &level, &world);
+    }
+}

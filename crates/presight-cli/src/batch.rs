@@ -1,0 +1,479 @@
+//! `presight batch`: one sensor at many poses, into a folder.
+
+use super::outputs::check_no_dash;
+use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
+use super::predict::BackendArg;
+use super::{Verdict, bar, folder, open_scene, print};
+use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, Sensed};
+use presight::frames::GivenPose;
+use presight::index::Scheme;
+use presight::internal::{inputs, text};
+use presight::io::atomic::write_atomically;
+use presight::io::gltf::ImportOptions;
+use presight::io::rows::Rows;
+use presight::io::{exr, load_sensor, log, sensor_toml, tum};
+use presight::{
+    Error, IdScheme, ImageRequest, Options, Output, Outputs, Pose, Predictor, Result, Scene, Sensor, Threads, blake3_of,
+};
+use rayon::prelude::*;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  All images at the poses of a trajectory, as 000000.exr and so on, and poses.csv:
+    presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images
+
+  How likely scan 3 of a log is at each pose:
+    presight batch map.glb --poses particles.tum --sensor sick.toml --likelihood run.json#3 --out weights
+
+  The same at 360 headings of each place, with places 0.25 m apart:
+    presight batch map.glb --poses places.tum --sensor sick.toml --likelihood run.json#3 \\
+      --headings 360 --cell-m 0.25 --out weights
+
+  A half of it, on another machine:
+    presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images --shard 2/2
+
+Stopped at any time, the same command goes on where it was.";
+
+/// Predict a sensor's images at many poses, or weigh a sensed image at each
+///
+/// Writes an image for each pose and poses.csv (with --shard poses-I-of-N.csv). Files appear whole. With --likelihood the
+/// table has the log-likelihood of the sensed image at each pose, and images are written only if --outputs names some.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
+    scene: PathBuf,
+
+    /// The poses: lines of timestamp tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE.tum")]
+    poses: PathBuf,
+
+    /// A preset (see `presight sensors`) or a sensor file
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: String,
+
+    /// The folder to write
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Weigh this sensed image: an OpenEXR file with a range image, or FILE#INDEX, a frame of a log, from 0
+    #[arg(long, value_name = "FRAME")]
+    likelihood: Option<String>,
+
+    /// Weigh it at N headings of each place, evenly over the full turn; which way the poses look does not matter
+    #[arg(long, value_name = "N", requires = "likelihood")]
+    headings: Option<u32>,
+
+    /// Width of the cell that each pose stands for, metres
+    #[arg(long, value_name = "X", default_value_t = 0.0, requires = "likelihood")]
+    cell_m: f64,
+
+    /// Width of the headings that each pose stands for, degrees [default: 0, with --headings the step between them]
+    #[arg(long, value_name = "X", requires = "likelihood")]
+    cell_deg: Option<f64>,
+
+    /// Images to write, of range, depth_z, polygon_id, object_id, cos_incidence, echo [default: without --likelihood
+    /// range,polygon_id,object_id,cos_incidence]
+    #[arg(long, value_name = "LIST")]
+    outputs: Option<Outputs>,
+
+    /// Do the I-th of N parts of the poses, from 1
+    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    shard: Option<(u32, u32)>,
+
+    /// Which axes the poses turn
+    #[arg(long, value_enum, default_value_t = PoseFrame::Body)]
+    pose_frame: PoseFrame,
+
+    /// Whose poses they are
+    #[arg(long, value_enum, default_value_t = PoseOf::Sensor)]
+    pose_of: PoseOf,
+
+    /// In which world the poses are
+    #[arg(long, value_enum, default_value_t = WorldFrame::ZUp)]
+    world_frame: WorldFrame,
+
+    /// Which engine predicts
+    #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
+    backend: BackendArg,
+
+    /// CPU threads, 0 = all cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+}
+
+fn parse_shard(text: &str) -> Result<(u32, u32)> {
+    let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+    match numbers {
+        Some((i, n)) if 1 <= i && i <= n => Ok((i, n)),
+        _ => Err(Error::usage("this is no part", "give I/N with I from 1 to N, such as 1/4")),
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of scene, sensor, poses and sensed image, of the engine, and of writing; a folder that holds another batch. What was
+/// written before stays, and the same command goes on.
+pub fn run(args: &Args) -> Result<Verdict> {
+    check_no_dash(&args.out)?;
+    inputs::record();
+    let threads = Threads::from(args.threads).started()?;
+    let (sensor, notices) = load_sensor(&args.sensor)?;
+    print::notices(&notices);
+    let mut request = args.request(&sensor)?;
+    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+    let scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let poses = PoseFile::read(&args.poses, |pose| {
+        let pose = args.given(pose)?.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+        request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))?;
+        Ok(pose)
+    })?;
+    // The same for all parts.
+    request.height = Some(poses.first.translation.z);
+    let items = args.items(poses.count);
+    args.check_inputs()?;
+    folder::ready(&args.out)?;
+    check_job(&args.out, &args.job(&scene, &sensor, &poses)?)?;
+    let mut job = Job::new(args, scene, sensor, request)?;
+    let Some(mut rows) = job.rows(items.clone())? else {
+        print::message(&format!("note: {} is finished already", args.table().display()));
+        return Ok(Verdict::Done);
+    };
+    if rows.next() > items.start {
+        let (done, all) = (rows.next() - items.start, items.len());
+        print::message(&format!("note: {done} of {all} poses are finished already; this goes on with the others"));
+    }
+    let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
+    job.write(&mut predictor, &threads, &mut rows, items)?;
+    rows.finish()?;
+    Ok(Verdict::Done)
+}
+
+impl Args {
+    fn given(&self, pose: Pose) -> Result<GivenPose> {
+        given_pose(pose, self.pose_frame, self.pose_of, self.world_frame)
+    }
+
+    fn request(&self, sensor: &Sensor) -> Result<BatchRequest> {
+        let headings = self.headings.map(|count| Headings::new(sensor, count)).transpose()?;
+        if headings.is_some() && self.pose_of == PoseOf::Robot {
+            let what = "--headings: places are those of the sensor, whose place on a robot turns with it";
+            return Err(Error::usage(what, "give poses of the sensor"));
+        }
+        let outputs = match (self.outputs, &self.likelihood) {
+            (None, Some(_)) => None,
+            (outputs, _) => Some(outputs.unwrap_or_default()),
+        };
+        if let Some(outputs) = outputs {
+            self.check_outputs(outputs, sensor)?;
+        }
+        let step = self.headings.map_or(0.0, |n| 360.0 / f64::from(n));
+        let cell = PoseCell { side: self.cell_m, turn: self.cell_deg.unwrap_or(step).to_radians() };
+        let likelihood = match &self.likelihood {
+            Some(frame) => Some(read_sensed(frame, sensor, cell).map_err(|e| e.at(format!("--likelihood {frame}")))?),
+            None => None,
+        };
+        let images = outputs.map(ImageRequest::from);
+        Ok(BatchRequest { images, likelihood, headings, ..BatchRequest::default() })
+    }
+
+    fn check_outputs(&self, outputs: Outputs, sensor: &Sensor) -> Result<()> {
+        if outputs.has(Output::FeatureId) {
+            return Err(Error::usage("--outputs feature_id: a batch predicts no features", "drop it"));
+        }
+        if outputs.has(Output::DepthZ) && !sensor.is_camera() {
+            let what = format!("depth_z: sensor {:?} is no camera and has no optical axis", sensor.spec().name);
+            return Err(Error::usage(what, "ask for range"));
+        }
+        Ok(())
+    }
+
+    /// The poses of this part.
+    fn items(&self, count: usize) -> Range<usize> {
+        let (i, n) = self.shard.map_or((1, 1), |(i, n)| (i as usize, n as usize));
+        let at = |k: usize| (count as u128 * k as u128 / n as u128) as usize;
+        at(i - 1)..at(i)
+    }
+
+    fn table(&self) -> PathBuf {
+        self.out.join(self.shard.map_or("poses.csv".into(), |(i, n)| format!("poses-{i}-of-{n}.csv")))
+    }
+
+    /// That nothing that is read would be written over.
+    fn check_inputs(&self) -> Result<()> {
+        let Ok(folder) = self.out.canonicalize() else { return Ok(()) };
+        for input in inputs::so_far() {
+            let Ok(path) = input.canonicalize() else { continue };
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if path.parent() == Some(&folder) && may_write(&name) {
+                let what =
+                    format!("--out {}: this would overwrite {}, which is read", self.out.display(), input.display());
+                return Err(Error::usage(what, "write elsewhere"));
+            }
+        }
+        Ok(())
+    }
+
+    /// What must be the same for a batch to go on, by name: all parts of it share it.
+    fn job(&self, scene: &Scene, sensor: &Sensor, poses: &PoseFile) -> Result<serde_json::Value> {
+        let hash = |text: String| blake3::hash(text.as_bytes()).to_hex().to_string();
+        let environment = scene.world.environment();
+        let sensed = match &self.likelihood {
+            Some(frame) => blake3_of(&frame_of(frame).0)?,
+            None => String::new(),
+        };
+        let request = format!(
+            "{:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {sensed}",
+            self.likelihood.as_deref().map(frame_of).map(|(_, index)| index),
+            self.headings,
+            self.cell_m,
+            self.cell_deg,
+            self.outputs,
+            self.pose_frame,
+            self.pose_of,
+            self.world_frame
+        );
+        Ok(serde_json::json!({
+            "format": 1,
+            "presight": env!("CARGO_PKG_VERSION"),
+            "scene": format!("{} {}", blake3_of(&self.scene)?, environment.content_hash()),
+            "sensor": hash(sensor_toml::to_string(sensor.spec())),
+            "poses": poses.blake3,
+            "request": hash(request),
+        }))
+    }
+}
+
+/// True for the name of a file that a batch writes.
+fn may_write(name: &str) -> bool {
+    let image = name.strip_suffix(".exr").is_some_and(|n| n.len() >= 6 && n.bytes().all(|b| b.is_ascii_digit()));
+    image || name == JOB || name.starts_with("poses") && (name.ends_with(".csv") || name.ends_with(".part"))
+}
+
+/// Names the batch that a folder holds.
+const JOB: &str = "batch.json";
+
+/// That the folder holds this batch, or none.
+fn check_job(folder: &Path, job: &serde_json::Value) -> Result<()> {
+    let path = folder.join(JOB);
+    if !path.exists() {
+        return write_atomically(&path, |file| writeln!(file, "{job:#}"));
+    }
+    let record = text::read_settings(&path)?;
+    let remedy = "give another --out, or remove the folder";
+    let broken = |e| Error::invalid(format!("it is no record of a batch: {e}"), remedy).in_file(&path);
+    let before: serde_json::Value = serde_json::from_str(&record).map_err(broken)?;
+    let names = ["format", "presight", "scene", "sensor", "poses", "request"];
+    match names.iter().find(|name| before[**name] != job[**name]) {
+        None => Ok(()),
+        Some(name) => {
+            let what = match *name {
+                "scene" => "the scene has changed since this batch began",
+                "sensor" => "this batch began with another sensor",
+                "poses" => "this batch began with other poses",
+                "request" => "this batch began with another sensed image or other flags",
+                _ => "another version of presight began this batch",
+            };
+            Err(Error::invalid(what, remedy).in_file(&path))
+        }
+    }
+}
+
+/// File and index of a sensed image.
+fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
+    let numbered = frame.rsplit_once('#').and_then(|(file, index)| Some((file, index.parse().ok()?)));
+    numbered.map_or_else(|| (frame.into(), None), |(file, index)| (file.into(), Some(index)))
+}
+
+fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<Sensed> {
+    let (path, index) = frame_of(frame);
+    let range = match index {
+        Some(index) => {
+            let (of_log, sensed) = log::read_frame(&path, index)?;
+            if of_log.spec().geometry != sensor.spec().geometry {
+                let what = format!("the log's sensor has other rays than {:?}", sensor.spec().name);
+                return Err(Error::invalid(what, "give a sensor with the log's rays").in_file(&path));
+            }
+            sensed.range
+        }
+        None => {
+            let range = exr::read(&path)?.images.range;
+            if range.is_empty() {
+                let remedy = "give an image with range, or FILE#INDEX of a log";
+                return Err(Error::invalid("there is no range image", remedy).in_file(&path));
+            }
+            range
+        }
+    };
+    Sensed::new(sensor, range, cell).map_err(|e| e.in_file(&path))
+}
+
+/// A file of poses that was read once: whatever is wrong with it is known before anything is done.
+struct PoseFile {
+    count: usize,
+    /// Of the sensor.
+    first: Pose,
+    blake3: String,
+}
+
+impl PoseFile {
+    fn read(path: &Path, of_sensor: impl Fn(Pose) -> Result<Pose>) -> Result<Self> {
+        let mut hasher = blake3::Hasher::new();
+        let (mut count, mut first) = (0, None);
+        for stamped in tum::stream(path)? {
+            let tum::Stamped { time, pose } = stamped?;
+            let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
+            first.get_or_insert(placed);
+            count += 1;
+            let numbers = [&[time][..], &pose.translation.to_array(), &pose.rotation.to_array()].concat();
+            for number in numbers {
+                hasher.update(&number.to_bits().to_le_bytes());
+            }
+        }
+        let Some(first) = first else {
+            let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
+            return Err(Error::invalid("there is no pose", remedy).in_file(path));
+        };
+        Ok(Self { count, first, blake3: hasher.finalize().to_hex().to_string() })
+    }
+}
+
+/// What is the same for all poses.
+struct Job<'a> {
+    args: &'a Args,
+    scene: Scene,
+    sensor: Sensor,
+    request: BatchRequest,
+    attributes: exr::Attributes,
+}
+
+impl<'a> Job<'a> {
+    fn new(args: &'a Args, scene: Scene, sensor: Sensor, request: BatchRequest) -> Result<Self> {
+        let objects = scene.world.environment().objects();
+        let seen_by = request.headings.as_ref().map_or(&sensor, Headings::panorama);
+        let attributes = exr::Attributes {
+            sensor: Some(sensor_toml::to_string(seen_by.spec())),
+            world_from_sensor: None,
+            scene: Some(args.scene.display().to_string()),
+            scene_blake3: Some(blake3_of(&args.scene)?),
+            ids: Some(IdScheme::Model),
+            given_up: None,
+            objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
+        };
+        Ok(Self { args, scene, sensor, request, attributes })
+    }
+
+    /// The table, with what an earlier run left.
+    fn rows(&self, items: Range<usize>) -> Result<Option<Rows>> {
+        let per_item = self.request.headings.as_ref().map_or(1, |h| h.count() as usize);
+        let is_there = |index| self.request.images.is_none() || self.args.out.join(image_name(index)).is_file();
+        Rows::open(&self.args.table(), HEADER, items, per_item, is_there)
+    }
+
+    /// Everything that is missing, from the table's next row on.
+    fn write(
+        &mut self,
+        predictor: &mut Predictor,
+        threads: &Threads,
+        rows: &mut Rows,
+        items: Range<usize>,
+    ) -> Result<()> {
+        let first = rows.next();
+        let stream = || Ok::<_, Error>(tum::stream(&self.args.poses)?.skip(first).take(items.end - first));
+        let mut times = stream()?.map(|stamped| stamped.map(|s| s.time));
+        // Checked before; what changed since ends the batch.
+        let mut fault = None;
+        let place = |pose| self.args.given(pose)?.of_sensor(self.sensor.spec(), &self.scene.world_from_gltf);
+        let poses = stream()?.map_while(|stamped| match stamped.and_then(|s| place(s.pose)) {
+            Ok(pose) => Some(pose),
+            Err(e) => {
+                fault = Some(e);
+                None
+            }
+        });
+        let bar = bar::bar(items.len() as u64);
+        bar.set_position((first - items.start) as u64);
+        let mut batch = predictor.batch(&self.scene.world, &self.sensor, poses, &self.request)?;
+        loop {
+            let (some, failed) = take(&mut batch, 4 * threads.run(rayon::current_num_threads)?);
+            let last = some.last().map(|item| first + item.index);
+            if self.request.images.is_some() {
+                let write = |item: &BatchItem| self.write_image(first + item.index, item);
+                threads.run(|| some.par_iter().try_for_each(write))??;
+            }
+            let mut lines = String::new();
+            for item in &some {
+                self.tell(&mut lines, first + item.index, times.next().transpose()?.unwrap_or(f64::NAN), item);
+            }
+            if let Some(last) = last {
+                rows.append(last, &lines)?;
+                bar.set_position((last + 1 - items.start) as u64);
+            }
+            match failed {
+                Some(e) => return Err(e.in_file(&self.args.poses)),
+                None if last.is_none() => break,
+                None => {}
+            }
+        }
+        drop(batch);
+        bar.finish_and_clear();
+        match fault {
+            Some(e) => Err(e),
+            None if rows.next() < items.end => {
+                let what = "the file has lost poses since this batch began";
+                Err(Error::invalid(what, "give another --out").in_file(&self.args.poses))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn write_image(&self, index: usize, item: &BatchItem) -> Result<()> {
+        let attributes = exr::Attributes { world_from_sensor: Some(item.world_from_sensor), ..self.attributes.clone() };
+        exr::write(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
+    }
+
+    /// The rows of an item.
+    fn tell(&self, text: &mut String, index: usize, time: f64, item: &BatchItem) {
+        let image = if self.request.images.is_some() { image_name(index) } else { String::new() };
+        let mut row = |pose: &Pose, heading: &str, weight: &str| {
+            let (p, q) = (pose.translation, pose.rotation);
+            let numbers = format!("{},{},{},{},{},{},{}", p.x, p.y, p.z, q.x, q.y, q.z, q.w);
+            // Writing into a string cannot fail.
+            let _ = writeln!(text, "{index},{time},{numbers},{image},{heading},{weight}");
+        };
+        match &self.request.headings {
+            Some(headings) => {
+                for (k, weight) in (0..headings.count()).zip(&item.headings) {
+                    let pose = headings.pose(item.world_from_sensor.translation, k);
+                    row(&pose, &headings.degrees(k).to_string(), &weight.to_string());
+                }
+            }
+            None => {
+                let weight = item.log_likelihood.map_or(String::new(), |weight| weight.to_string());
+                row(&item.world_from_sensor, "", &weight);
+            }
+        }
+    }
+}
+
+const HEADER: &str = "pose,time,x,y,z,qx,qy,qz,qw,image,heading_deg,log_likelihood";
+
+fn image_name(index: usize) -> String {
+    format!("{index:06}.exr")
+}
+
+/// The next items, and what ended the batch before there were so many.
+fn take(batch: &mut impl Iterator<Item = Result<BatchItem>>, count: usize) -> (Vec<BatchItem>, Option<Error>) {
+    let mut some = Vec::with_capacity(count);
+    for item in batch.take(count) {
+        match item {
+            Ok(item) => some.push(item),
+            Err(e) => return (some, Some(e)),
+        }
+    }
+    (some, None)
+}

@@ -1,0 +1,357 @@
+//! Batches: one sensor at many poses, one after the other, in bounded memory.
+//!
+//! [`Predictor::batch`] gives an iterator in the order of the poses. On the CPU one pose is one task. Asked for are images, the
+//! log-likelihood of a sensed image at each pose or at all headings of each place, and statistics. The formula and its
+//! reasons are in `docs/batches.md`.
+
+mod headings;
+mod likelihood;
+
+pub use headings::Headings;
+pub use likelihood::Sensed;
+
+use crate::engine::Engine;
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
+use crate::predict::{Predictor, Request};
+use crate::row::{RowCuts, RowView, is_level};
+use crate::sensor::Sensor;
+use crate::threads::Threads;
+use crate::world::World;
+use headings::{Panorama, Weigher};
+use rayon::prelude::*;
+use std::iter::Peekable;
+use std::sync::{Mutex, PoisonError};
+
+/// How far apart poses are that are tried, as widths of the cells that they stand for. A hit is expected anywhere within.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseCell {
+    /// Metres, in every direction.
+    pub side: f64,
+    /// Radians, of the heading.
+    pub turn: f64,
+}
+
+/// What is asked of each pose.
+#[derive(Clone, Debug, Default)]
+pub struct BatchRequest {
+    /// Images, as single predictions make them.
+    pub images: Option<ImageRequest>,
+    /// The sensed image to weigh.
+    pub likelihood: Option<Sensed>,
+    /// Weigh it at all these headings of each place. The poses are places of the sensor; which way they look does not matter.
+    pub headings: Option<Headings>,
+    /// The height, metres, at which the world is cut for a level scanner of one row that is only weighed; `None` takes the first
+    /// pose's. Poses at other heights take the path of images, which may differ within the range bound: give it where parts of one batch
+    /// must agree to the last bit.
+    pub height: Option<f64>,
+    /// What each prediction did and cost.
+    pub statistics: bool,
+    /// Poses that are worked on together; `None` chooses. Results do not depend on it.
+    pub chunk: Option<usize>,
+}
+
+/// What was asked, of one pose.
+#[derive(Clone, Debug)]
+pub struct BatchItem {
+    /// Number of the pose, from 0.
+    pub index: usize,
+    /// The sensor's pose, body axes; with headings its heading is 0.
+    pub world_from_sensor: Pose,
+    /// Empty unless asked for. With headings they are the panorama's.
+    pub images: Images,
+    /// Of the sensed image at this pose, see [`Sensed::log_likelihood`].
+    pub log_likelihood: Option<f64>,
+    /// The same by heading; empty unless asked for.
+    pub headings: Vec<f32>,
+    /// Statistics, if asked for.
+    pub stats: Option<Stats>,
+}
+
+/// A batch in progress: an iterator over [`BatchItem`]s in the order of the poses. After an error there is none.
+pub struct Batch<'p, I: Iterator> {
+    predictor: &'p mut Predictor,
+    poses: Peekable<I>,
+    task: Task,
+    /// Threads for a pose each; `None` where the engine takes one pose after the other.
+    threads: Option<Threads>,
+    lanes: Vec<Mutex<Lane>>,
+    chunk: usize,
+    next: usize,
+    done: std::vec::IntoIter<Result<BatchItem>>,
+    ended: bool,
+}
+
+/// What is done at each pose, the same for all.
+struct Task {
+    world: World,
+    /// The sensor, or its panorama.
+    sensor: Sensor,
+    request: ImageRequest,
+    wanted: Outputs,
+    weigh: Option<Weigh>,
+    headings: Option<Headings>,
+    statistics: bool,
+    /// No image is asked for, and the sensor is one that a cut serves where it is level.
+    by_cut: bool,
+    /// Where the world is cut.
+    height: Option<f64>,
+}
+
+enum Weigh {
+    Pose(Sensed),
+    Headings(Box<Weigher>),
+}
+
+/// What a thread works with.
+#[derive(Default)]
+struct Lane {
+    engine: Option<Box<dyn Engine>>,
+    buffers: PlanBuffers,
+    images: Images,
+    view: Option<RowView>,
+    panorama: Panorama,
+}
+
+/// Bytes of images of a chunk.
+const CHUNK_BYTES: usize = 64 << 20;
+/// Most poses of a chunk.
+const MOST: usize = 512;
+
+impl Predictor {
+    /// Predicts at many poses of a sensor (body axes, in the world): an iterator in their order that keeps no more than a chunk of
+    /// them in memory. Images are those of [`Predictor::predict`], bit for bit. Results do not depend on chunks or threads.
+    ///
+    /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height
+    /// ([`BatchRequest::height`]), which is kept for the version of the world. The GPU engine makes single predictions, one after the other.
+    ///
+    /// ```
+    /// use presight::batch::{BatchRequest, PoseCell, Sensed};
+    /// use presight::{Environment, Noise, Options, Pose, Predictor, Sensor, World};
+    /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
+    /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
+    /// let sensor = Sensor::new(spec)?;
+    /// let nothing = Sensed::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
+    /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let world = World::new(Environment::new());
+    /// let poses = vec![Pose::IDENTITY; 3];
+    /// let all: Vec<_> = predictor.batch(&world, &sensor, poses, &request)?.collect::<Result<_, _>>()?;
+    /// // Nothing is there, and nothing was sensed: p_hit and p_none together, for each beam.
+    /// assert!((all[2].log_likelihood.unwrap() - 361.0 * 0.8f64.ln()).abs() < 1e-9);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a sensed image, for a sensed image or headings of another sensor, and
+    /// for a chunk of 0. Of each pose, those of [`Predictor::predict`] and [`Headings::place`], with the pose's number.
+    pub fn batch<I: IntoIterator<Item = Pose>>(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        poses: I,
+        request: &BatchRequest,
+    ) -> Result<Batch<'_, I::IntoIter>> {
+        let mut task = Task::new(world, sensor, request)?;
+        let mut poses = poses.into_iter().peekable();
+        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.translation.z));
+        let threads = match self.engine().for_task() {
+            Some(_) => Some(self.task_threads()?),
+            None => None,
+        };
+        let count = threads.as_ref().map_or(Ok(1), |threads| threads.run(rayon::current_num_threads))?;
+        let chunk = match request.chunk {
+            Some(0) => return Err(Error::usage("a batch in chunks of 0 poses", "give 1 or more, or none")),
+            Some(chunk) => chunk,
+            None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
+        };
+        let lane = |_| {
+            let engine = self.engine().for_task();
+            let view = if task.by_cut { RowView::new(&task.sensor) } else { None };
+            Mutex::new(Lane { engine, view, ..Lane::default() })
+        };
+        let lanes = (0..count).map(lane).collect();
+        Ok(Batch {
+            predictor: self,
+            poses,
+            task,
+            threads,
+            lanes,
+            chunk,
+            next: 0,
+            done: Vec::new().into_iter(),
+            ended: false,
+        })
+    }
+}
+
+impl Task {
+    fn new(world: &World, sensor: &Sensor, request: &BatchRequest) -> Result<Self> {
+        let other = |what: &str| {
+            let what = format!("{what} is of another sensor than {:?}", sensor.spec().name);
+            Err(Error::usage(what, "make it from the sensor of the batch"))
+        };
+        let weigh = match (&request.likelihood, &request.headings) {
+            (Some(sensed), _) if sensed.sensor() != sensor.spec() => return other("the sensed image"),
+            (Some(_), Some(headings)) if headings.sensor() != sensor.spec() => return other("the set of headings"),
+            (None, Some(_)) => {
+                let remedy = "give the likelihood's sensed image, or a pose for each heading";
+                return Err(Error::usage("all headings at once: there is no sensed image to weigh", remedy));
+            }
+            (Some(sensed), Some(headings)) => Some(Weigh::Headings(Box::new(Weigher::new(headings, sensed)))),
+            (Some(sensed), None) => Some(Weigh::Pose(sensed.clone())),
+            (None, None) => None,
+        };
+        let sensor = request.headings.as_ref().map_or(sensor, Headings::panorama).clone();
+        let asked = request.images.unwrap_or(Outputs::of(&[]).into());
+        Request::of(asked.outputs).check(&sensor)?;
+        let mut outputs = asked.outputs;
+        if weigh.is_some() || request.images.is_none() {
+            outputs = outputs.with(Output::Range);
+        }
+        if weigh.is_some() {
+            outputs = outputs.with(Output::CosIncidence);
+        }
+        Ok(Self {
+            world: world.clone(),
+            request: ImageRequest { outputs, ..asked },
+            wanted: asked.outputs,
+            by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
+            sensor,
+            weigh,
+            headings: request.headings.clone(),
+            height: None,
+            statistics: request.statistics,
+        })
+    }
+
+    /// Bytes that an item takes.
+    fn bytes(&self) -> usize {
+        let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
+        4 * pixels * self.wanted.iter().count() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
+    }
+
+    /// The pose at which is predicted.
+    fn pose(&self, given: &Pose) -> Result<Pose> {
+        given.check()?;
+        self.headings.as_ref().map_or(Ok(*given), |headings| headings.place(given))
+    }
+
+    /// All that is asked of a pose, in a thread's own memory and by its own engine.
+    fn run(&self, index: usize, given: &Pose, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
+        let pose = self.pose(given)?;
+        let mut stats = Stats::default();
+        let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
+        let Lane { engine, buffers, images, .. } = lane;
+        if let (false, Some(engine)) = (seen, engine) {
+            let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
+            stats.index = self.world.index().scheme().name().to_owned();
+            let rendered = engine.render(&plan, images, &mut stats);
+            *buffers = plan.into_buffers();
+            rendered?;
+        }
+        Ok(self.finish(index, pose, stats, lane))
+    }
+
+    /// Fills a lane's range and cos_incidence by a cut of the world; false where none serves.
+    fn see_by_cut(&self, pose: &Pose, cuts: &RowCuts, lane: &mut Lane, stats: &mut Stats) -> bool {
+        let serves = self.height == Some(pose.translation.z) && is_level(pose);
+        let Some(view) = lane.view.as_mut().filter(|_| serves) else { return false };
+        let cut = cuts.get(&self.world, &self.sensor.spec().class, pose.translation.z);
+        view.see(&cut, pose, &mut lane.images.range, &mut lane.images.cos_incidence);
+        (stats.engine, stats.threads) = ("row".into(), 1);
+        stats.count("segments of the cut", cut.segments.len());
+        stats.count("segments tested", view.tested);
+        true
+    }
+
+    /// Weighs a lane's images and keeps of them what was asked for.
+    fn finish(&self, index: usize, world_from_sensor: Pose, stats: Stats, lane: &mut Lane) -> BatchItem {
+        let Lane { images, panorama, .. } = lane;
+        let (mut log_likelihood, mut headings) = (None, Vec::new());
+        match &self.weigh {
+            Some(Weigh::Pose(sensed)) => {
+                log_likelihood = Some(sensed.log_likelihood(&images.range, &images.cos_incidence));
+            }
+            Some(Weigh::Headings(weigher)) => {
+                headings = weigher.weigh(&images.range, &images.cos_incidence, panorama);
+            }
+            None => {}
+        }
+        let images = if self.wanted.iter().next().is_some() { self.keep(images) } else { Images::default() };
+        let stats = self.statistics.then_some(stats);
+        BatchItem { index, world_from_sensor, images, log_likelihood, headings, stats }
+    }
+
+    /// The images that were asked for; the others stay.
+    fn keep(&self, images: &mut Images) -> Images {
+        let mut kept = std::mem::take(images);
+        if !self.wanted.has(Output::Range) {
+            images.range = std::mem::take(&mut kept.range);
+        }
+        if !self.wanted.has(Output::CosIncidence) {
+            images.cos_incidence = std::mem::take(&mut kept.cos_incidence);
+        }
+        kept
+    }
+}
+
+impl<I: Iterator<Item = Pose>> Batch<'_, I> {
+    /// Works on the next chunk; false at the end of the poses.
+    fn advance(&mut self) -> bool {
+        let poses: Vec<(usize, Pose)> = (self.next..).zip(self.poses.by_ref().take(self.chunk)).collect();
+        if poses.is_empty() {
+            return false;
+        }
+        self.next += poses.len();
+        let placed = |(index, _): &(usize, Pose), e: Error| e.at(format!("pose {index}"));
+        let done: Result<Vec<Result<BatchItem>>> = match &self.threads {
+            Some(threads) => {
+                let (task, lanes, cuts) = (&self.task, &self.lanes, self.predictor.row_cuts());
+                let work = |given: &(usize, Pose)| {
+                    // Nothing in it hands work to other threads: no lane is asked for twice at a time.
+                    let lane = &lanes[rayon::current_thread_index().unwrap_or(0) % lanes.len()];
+                    let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
+                    task.run(given.0, &given.1, cuts, &mut lane).map_err(|e| placed(given, e))
+                };
+                threads.run(|| poses.par_iter().map(work).collect())
+            }
+            None => {
+                Ok(poses.iter().map(|given| self.single(given.0, &given.1).map_err(|e| placed(given, e))).collect())
+            }
+        };
+        self.done = done.unwrap_or_else(|e| vec![Err(e)]).into_iter();
+        true
+    }
+
+    /// One pose by the predictor's own engine.
+    fn single(&mut self, index: usize, given: &Pose) -> Result<BatchItem> {
+        let Self { predictor, task, lanes, .. } = self;
+        let lane = lanes[0].get_mut().unwrap_or_else(PoisonError::into_inner);
+        let pose = task.pose(given)?;
+        let mut stats = Stats::default();
+        if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
+            return Ok(task.finish(index, pose, stats, lane));
+        }
+        let stats = predictor.predict_images(&task.world, &task.sensor, &pose, task.request, &mut lane.images)?;
+        Ok(task.finish(index, pose, stats, lane))
+    }
+}
+
+impl<I: Iterator<Item = Pose>> Iterator for Batch<'_, I> {
+    type Item = Result<BatchItem>;
+
+    fn next(&mut self) -> Option<Result<BatchItem>> {
+        loop {
+            if self.ended {
+                return None;
+            }
+            if let Some(item) = self.done.next() {
+                self.ended = item.is_err();
+                return Some(item);
+            }
+            self.ended = !self.advance();
+        }
+    }
+}

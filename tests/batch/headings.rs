@@ -1,0 +1,144 @@
+//! All headings at once against the oracle, and against single predictions at turned poses.
+
+use super::likelihood::disturbed;
+use super::{common, noisy, oracle, predictor, single};
+use common::{Random, data, scenes};
+use presight::batch::{BatchRequest, Headings, PoseCell, Sensed};
+use presight::io::log;
+use presight::{Angles, ErrorKind, Geometry, Mixture, Noise, Pose, Scanner, Sensor, SensorSpec, World};
+
+const NOISE: Noise = Noise {
+    range_sigma: 0.03,
+    range_sigma_quadratic: 1e-4,
+    angle_sigma: 2e-3,
+    pixel_sigma: 0.0,
+    mixture: Mixture { hit: 0.7, short: 0.12, none: 0.06, any: 0.12, beam_dependence: 2.0 },
+};
+
+fn scanner(start_deg: f64, step_deg: f64, count: u32, rows: &[f64], limits: (f64, f64)) -> Sensor {
+    let azimuth = Angles::Uniform { start_deg, step_deg, count };
+    let elevation = Angles::Listed(rows.to_vec());
+    let spec = SensorSpec::new("s", "laser", Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None }));
+    Sensor::new(SensorSpec { range_min: limits.0, range_max: limits.1, noise: NOISE, ..spec }).unwrap()
+}
+
+/// Weighs one place by the batch, and each heading by the oracle on the panorama's images shifted one by one.
+fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
+    let (mut random, mut engine) = (Random(2), predictor(2));
+    let headings = Headings::new(sensor, count).unwrap();
+    let sensed = disturbed(
+        &mut random,
+        sensor.spec(),
+        &single(&mut engine, world, sensor, &headings.pose(place.translation, 1)).0,
+    );
+    let cell = PoseCell { side: 0.05, turn: 0.01 };
+    let request = BatchRequest {
+        likelihood: Some(Sensed::new(sensor, sensed.clone(), cell).unwrap()),
+        headings: Some(headings.clone()),
+        ..BatchRequest::default()
+    };
+    let item = predictor(2).batch(world, sensor, [place], &request).unwrap().next().unwrap().unwrap();
+    assert_eq!(item.headings.len(), count as usize);
+    let beams = sensed.iter().filter(|r| !r.is_nan()).count() as f64;
+    let mut apart = 0;
+    for (k, ours) in (0..count).zip(&item.headings) {
+        let (range, cos) = single(&mut engine, world, sensor, &headings.pose(place.translation, k));
+        let truth = oracle::log_likelihood(sensor.spec(), cell, &sensed, &range, &cos);
+        // A beam upon an edge may see what is beside it: no beam can tell more than this.
+        let off = (f64::from(*ours) - truth).abs() * NOISE.mixture.beam_dependence;
+        apart += usize::from(off > 1e-5 * beams);
+        assert!(off < 1e-5 * beams + 3.0 * 14.0, "heading {k}: {ours}, truly {truth}");
+    }
+    assert!(apart * 20 <= count as usize, "{apart} of {count} headings");
+    // Best where the scan was made; a shift by one heading, planted, is not.
+    let best = (0..count).max_by(|a, b| item.headings[*a as usize].total_cmp(&item.headings[*b as usize])).unwrap();
+    assert_eq!(best, 1);
+}
+
+#[test]
+fn each_shift_is_a_heading() {
+    let world = World::new(scenes::room(6, 30));
+    let place = |x, y| Pose::from_xyz_rpy(glam::DVec3::new(x, y, 1.3), 0.0, 0.0, 2.0);
+    check(&world, &scanner(-90.0, 0.5, 361, &[0.0], (0.0, 30.0)), 360, place(0.3, 0.2));
+    check(&world, &scanner(-90.0, 0.5, 361, &[0.0], (0.7, 4.0)), 720, place(-0.3, 0.2));
+    check(&world, &scanner(100.0, -1.0, 200, &[0.0], (0.5, 3.0)), 72, place(-0.3, 0.5));
+    check(&world, &scanner(3.3, 2.0, 50, &[10.0, 0.0, -5.0], (0.5, 6.0)), 90, place(0.4, -0.5));
+    check(&world, &scanner(0.0, 360.0 / 7.0, 7, &[0.0], (0.0, 6.0)), 7, place(0.4, -0.5));
+}
+
+#[test]
+fn headings_that_are_no_shifts_are_refused() {
+    let refused = |sensor: &Sensor, count: u32, what: &str| {
+        let e = Headings::new(sensor, count).unwrap_err();
+        assert!(e.kind() == ErrorKind::Usage && e.to_string().contains(what) && !e.remedy().is_empty(), "{e}");
+    };
+    let good = scanner(-90.0, 0.5, 361, &[0.0], (0.0, 30.0));
+    refused(&good, 0, "0 headings");
+    refused(&good, 7, "7 headings");
+    refused(&good, 1440, "1440 headings");
+    refused(&scanner(-90.0, 0.7, 100, &[0.0], (0.0, 30.0)), 10, "does not divide");
+    refused(&scanner(-90.0, 0.0, 1, &[0.0], (0.0, 30.0)), 10, "does not divide");
+    refused(&presight::preset("video-camera").unwrap(), 10, "no scanner");
+    let listed = Scanner {
+        azimuth: Angles::Listed(vec![0.0, 1.0]),
+        elevation: Angles::Listed(vec![0.0]),
+        beam_height_deg: None,
+    };
+    refused(&Sensor::new(SensorSpec::new("l", "laser", Geometry::Scanner(listed))).unwrap(), 10, "listed");
+
+    let sensed = Sensed::new(&good, vec![1.0; 361], PoseCell::default()).unwrap();
+    let headings = Some(Headings::new(&good, 360).unwrap());
+    let world = World::new(scenes::room(1, 3));
+    let request = BatchRequest { likelihood: Some(sensed), headings, ..BatchRequest::default() };
+    let leaning = Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 1e-3, 0.0);
+    let e = predictor(1).batch(&world, &good, [leaning], &request).unwrap().next().unwrap().unwrap_err();
+    assert!(e.kind() == ErrorKind::Usage && e.to_string().contains("leans") && e.place() == Some("pose 0"), "{e}");
+    let without = BatchRequest { likelihood: None, ..request };
+    assert!(predictor(1).batch(&world, &good, [Pose::IDENTITY], &without).is_err());
+}
+
+/// Real scans against a real map: with places 0.25 m apart and headings of 1 degree the best of all is where the scan was
+/// made, for scans in ambiguous corridors one of the best distinct places.
+#[test]
+fn real_scans_are_found_in_their_map() {
+    let Some(log) = data::file("lidar2d/malaga_corridor_run_scans.json") else { return };
+    let Some(map) = data::file("lidar2d/malaga_corridor_map.glb") else { return };
+    let options = presight::io::gltf::ImportOptions::default();
+    let world = World::new(presight::io::gltf::import(map, &options).unwrap().environment);
+    let log = log::open(&log).unwrap();
+    let noise = Noise {
+        range_sigma: 0.05,
+        mixture: Mixture { beam_dependence: 5.0, ..Mixture::default() },
+        ..Noise::default()
+    };
+    let sensor = noisy(log.sensor(), noise);
+    let headings = Headings::new(&sensor, 360).unwrap();
+    let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
+    let (mut found, mut scans) = (0, 0);
+    for frame in log.step_by(6).map(|frame| frame.unwrap()) {
+        let truth = frame.reference.unwrap() * sensor.spec().mount;
+        let at = |i: i32, k: i32| truth.translation + 0.25 * glam::DVec3::new(f64::from(i), f64::from(k), 0.0);
+        // A window of the map that does not hold the truth itself.
+        let off = glam::DVec3::new(0.11, -0.07, 0.0);
+        let places = (-8..=8).flat_map(|i| (-8..=8).map(move |k| (i, k))).map(|(i, k)| at(i, k) + off);
+        let places = places.map(|translation| Pose { translation, ..Pose::IDENTITY });
+        let sensed = Sensed::new(&sensor, frame.range.clone(), cell).unwrap();
+        let request =
+            BatchRequest { likelihood: Some(sensed), headings: Some(headings.clone()), ..BatchRequest::default() };
+        let mut best = (f32::NEG_INFINITY, Pose::IDENTITY);
+        for item in predictor(2).batch(&world, &sensor, places.collect::<Vec<_>>(), &request).unwrap() {
+            let item = item.unwrap();
+            for (k, log_likelihood) in (0..).zip(&item.headings) {
+                if *log_likelihood > best.0 {
+                    best = (*log_likelihood, headings.pose(item.world_from_sensor.translation, k));
+                }
+            }
+        }
+        let apart = best.1.translation.distance(truth.translation);
+        let turned = best.1.rotation.angle_between(truth.rotation).to_degrees();
+        scans += 1;
+        found += usize::from(apart < 0.36 && turned < 2.0);
+        println!("{apart:.2} m, {turned:.1} deg");
+    }
+    assert!(found == scans, "{found} of {scans} scans");
+}

@@ -1,0 +1,163 @@
+//! Log-likelihoods of single poses against the oracle.
+
+use super::{common, noisy, oracle, predictor, single};
+use common::{Random, data, scenes};
+use presight::batch::{BatchRequest, PoseCell, Sensed};
+use presight::{ErrorKind, Mixture, Noise, Pose, Sensor, SensorSpec, World};
+
+fn noises() -> [Noise; 3] {
+    let mixture = Mixture { hit: 0.5, short: 0.2, none: 0.1, any: 0.2, beam_dependence: 3.0 };
+    [
+        Noise { range_sigma: 0.02, ..Noise::default() },
+        Noise { range_sigma: 0.01, angle_sigma: 3e-3, range_sigma_quadratic: 2e-3, mixture, ..Noise::default() },
+        Noise { range_sigma: 1e-5, ..Noise::default() },
+    ]
+}
+
+/// What a sensor could sense where this is predicted.
+pub fn disturbed(random: &mut Random, spec: &SensorSpec, range: &[f32]) -> Vec<f32> {
+    let inside = |r: f64| match r {
+        r if r > spec.range_max => f32::INFINITY,
+        r if r < spec.range_min => f32::NEG_INFINITY,
+        r => r as f32,
+    };
+    let disturb = |range: &f32| match random.below(10) {
+        0 => f32::NAN,
+        1 => f32::INFINITY,
+        2 if spec.range_min > 0.0 => f32::NEG_INFINITY,
+        3 => inside(random.uniform(spec.range_min, spec.range_max)),
+        _ if range.is_nan() => f32::NAN,
+        4..6 => inside(f64::from(*range)),
+        _ => inside(f64::from(*range) + random.uniform(-0.05, 0.05)),
+    };
+    range.iter().map(disturb).collect()
+}
+
+/// A fault that the comparison has to find: a wider Gauss.
+fn wide(spec: &SensorSpec) -> SensorSpec {
+    let noise = Noise { range_sigma: spec.noise.range_sigma + 0.03, ..spec.noise };
+    SensorSpec { noise, ..spec.clone() }
+}
+
+fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
+    let mut random = Random(5);
+    for (s, sensor) in sensors.iter().enumerate() {
+        let sensor = noisy(sensor, noises()[s % 3]);
+        let cell = if s % 2 == 0 { PoseCell::default() } else { PoseCell { side: 0.1, turn: 0.01 } };
+        let mut engine = predictor(2);
+        let sensed = disturbed(&mut random, sensor.spec(), &single(&mut engine, world, &sensor, &poses[0]).0);
+        let likelihood = Some(Sensed::new(&sensor, sensed.clone(), cell).unwrap());
+        let request = BatchRequest { likelihood, ..BatchRequest::default() };
+        let items: Vec<_> = predictor(2).batch(world, &sensor, poses.to_vec(), &request).unwrap().collect();
+        assert_eq!(items.len(), poses.len());
+        for (i, (item, pose)) in items.into_iter().zip(poses).enumerate() {
+            let ours = item.unwrap().log_likelihood.unwrap();
+            let (range, cos) = single(&mut engine, world, &sensor, pose);
+            let truth = oracle::log_likelihood(sensor.spec(), cell, &sensed, &range, &cos);
+            let name = &sensor.spec().name;
+            assert!((ours / truth - 1.0).abs() < tolerance, "{name} at {pose:?}: {ours}, truly {truth}");
+            let planted = oracle::log_likelihood(&wide(sensor.spec()), cell, &sensed, &range, &cos);
+            // Where the image was sensed.
+            assert!(i > 0 || (planted / truth - 1.0).abs() > 1e-6, "{name}: the fault must be seen, {planted} {truth}");
+        }
+    }
+}
+
+#[test]
+fn every_preset_is_weighed_as_the_formula_says() {
+    let world = World::new(scenes::room(3, 40));
+    let mut random = Random(1);
+    // Leaning: no scanner of one row is served by a cut of the world.
+    let mut pose = || {
+        let at = glam::DVec3::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), 1.4);
+        Pose::from_xyz_rpy(at, random.uniform(-0.2, 0.2), random.uniform(-0.2, 0.2), random.uniform(-3.0, 3.0))
+    };
+    let poses: Vec<Pose> = (0..6).map(|_| pose()).collect();
+    let mut sensors = data::presets();
+    let near = SensorSpec { range_min: 1.5, range_max: 3.0, ..sensors[0].spec().clone() };
+    sensors.push(Sensor::new(near).unwrap());
+    check(&world, &poses, &sensors, 1e-9);
+}
+
+#[test]
+fn real_scenes_are_weighed_as_the_formula_says() {
+    let Some(world) = data::scene("factory_hall", true) else { return };
+    let poses: Vec<Pose> = data::poses(&world, 8, 4).iter().map(lean).collect();
+    let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight::preset(name).unwrap());
+    check(&world, &poses, &sensors, 1e-9);
+}
+
+fn lean(pose: &Pose) -> Pose {
+    *pose * Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.1, 0.05, 0.0)
+}
+
+/// Worked out by hand. A wall 2 m ahead is met squarely, range sigma 0.1 m, limits 0.5 .. 10 m. The usual shares.
+#[test]
+fn one_beam_by_hand() {
+    let mut spec = presight::preset("laser-scanner").unwrap().spec().clone();
+    let one = |start_deg| presight::Angles::Uniform { start_deg, step_deg: 0.0, count: 1 };
+    let scanner = presight::Scanner { azimuth: one(0.0), elevation: one(0.0), beam_height_deg: None };
+    spec.geometry = presight::Geometry::Scanner(scanner);
+    (spec.range_min, spec.range_max) = (0.5, 10.0);
+    spec.noise = Noise { range_sigma: 0.1, ..Noise::default() };
+    let sensor = Sensor::new(spec).unwrap();
+    let weigh = |sensed: f32, range: f32| {
+        let sensed = Sensed::new(&sensor, vec![sensed], PoseCell::default()).unwrap();
+        sensed.log_likelihood(&[range], &[1.0]).exp()
+    };
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a}, by hand {b}");
+    // 0.75 / (0.1 sqrt(2 pi)) = 2.9920671, and 0.1 / 10 m of anything; not nearer than predicted.
+    near(weigh(2.0, 2.0), 2.992_067_1 + 0.01);
+    // 1.25 sigma beyond: times exp(-0.78125) = 0.45783336, which makes 1.3698681.
+    near(weigh(2.125, 2.0), 1.369_868_1 + 0.01);
+    // As far before: something unknown could stand there, 0.1 / 2 m.
+    near(weigh(1.875, 2.0), 1.369_868_1 + 0.05 + 0.01);
+    near(weigh(1.0, 2.0), 0.05 + 0.01);
+    near(weigh(9.0, 2.0), 0.01);
+    // Nothing: p_none, and p_hit too where nothing is predicted. Nearer than 0.5 m: 0.1 of anything in 10 m, 0.1 in 2 m.
+    near(weigh(f32::INFINITY, 2.0), 0.05);
+    near(weigh(f32::INFINITY, f32::INFINITY), 0.8);
+    near(weigh(f32::NEG_INFINITY, 2.0), 0.005 + 0.025);
+    near(weigh(f32::NEG_INFINITY, f32::NEG_INFINITY), 0.005 + 0.1 + 0.75);
+    near(weigh(3.0, f32::INFINITY), 0.01 + 0.01);
+    near(weigh(3.0, f32::NEG_INFINITY), 0.01);
+    // A missing prediction tells nothing.
+    near(weigh(3.0, f32::NAN), 1.0);
+}
+
+#[test]
+fn what_cannot_be_weighed_is_refused() {
+    let plain = presight::preset("laser-scanner").unwrap();
+    let sensor = noisy(&plain, noises()[0]);
+    let refused = |sensor: &Sensor, range: Vec<f32>, cell: PoseCell| {
+        let e = Sensed::new(sensor, range, cell).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && !e.remedy().is_empty(), "{e}");
+        e.to_string()
+    };
+    let cell = PoseCell::default();
+    assert!(refused(&sensor, vec![1.0; 360], cell).contains("360 ranges"));
+    assert!(refused(&sensor, vec![f32::NAN; 361], cell).contains("no reading"));
+    assert!(refused(&sensor, vec![31.0; 361], cell).contains("range 0"));
+    assert!(refused(&sensor, vec![-1.0; 361], cell).contains("range 0"));
+    assert!(refused(&sensor, vec![f32::NEG_INFINITY; 361], cell).contains("range 0"));
+    assert!(refused(&plain, vec![1.0; 361], cell).contains("noise of ranges"));
+    assert!(refused(&sensor, vec![1.0; 361], PoseCell { side: f64::NAN, turn: 0.0 }).contains("pose cell"));
+    let endless = Sensor::new(SensorSpec { range_max: f64::INFINITY, ..sensor.spec().clone() }).unwrap();
+    assert!(refused(&endless, vec![1.0; 361], cell).contains("finite range_max"));
+
+    let sensed = Sensed::new(&sensor, vec![1.0; 361], cell).unwrap();
+    let world = World::new(presight::Environment::new());
+    let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
+    let e = predictor(1).batch(&world, &plain, [Pose::IDENTITY], &request).err().unwrap();
+    assert_eq!(e.kind(), ErrorKind::Usage, "{e}");
+    for mixture in [
+        Mixture { hit: 0.9, ..Mixture::default() },
+        Mixture { none: 0.0, hit: 0.8, ..Mixture::default() },
+        Mixture { any: f64::NAN, ..Mixture::default() },
+        Mixture { beam_dependence: 0.5, ..Mixture::default() },
+    ] {
+        let noise = Noise { mixture, ..Noise::default() };
+        let e = Sensor::new(SensorSpec { noise, ..sensor.spec().clone() }).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::Invalid, "{e}");
+    }
+}

@@ -1,0 +1,32 @@
+//! Batches: against single predictions, and against the formula written down as plainly as it can be.
+
+mod headings;
+mod images;
+mod likelihood;
+mod logs;
+mod oracle;
+mod row;
+
+use presight_testkit as common;
+
+use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
+
+/// A predictor on the CPU engine.
+fn predictor(threads: usize) -> Predictor {
+    Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
+}
+
+/// The sensor with other noise, and with a finite range if it has none.
+fn noisy(sensor: &Sensor, noise: Noise) -> Sensor {
+    let spec = sensor.spec().clone();
+    let range_max = if spec.range_max.is_finite() { spec.range_max } else { 100.0 };
+    Sensor::new(SensorSpec { noise, range_max, ..spec }).expect("a sound sensor")
+}
+
+/// Range and cos_incidence of a single prediction.
+fn single(predictor: &mut Predictor, world: &World, sensor: &Sensor, pose: &Pose) -> (Vec<f32>, Vec<f32>) {
+    let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+    let request = Request::of(outputs);
+    let seen = predictor.predict(world, sensor, pose, &request).expect("it predicts");
+    (seen.images.range, seen.images.cos_incidence)
+}

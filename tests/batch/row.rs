@@ -1,0 +1,96 @@
+//! What a level scanner of one row sees by a cut of the world, against its images.
+
+use super::{common, predictor, single};
+use common::{Random, data, scenes};
+use presight::{Angles, Geometry, Pose, Scanner, Sensor, SensorSpec, World, row};
+
+fn scanner(azimuth: Angles, limits: (f64, f64)) -> Sensor {
+    let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
+    let geometry = Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None });
+    let spec = SensorSpec::new("row", "laser", geometry);
+    Sensor::new(SensorSpec { range_min: limits.0, range_max: limits.1, ..spec }).unwrap()
+}
+
+fn scanners() -> Vec<Sensor> {
+    let uniform = |start_deg, step_deg, count| Angles::Uniform { start_deg, step_deg, count };
+    vec![
+        scanner(uniform(-90.0, 0.5, 361), (0.0, 30.0)),
+        scanner(uniform(170.0, -0.37, 900), (0.5, 8.0)),
+        scanner(uniform(0.0, 0.1, 3600), (0.0, 2.5)),
+        scanner(uniform(13.0, 360.0 / 17.0, 17), (0.0, 100.0)),
+        scanner(Angles::Listed(vec![-170.0, -3.0, 0.0, 0.01, 90.0, 179.0]), (1.0, f64::INFINITY)),
+        scanner(uniform(45.0, 0.0, 1), (0.0, 30.0)),
+    ]
+}
+
+/// Pixels, and those at edges, where the ray turned by a hair sees what is compared with.
+fn compare(world: &World, sensor: &Sensor, pose: &Pose, shift: f64) -> (usize, usize) {
+    let mut predictor = predictor(1);
+    let moved = Pose { translation: pose.translation + glam::DVec3::new(shift, 0.0, 0.0), ..*pose };
+    let (range, cos) = row::see(world, sensor, &moved).expect("a level row");
+    let near = |a: f32, b: f32| a == b || (a - b).abs() <= 1e-5 * b;
+    let images = single(&mut predictor, world, sensor, pose);
+    let same = |i: usize, images: &(Vec<f32>, Vec<f32>)| {
+        let same_cos = cos[i].is_nan() && images.1[i].is_nan() || (cos[i] - images.1[i]).abs() < 1e-5;
+        near(range[i], images.0[i]) && same_cos
+    };
+    let other: Vec<usize> = (0..range.len()).filter(|i| !same(*i, &images)).collect();
+    if shift == 0.0 && !other.is_empty() {
+        let turned = |by: f64| *pose * Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, by);
+        let beside = [-1e-6, 1e-6].map(|by| single(&mut predictor, world, sensor, &turned(by)));
+        for &i in &other {
+            let edge = beside.iter().any(|images| same(i, images));
+            let (r, c, image) = (range[i], cos[i], (images.0[i], images.1[i]));
+            assert!(edge, "beam {i} at {pose:?}: {r} m, cos {c}, image {image:?}");
+        }
+    }
+    (range.len(), other.len())
+}
+
+#[test]
+fn generated_rooms_are_seen_as_in_images() {
+    let mut random = Random(21);
+    let (mut pixels, mut edges, mut planted) = (0, 0, 0);
+    for seed in 0..12 {
+        let world = World::new(scenes::room(seed, 10 + 8 * seed as usize));
+        for sensor in scanners() {
+            let at = glam::DVec3::new(random.uniform(-0.8, 0.8), random.uniform(-0.8, 0.8), random.uniform(0.1, 2.9));
+            let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.uniform(-4.0, 4.0));
+            let (n, other) = compare(&world, &sensor, &pose, 0.0);
+            (pixels, edges) = (pixels + n, edges + other);
+            // A fault of a millimetre must be seen.
+            planted += compare(&world, &sensor, &pose, 1e-3).1;
+        }
+    }
+    assert!(edges * 10_000 <= pixels, "{edges} of {pixels} at edges");
+    assert!(planted * 3 > pixels, "only {planted} of {pixels} show the fault");
+}
+
+#[test]
+fn real_scenes_are_seen_as_in_images() {
+    for name in data::SCENES {
+        let Some(world) = data::scene(name, true) else { return };
+        let (mut pixels, mut edges) = (0, 0);
+        for (i, pose) in data::poses(&world, 4, 9).iter().enumerate() {
+            let at = Pose::from_xyz_rpy(pose.translation, 0.0, 0.0, i as f64);
+            let (n, other) = compare(&world, &scanners()[i % 3], &at, 0.0);
+            (pixels, edges) = (pixels + n, edges + other);
+        }
+        assert!(edges * 500 <= pixels, "{name}: {edges} of {pixels} at edges");
+    }
+}
+
+#[test]
+fn other_sensors_and_leaning_ones_are_not_served() {
+    let world = World::new(scenes::room(1, 5));
+    let one = &scanners()[0];
+    assert!(row::see(&world, one, &Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 0.0, 1.0)).is_some());
+    assert!(row::see(&world, one, &Pose::from_xyz_rpy(glam::DVec3::Z, 1e-6, 0.0, 1.0)).is_none());
+    assert!(row::see(&world, one, &Pose::from_xyz_rpy(glam::DVec3::Z, std::f64::consts::PI, 0.0, 1.0)).is_none());
+    for name in ["vlp-16", "video-camera"] {
+        assert!(row::see(&world, &presight::preset(name).unwrap(), &Pose::IDENTITY).is_none());
+    }
+    // Above everything nothing is seen.
+    let above = Pose::from_xyz_rpy(glam::DVec3::Z * 50.0, 0.0, 0.0, 0.0);
+    assert!(row::see(&world, one, &above).unwrap().0.iter().all(|r| *r == f32::INFINITY));
+}
