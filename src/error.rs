@@ -24,6 +24,8 @@ pub enum ErrorKind {
     DeviceMemory,
     /// The operating system refused: disk full, memory, locked, permission. Exit status 4.
     System,
+    /// Nothing can be predicted before the deadline. Exit status 4.
+    Deadline,
 }
 
 impl ErrorKind {
@@ -33,7 +35,7 @@ impl ErrorKind {
             Self::Invalid | Self::Unsupported => 1,
             Self::Usage => 2,
             Self::NoDevice | Self::DeviceLost | Self::DeviceMemory => 3,
-            Self::System => 4,
+            Self::System | Self::Deadline => 4,
         }
     }
 }

@@ -17,7 +17,7 @@ pub mod file {
 
 /// Which files were read.
 pub mod inputs {
-    pub use crate::io::inputs::{record, so_far};
+    pub use crate::io::inputs::{forget, record, so_far};
 }
 
 /// Files that are not finished.

@@ -36,7 +36,9 @@
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
 //!    [`Images`], what is seen of each feature, the region of interest of each, and [`Stats`].
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
-//! 5. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
+//! 5. **Reality.** A [`frame::Frame`] is what a sensor measured. [`verdict`] says pixel by pixel whether it is as predicted,
+//!    [`estimate`] where the robot is, and [`localize`] follows it.
+//! 6. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
 //!
 //! ```text
 //! Scene -> World -------+
@@ -84,10 +86,13 @@ mod change;
 pub mod compare;
 pub mod cost;
 pub mod cpu;
+pub mod deadline;
 pub mod engine;
 pub mod environment;
 mod error;
+pub mod estimate;
 pub mod features;
+pub mod frame;
 pub mod frames;
 pub mod free_poses;
 pub mod geometry;
@@ -99,8 +104,10 @@ pub mod index;
 pub mod internal;
 pub mod io;
 pub mod limits;
+pub mod localize;
 pub mod matching;
 pub mod memory;
+mod motion;
 pub mod placement;
 pub mod plan;
 mod predict;
@@ -112,7 +119,9 @@ pub mod reference;
 pub mod row;
 mod scene;
 pub mod sensor;
+pub mod simulate;
 mod threads;
+pub mod verdict;
 pub mod virtual_sensors;
 mod world;
 

@@ -44,6 +44,8 @@ pub struct Report {
     pub edge: usize,
     /// Pixels with another id for a face that is stored more than once.
     pub coincident: usize,
+    /// Pixels that one of the two gave up for its deadline: nothing is said of them. They are no part of `pixels`.
+    pub not_predicted: usize,
     /// Wrong pixels.
     pub fault: usize,
     /// The worst share of its bound that an output of a same pixel is off by.
@@ -76,6 +78,7 @@ impl Report {
         self.same += other.same;
         self.edge += other.edge;
         self.coincident += other.coincident;
+        self.not_predicted += other.not_predicted;
         self.fault += other.fault;
         if other.worst.most() > self.worst.most() {
             self.worst_pixel = other.worst_pixel;
@@ -141,6 +144,42 @@ enum Verdict {
     Edge,
     Coincident,
     Fault(String),
+}
+
+/// Compares two predictions of which one gave something up (see [`crate::deadline::GivenUp`]), by one of the other functions:
+/// pixels that are not in `partial` are not compared, but counted.
+///
+/// ```
+/// use presight::compare::{compare_exactly, compare_partial};
+/// use presight::{Images, Output, Outputs};
+/// let mut whole = Images::default();
+/// whole.prepare(2, 1, Outputs::of(&[Output::Range]));
+/// let mut partial = whole.clone();
+/// partial.range[1] = f32::NAN;
+/// assert_eq!(compare_exactly(&whole, &partial)?.fault, 1);
+/// let report = compare_partial(&whole, &partial, |whole, partial| compare_exactly(whole, partial))?;
+/// assert_eq!((report.fault, report.same, report.not_predicted), (0, 1, 1));
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// Those of the comparison.
+pub fn compare_partial(
+    whole: &Images,
+    partial: &Images,
+    compare: impl FnOnce(&Images, &Images) -> Result<Report>,
+) -> Result<Report> {
+    check_shape(whole, partial)?;
+    let (mut filled, mut not_predicted) = (partial.clone(), 0);
+    for at in (0..whole.pixels()).filter(|at| partial.is_open(*at) && !whole.is_open(*at)) {
+        not_predicted += 1;
+        filled.copy_pixel(whole, at);
+    }
+    let mut report = compare(whole, &filled)?;
+    report.not_predicted = not_predicted;
+    report.pixels -= not_predicted;
+    report.same -= not_predicted;
+    Ok(report)
 }
 
 /// Compares an engine's images with the reference's; every pixel that differs is a fault.

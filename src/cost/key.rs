@@ -7,23 +7,29 @@ use std::fmt;
 /// At what point of a frame its time is estimated: earlier, the counts are bounds or means, and mean something else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Forecast {
-    /// After selection.
+    /// Before anything is done: of the selection alone.
+    Access,
+    /// After selection: of the drawing.
     Selection,
     /// After a wave's setup, from bounds of its counts.
     Wave,
+    /// Of what is left when drawing has ended.
+    Images,
     /// Of a finished frame, from what was done.
     Finished,
 }
 
 impl Forecast {
     /// All, in order.
-    pub const ALL: [Self; 3] = [Self::Selection, Self::Wave, Self::Finished];
+    pub const ALL: [Self; 5] = [Self::Access, Self::Selection, Self::Wave, Self::Images, Self::Finished];
 
     /// As files name it.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Access => "access",
             Self::Selection => "selection",
             Self::Wave => "wave",
+            Self::Images => "images",
             Self::Finished => "finished",
         }
     }

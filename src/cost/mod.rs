@@ -16,10 +16,12 @@
 //!
 //! Nothing here reads a clock: times come from the caller, so that recorded counts and times replay to the same numbers.
 
+mod controller;
 mod key;
 mod model;
 mod unit_costs;
 
+pub(crate) use controller::Controller;
 pub use key::{Forecast, Key};
 pub use model::{CostModel, Estimate, MAX_MODELS};
 pub(crate) use unit_costs::UnitCosts;

@@ -14,6 +14,8 @@ pub struct Estimate {
     pub mean: f64,
     /// All but a hundredth of frames take less, seconds.
     pub upper: f64,
+    /// All but a hundredth of frames take more, seconds.
+    pub lower: f64,
     /// Frames that it was learnt from; 0 is the careful default.
     pub frames: u64,
 }
@@ -43,7 +45,8 @@ impl CostModel {
     pub fn estimate(&self, key: &Key, counts: &Counts) -> Estimate {
         let of = |costs: &UnitCosts| {
             let mean = costs.mean(counts);
-            Estimate { mean, upper: mean * costs.factor(), frames: costs.frames }
+            let [low, high] = costs.factors();
+            Estimate { mean, upper: mean * high, lower: mean * low, frames: costs.frames }
         };
         self.models.get(key).map_or_else(|| of(&UnitCosts::default()), of)
     }

@@ -9,6 +9,8 @@ const FORGETTING: f64 = 0.98;
 pub(crate) const RATIOS: usize = 200;
 /// Share of them that a deadline counts on.
 const QUANTILE: f64 = 0.99;
+/// So many frames teach costs before their ratios are kept.
+const FIRST: u64 = 5;
 /// So many ratios are told before the default is no longer counted on.
 const ENOUGH: usize = 20;
 /// Factor of an estimate from defaults, which were measured on another machine.
@@ -56,18 +58,28 @@ impl UnitCosts {
         sum.max(1e-9)
     }
 
-    /// By what factor an estimate is widened to hold for all but a hundredth of frames.
-    pub fn factor(&self) -> f64 {
+    /// By what factors an estimate is widened so that all but a hundredth of frames are above the first, and all but a hundredth below
+    /// the second.
+    pub fn factors(&self) -> [f64; 2] {
         let mut sorted: Vec<f64> = self.ratios.iter().copied().collect();
         sorted.sort_unstable_by(f64::total_cmp);
         let rank = (QUANTILE * sorted.len() as f64).ceil() as usize;
-        let seen = sorted.get(rank.saturating_sub(1)).copied().unwrap_or(1.0);
-        if sorted.len() < ENOUGH { seen.max(UNKNOWN) } else { seen }
+        let at = |i: usize| sorted.get(i).copied().unwrap_or(1.0);
+        let (low, high) = (at(sorted.len() - rank), at(rank.saturating_sub(1)));
+        if sorted.len() < ENOUGH { [low.min(1.0 / UNKNOWN), high.max(UNKNOWN)] } else { [low, high] }
+    }
+
+    #[cfg(test)]
+    fn factor(&self) -> f64 {
+        self.factors()[1]
     }
 
     /// Learns from a frame that took `seconds`, above 0.
     pub fn observe(&mut self, counts: &Counts, seconds: f64) {
-        self.ratios.push_back((seconds / self.mean(counts)).clamp(1e-6, 1e6));
+        // How far the defaults were off says nothing of what was learnt since.
+        if self.frames >= FIRST {
+            self.ratios.push_back((seconds / self.mean(counts)).clamp(1e-6, 1e6));
+        }
         if self.ratios.len() > RATIOS {
             self.ratios.pop_front();
         }

@@ -46,6 +46,10 @@ pub(super) struct Batch {
     /// Ray tables: edge planes.
     pub edges: Vec<DVec3>,
     pub edge_on: usize,
+    /// Metres: none of its polygons is nearer.
+    pub nearest: f32,
+    /// False if the time was up before.
+    pub is_set_up: bool,
     /// Polygons by band: `by_band[band_start[b]..band_start[b + 1]]`.
     by_band: Vec<u32>,
     band_start: Vec<u32>,

@@ -12,12 +12,14 @@
 mod batch;
 mod bounds;
 mod hidden;
+mod progress;
 mod ray_bounds;
 mod rays;
 mod resolve;
 mod setup;
 mod spans;
 
+use crate::deadline::{Kept, Watch};
 use crate::error::{Error, Result};
 use crate::memory::{self, Frame};
 use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
@@ -25,6 +27,7 @@ use crate::sensor::{LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
+use progress::Progress;
 use rayon::prelude::*;
 use spans::Buffer;
 use std::ops::Range;
@@ -66,6 +69,11 @@ impl Engine {
         Self { pool, alone: true, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() }
     }
 
+    /// How many threads it has.
+    pub fn threads(&self) -> usize {
+        if self.alone { 1 } else { self.pool.current_num_threads() }
+    }
+
     /// Fills the asked images.
     ///
     /// # Errors
@@ -75,7 +83,7 @@ impl Engine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "cpu".into();
-        stats.threads = if self.alone { 1 } else { self.pool.current_num_threads() };
+        stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
@@ -91,6 +99,8 @@ impl Engine {
             plan.finish_noting(images, stats);
             stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
             stats.count("polygons selected", 0);
+            let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
+            stats.deadline = drawn_ms.map(|drawn_ms| Kept { drawn_ms, ..Kept::default() });
             return Ok(());
         }
         if self.canvas.len() < bands.count() {
@@ -147,65 +157,100 @@ fn draw_waves(
     let mut targets = resolve::split(images, bands);
     winners.clear();
     let mut times = [Duration::ZERO; 3];
-    let (mut done, mut used, mut hidden) = (0, 0, 0);
-    let (mut clear, mut sifted) = (true, false);
-    while clear || done < plan.runs.len() {
+    let (mut done, mut used, mut hidden, mut waves) = (0, 0, 0, 0);
+    let mut progress = Progress::new(plan, bands.count());
+    loop {
         let start = Instant::now();
-        let wave = next_wave(&plan.runs, done);
-        let runs = if used == 0 {
+        let wave = next_wave(&plan.runs, done, progress.most_polygons(done));
+        let runs = if waves == 0 {
             plan.runs[wave.clone()].to_vec()
         } else {
-            sifted = true;
             let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
             plan.runs[wave.clone()].par_chunks(SIFTED).with_min_len(least).map(sift).collect::<Vec<_>>().concat()
         };
         hidden += wave.len() - runs.len();
         done = wave.end;
-        let groups = batch::group_runs(&runs);
-        let first = used;
-        used += groups.len();
-        if batches.len() < used {
-            batches.resize_with(used, Batch::default);
-        }
         times[0] += start.elapsed();
 
         let start = Instant::now();
-        batches[first..used].par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
-            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
-        });
+        let first = used;
+        let left_out = set_up(plan, bands, least, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
         let start = Instant::now();
         let batches = &batches[first..used];
-        let last = done == plan.runs.len();
-        canvas.par_iter_mut().zip(&mut targets).enumerate().with_min_len(least).for_each(|(band, (buffer, target))| {
-            let target = last.then_some(target);
-            arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear });
+        let last = left_out.is_some() || done == plan.runs.len();
+        let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
+        let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
+        parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
+            let (target, clear) = (last.then_some(target), waves == 0);
+            arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress });
         });
-        clear = false;
+        waves += 1;
+        if !last && progress.is_over() {
+            let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate();
+            parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
+                arch.dispatch(Resolve { buffer, target, plan, winners, bands, band, progress });
+            });
+        }
         times[2] += start.elapsed();
+        if last || progress.has_stopped {
+            break;
+        }
     }
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
-    if sifted {
+    if waves > 1 {
         stats.stages_ms.push(("hidden".to_owned(), hiding));
     } else {
         stats.leave_out("hidden", "the polygons are drawn in one wave");
     }
-    stats.stages_ms.push(("setup".to_owned(), if sifted { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push(("setup".to_owned(), if waves > 1 { setting_up } else { hiding + setting_up }));
     stats.stages_ms.push(("rasterization".to_owned(), drawing));
     stats.count("polygons selected", plan.polygon_count);
     stats.count("runs selected", plan.runs.len());
     stats.count("runs hidden", hidden);
+    stats.count("waves", waves);
+    progress.tell(stats);
     used
 }
 
-/// The runs to draw next: as many polygons as all before them, and at least [`FIRST_WAVE`].
-fn next_wave(runs: &[Run], start: usize) -> Range<usize> {
+/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
+/// was up.
+fn set_up(
+    plan: &FramePlan,
+    bands: &Bands,
+    least: usize,
+    runs: &[Run],
+    batches: &mut Vec<Batch>,
+    used: &mut usize,
+) -> Option<f32> {
+    let arch = pulp::Arch::new();
+    let groups = batch::group_runs(runs);
+    let first = *used;
+    if batches.len() < first + groups.len() {
+        batches.resize_with(first + groups.len(), Batch::default);
+    }
+    let new = &mut batches[first..first + groups.len()];
+    new.par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
+        batch.nearest = runs[group.start].nearest_below();
+        batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
+        if batch.is_set_up {
+            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
+        }
+    });
+    let left_out = new.iter().position(|batch| !batch.is_set_up);
+    *used += left_out.unwrap_or(new.len());
+    left_out.map(|i| new[i].nearest)
+}
+
+/// The runs to draw next: as many polygons as all before them, and at least [`FIRST_WAVE`], but no more than `most`.
+fn next_wave(runs: &[Run], start: usize, most: usize) -> Range<usize> {
     let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
+    let wanted = before.max(FIRST_WAVE).min(most);
     let mut polygons = 0;
     let mut end = start;
-    while end < runs.len() && polygons < before.max(FIRST_WAVE) {
+    while end < runs.len() && polygons < wanted {
         polygons += runs[end].count as usize;
         end += 1;
     }
@@ -259,6 +304,9 @@ struct Draw<'a, 't> {
     band: usize,
     /// This is the first wave.
     clear: bool,
+    /// Metres: nothing that is left out of this wave is nearer.
+    beyond: f32,
+    progress: &'a mut progress::Band,
 }
 
 impl pulp::WithSimd for Draw<'_, '_> {
@@ -266,26 +314,57 @@ impl pulp::WithSimd for Draw<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self { buffer, target, plan, batches, winners, bands, band, clear } = self;
-        let slots = &winners.slots;
-        match plan.sensor.grid() {
-            PixelGrid::Lines(grid) => {
-                if clear {
-                    buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
-                }
-                spans::rasterize(simd, buffer, grid, batches, slots, bands, band);
+        let Self { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress } = self;
+        let (slots, grid) = (&winners.slots, plan.sensor.grid());
+        match grid {
+            PixelGrid::Lines(_) if clear => buffer.clear(bands.axis, bands.lines(band).len(), bands.samples),
+            PixelGrid::Rays(grid) if clear => rays::clear(buffer, grid, bands, band),
+            _ => {}
+        }
+        progress.complete_to = beyond;
+        // One by one where there is a clock to look at.
+        let together = if plan.watch.is_some() { 1 } else { batches.len().max(1) };
+        for some in batches.chunks(together) {
+            if plan.watch.as_ref().is_some_and(Watch::is_over) {
+                (progress.complete_to, progress.has_stopped) = (some[0].nearest, true);
+                break;
             }
-            PixelGrid::Rays(grid) => {
-                if clear {
-                    rays::clear(buffer, grid, bands, band);
-                }
-                rays::rasterize(simd, buffer, grid, batches, slots, bands, band);
-            }
+            progress.tested += match grid {
+                PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, some, slots, bands, band),
+                PixelGrid::Rays(grid) => rays::rasterize(simd, buffer, grid, some, slots, bands, band),
+            };
         }
         if let Some(target) = target {
-            resolve::resolve(target, buffer, plan, &winners.shades, bands, band);
-        } else if matches!(plan.sensor.grid(), PixelGrid::Lines(_)) {
+            Resolve { buffer, target, plan, winners, bands, band, progress }.with_simd(simd);
+        } else if matches!(grid, PixelGrid::Lines(_)) {
             hidden::measure(buffer, bands.lines(band).len(), bands.samples);
+        }
+    }
+}
+
+/// Makes a band's images of what is drawn.
+struct Resolve<'a, 't> {
+    buffer: &'a Buffer,
+    target: &'a mut resolve::Target<'t>,
+    plan: &'a FramePlan,
+    winners: &'a Winners,
+    bands: &'a Bands,
+    band: usize,
+    progress: &'a mut progress::Band,
+}
+
+impl pulp::WithSimd for Resolve<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { buffer, target, plan, winners, bands, band, progress } = self;
+        let start = plan.watch.as_ref().map(Watch::elapsed);
+        progress.given_up =
+            resolve::resolve(target, buffer, plan, &winners.shades, (bands, band), progress.complete_to);
+        if let (Some(watch), Some(start)) = (&plan.watch, start) {
+            progress.written = buffer.written();
+            progress.resolving = watch.elapsed().saturating_sub(start);
         }
     }
 }

@@ -61,7 +61,7 @@ struct Meeting {
     open: [u64; EIGHT],
 }
 
-/// Draws the polygons of some batches into a band.
+/// Draws the polygons of some batches into a band. Returns how many samples were tested.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
@@ -71,8 +71,9 @@ pub(super) fn rasterize<S: Simd>(
     slots: &[u32],
     bands: &Bands,
     band: usize,
-) {
+) -> u64 {
     let lines = bands.lines(band);
+    let mut octets = 0;
     let (mut squares, mut open) = ([0.0; MAX_CORNERS], [DVec3::ZERO; MAX_CORNERS]);
     for batch in batches {
         for &i in batch.in_band(band) {
@@ -99,6 +100,7 @@ pub(super) fn rasterize<S: Simd>(
                                 lines.start.max(set_up.first_line as usize)..lines.end.min(set_up.end_line as usize);
                             let inner = |line: usize| line.saturating_sub(row * TILE).min(TILE);
                             let drawn = inner(held.start)..inner(held.end);
+                            octets += drawn.len();
                             let count = TILE.min(lines.end - row * TILE);
                             let place = Place { first: row * TILE - lines.start, count, drawn, column };
                             let count = take(edges, meeting.open[column % EIGHT], &mut open);
@@ -111,6 +113,7 @@ pub(super) fn rasterize<S: Simd>(
             }
         }
     }
+    (octets * EIGHT) as u64
 }
 
 /// Copies the edges of which a bit is set; the answer is their number.

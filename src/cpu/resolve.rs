@@ -54,18 +54,19 @@ pub(super) fn split<'a>(images: &'a mut Images, bands: &Bands) -> Vec<Target<'a>
 /// scanner's image is a page of its own, and each visit to it may miss in the address translation.
 pub(super) const TOGETHER: usize = 32;
 
-/// Fills the asked images of a band.
+/// Fills the asked images of a band, as far as it is complete, metres. Returns how many samples are left open.
 #[inline(always)]
 pub(super) fn resolve(
     target: &mut Target<'_>,
     buffer: &Buffer,
     plan: &FramePlan,
     shades: &[Shade],
-    bands: &Bands,
-    band: usize,
-) {
+    (bands, band): (&Bands, usize),
+    complete_to: f32,
+) -> u64 {
     let spec = plan.sensor.spec();
-    let mut painter = Painter { shades, range_min: spec.range_min, range_max: spec.range_max, target };
+    let (range_min, range_max, complete_to) = (spec.range_min, spec.range_max, f64::from(complete_to));
+    let mut painter = Painter { shades, range_min, range_max, complete_to, given_up: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -76,6 +77,7 @@ pub(super) fn resolve(
             rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| pixels.of_tiles(grid, line, part));
         }
     }
+    painter.given_up
 }
 
 /// A scanner's lines are the columns of its image: turned octet by octet, in which the buffer is ordered.
@@ -179,6 +181,9 @@ struct Painter<'t, 'a> {
     shades: &'t [Shade],
     range_min: f64,
     range_max: f64,
+    /// Metres: infinite where all is drawn.
+    complete_to: f64,
+    given_up: u64,
     target: &'t mut Target<'a>,
 }
 
@@ -231,10 +236,33 @@ impl Painter<'_, '_> {
             }
         }
         if let Some(out) = object_ids.get_mut(row) {
-            for ((out, id), range) in out[part].iter_mut().zip(&object_id).zip(range) {
+            for ((out, id), range) in out[part.clone()].iter_mut().zip(&object_id).zip(range) {
                 *out = if *range < f32::INFINITY { *id } else { 0 };
             }
         }
+        if self.complete_to < f64::INFINITY {
+            self.give_up(&inverse[..n], row, part);
+        }
+    }
+
+    /// Leaves samples open that something not drawn may hide: whatever is farther than all that is drawn, and where nothing is.
+    #[cold]
+    #[inline(never)]
+    fn give_up(&mut self, inverse: &[f64], row: usize, part: Range<usize>) {
+        let Target { range, depth_z, cos_incidence, polygon_id, object_id } = self.target;
+        // Where there is no ray the inverse is NaN.
+        let is_open = |inverse: &f64| 1.0 / inverse > self.complete_to;
+        for image in [range, depth_z, cos_incidence] {
+            let Some(out) = image.get_mut(row) else { continue };
+            let open = out[part.clone()].iter_mut().zip(inverse).filter(|(_, inverse)| is_open(inverse));
+            open.for_each(|(out, _)| *out = f32::NAN);
+        }
+        for image in [polygon_id, object_id] {
+            let Some(out) = image.get_mut(row) else { continue };
+            let open = out[part.clone()].iter_mut().zip(inverse).filter(|(_, inverse)| is_open(inverse));
+            open.for_each(|(out, _)| *out = 0);
+        }
+        self.given_up += inverse.iter().filter(|inverse| is_open(inverse)).count() as u64;
     }
 }
 

@@ -50,6 +50,12 @@ impl Buffer {
         }
     }
 
+    /// Samples that show a polygon.
+    pub fn written(&self) -> u64 {
+        let shown = |numbers: &Numbers| numbers.0.iter().filter(|number| **number != u64::from(NOTHING)).count() as u64;
+        self.winner.iter().map(shown).sum()
+    }
+
     /// Bytes of memory held.
     pub fn bytes(&self) -> u64 {
         (size_of::<Depths>() * self.inverse.capacity() + size_of::<Numbers>() * self.winner.capacity()) as u64
@@ -123,7 +129,7 @@ impl Buffer {
 /// Lines whose intervals are found together.
 const TOGETHER: usize = 8;
 
-/// Draws the polygons of some batches into a band.
+/// Draws the polygons of some batches into a band. Returns how many samples were tested.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
@@ -133,8 +139,9 @@ pub(super) fn rasterize<S: Simd>(
     slots: &[u32],
     bands: &Bands,
     band: usize,
-) {
+) -> u64 {
     let lines = bands.lines(band);
+    let mut octets = 0;
     for batch in batches {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
@@ -151,12 +158,13 @@ pub(super) fn rasterize<S: Simd>(
                     scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
                 }
                 let spans = Spans { number, count, bounds, scale, slope: polygon.m.z, first: first - lines.start };
-                if spans.draw(simd, buffer, grid) {
+                if spans.draw(simd, buffer, grid, &mut octets) {
                     spans.settle_ties(buffer, grid, slots);
                 }
             }
         }
     }
+    (octets * EIGHT) as u64
 }
 
 /// Where the polygon's cone begins and ends on [`TOGETHER`] lines, as positions t.
@@ -206,10 +214,10 @@ struct Spans {
 }
 
 impl Spans {
-    /// Draws into whole octets, whose samples outside the spans stay as they are. The answer is true if anywhere the
-    /// buffer held the same depth.
+    /// Draws into whole octets, whose samples outside the spans stay as they are, and counts them. The answer is true if anywhere
+    /// the buffer held the same depth.
     #[inline(always)]
-    fn draw<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid) -> bool {
+    fn draw<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid, tested: &mut usize) -> bool {
         let octets = grid.octets();
         let [least, greatest] = &self.bounds;
         let samples = grid.samples_around(simd, least, greatest);
@@ -222,6 +230,7 @@ impl Spans {
                 continue;
             }
             let (from, to) = (from / EIGHT, to.div_ceil(EIGHT));
+            *tested += to - from;
             let line = (self.first + l) * buffer.per_line;
             let (low, high) = (simd.splat_f64s(least[l]), simd.splat_f64s(greatest[l]));
             let scale = simd.splat_f64s(self.scale[l]);

@@ -51,6 +51,11 @@ pub trait Engine: Any + Send {
         None
     }
 
+    /// Its threads if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    fn threads_with_deadline(&self) -> Option<usize> {
+        None
+    }
+
     /// The device that it works on, if it works on one.
     fn device(&mut self) -> Option<&mut dyn Device> {
         None
@@ -185,6 +190,10 @@ impl Engine for cpu::Engine {
 
     fn for_task(&self) -> Option<Box<dyn Engine>> {
         Some(Box::new(self.on_one_thread()))
+    }
+
+    fn threads_with_deadline(&self) -> Option<usize> {
+        Some(self.threads())
     }
 }
 

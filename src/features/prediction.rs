@@ -24,11 +24,13 @@ pub enum Reason {
     Occluded,
     /// Covered by a polygon that is, within rounding, equally far away.
     Undecided,
+    /// Nothing else hides it, and the pixels that would tell were given up for a deadline.
+    NotPredicted,
 }
 
 impl Reason {
     /// All reasons, in order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::BehindSensor,
         Self::OutsideImage,
         Self::BelowRangeMin,
@@ -38,6 +40,7 @@ impl Reason {
         Self::Oblique,
         Self::Occluded,
         Self::Undecided,
+        Self::NotPredicted,
     ];
 
     /// The name in files.
@@ -52,6 +55,7 @@ impl Reason {
             Self::Oblique => "oblique",
             Self::Occluded => "occluded",
             Self::Undecided => "undecided",
+            Self::NotPredicted => "not_predicted",
         }
     }
 

@@ -3,6 +3,7 @@
 
 use super::atomic::write_atomically;
 use super::file;
+use crate::deadline::GivenUp;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
@@ -35,6 +36,8 @@ pub struct Attributes {
     pub scene_blake3: Option<String>,
     /// Which number `polygon_id` holds.
     pub ids: Option<IdScheme>,
+    /// What was given up for a deadline: pixels that are NaN with id 0 then may be such, or have no ray.
+    pub given_up: Option<GivenUp>,
     /// Object names by `object_id`.
     pub objects: BTreeMap<u32, String>,
 }
@@ -117,6 +120,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(&'static str, String)> {
     texts.extend(attributes.scene.clone().map(|t| ("scene", t)));
     texts.extend(attributes.scene_blake3.clone().map(|t| ("scene_blake3", t)));
     texts.extend(attributes.ids.map(|ids| ("ids", if ids == IdScheme::Model { "model" } else { "source" }.into())));
+    texts.extend(attributes.given_up.iter().flat_map(serde_json::to_string).map(|text| ("given_up", text)));
     // A map of numbers to texts cannot fail to be JSON.
     texts.push(("objects", serde_json::to_string(&attributes.objects).unwrap_or_default()));
     texts
@@ -301,6 +305,10 @@ impl Attributes {
                     "source" => IdScheme::Source,
                     _ => return Err(Error::invalid(format!("is {}", quoted(text)), "write model or source")),
                 });
+            }
+            "given_up" => {
+                let wrong = |e| Error::invalid(format!("says not what was given up: {e}"), "predict again");
+                self.given_up = Some(serde_json::from_str(text).map_err(wrong)?);
             }
             "objects" => {
                 self.objects = serde_json::from_str(text).map_err(|e| {

@@ -19,6 +19,13 @@ pub fn note(path: &Path) {
     }
 }
 
+/// A file that was read to be replaced by what goes on from it.
+pub fn forget(path: &Path) {
+    if let Some(read) = READ.get() {
+        read.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
+    }
+}
+
 /// What was noted since [`record`], by the paths that were given.
 pub fn so_far() -> BTreeSet<PathBuf> {
     READ.get().map(|read| read.lock().unwrap_or_else(PoisonError::into_inner).clone()).unwrap_or_default()

@@ -5,6 +5,7 @@ pub mod atomic;
 pub mod camera_info;
 pub mod corridor;
 pub mod costs;
+pub mod depth_folder;
 pub mod exr;
 mod faults;
 pub(crate) mod file;

@@ -36,10 +36,21 @@ use std::path::Path;
 /// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size,
 /// [`crate::ErrorKind::System`] if the file cannot be written.
 pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
-    write_preview_with(path, images, sensor, output, None, None)
+    write_preview_with(path, images, sensor, output, &Marks::default())
 }
 
-/// As [`write_preview`], with features drawn over it and marked pixels tinted. Visible parts are solid, hidden parts dashed,
+/// What a preview shows beside an image.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Marks<'a> {
+    /// Features drawn over it.
+    pub overlay: Option<&'a Overlay<'a>>,
+    /// Pixels to tint.
+    pub mask: Option<&'a Mask>,
+    /// Pixels to hatch, row-major: those that were given up for a deadline. Empty if none were.
+    pub given_up: &'a [bool],
+}
+
+/// As [`write_preview`], with features drawn over it, marked pixels tinted and those given up hatched. Visible parts are solid, hidden parts dashed,
 /// regions of interest boxes (in two parts over the seam of a turn) or, seen from above, arcs.
 ///
 /// # Errors
@@ -49,10 +60,9 @@ pub fn write_preview_with(
     images: &Images,
     sensor: &Sensor,
     output: Output,
-    overlay: Option<&Overlay<'_>>,
-    mark: Option<&Mask>,
+    marks: &Marks<'_>,
 ) -> Result<()> {
-    let canvas = preview(images, sensor, output, overlay, mark).map_err(|e| e.in_file(path))?;
+    let canvas = preview(images, sensor, output, marks).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {
         let out = BufWriter::new(file);
         encode(out, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
@@ -64,20 +74,15 @@ pub fn write_preview_with(
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size.
 pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<Vec<u8>> {
-    let canvas = preview(images, sensor, output, None, None)?;
+    let canvas = preview(images, sensor, output, &Marks::default())?;
     let mut bytes = Vec::new();
     encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
         .map_err(|e| Error::invalid(format!("the preview is no PNG: {e}"), ""))?;
     Ok(bytes)
 }
 
-fn preview(
-    images: &Images,
-    sensor: &Sensor,
-    output: Output,
-    overlay: Option<&Overlay<'_>>,
-    mark: Option<&Mask>,
-) -> Result<Canvas> {
+fn preview(images: &Images, sensor: &Sensor, output: Output, marks: &Marks<'_>) -> Result<Canvas> {
+    let Marks { overlay, mask, given_up } = *marks;
     let (width, height) = (sensor.width(), sensor.height());
     let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len)).unwrap_or(0);
     if len != width as usize * height as usize {
@@ -88,8 +93,11 @@ fn preview(
     }
     let scale = Scale::of(images, output);
     let mut palette = Palette::new(images, output, &scale);
-    if let Some(mask) = mark {
+    if let Some(mask) = mask {
         palette.mark(&mask.pixels);
+    }
+    if given_up.len() == len {
+        palette.hatch(given_up, width);
     }
     Ok(if is_one_row_scan(sensor) && images.range.len() == len {
         polar::draw(images, sensor, output, &palette, &scale, overlay)

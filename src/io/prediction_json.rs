@@ -6,6 +6,7 @@
 //! | `world_from_sensor` | x, y, z, qx, qy, qz, qw; body axes |
 //! | `pose_covariance` | 36 numbers, row-major, or null |
 //! | `confidence` | of the regions of interest, or null |
+//! | `given_up` | what was given up for a deadline, see [`GivenUp`]; absent if nothing was |
 //! | `features` | one entry each, see [`crate::features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
@@ -22,7 +23,7 @@
 //! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](crate::virtual_sensors::FreeFloor) |
 //! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](crate::virtual_sensors::Edges) |
 //! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](crate::virtual_sensors::RadarLines) |
-//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`) | [`Nearest`](crate::virtual_sensors::Nearest) |
+//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if something was given up | [`Nearest`](crate::virtual_sensors::Nearest) |
 //! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](crate::virtual_sensors::Landmarks) |
 //! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](crate::virtual_sensors::DepthImage) |
 //! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](crate::virtual_sensors::VerticalPlanes) |
@@ -33,6 +34,7 @@
 mod lines;
 
 use super::atomic::write_atomically;
+use crate::deadline::GivenUp;
 use crate::environment::{Environment, FeatureShape};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
@@ -58,6 +60,8 @@ pub struct Header {
     pub pose_covariance: Option<[[f64; 6]; 6]>,
     /// Probability with which a feature lies in its region of interest.
     pub confidence: Option<f64>,
+    /// What was given up for a deadline.
+    pub given_up: Option<GivenUp>,
 }
 
 /// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
@@ -103,6 +107,7 @@ pub fn to_string(
         world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
         pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
         confidence: header.confidence,
+        given_up: header.given_up.as_ref(),
         features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
         reading,
     };
@@ -151,6 +156,8 @@ struct File<'a> {
     world_from_sensor: [f64; 7],
     pose_covariance: Option<Vec<f64>>,
     confidence: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    given_up: Option<&'a GivenUp>,
     features: Vec<FeatureRecord<'a>>,
     #[serde(rename = "virtual", skip_serializing_if = "Option::is_none")]
     reading: Option<&'a VirtualReading>,

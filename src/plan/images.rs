@@ -79,6 +79,31 @@ impl Images {
         self.object_id.fill(0);
     }
 
+    /// Whether a sample is not there, of a prediction that gave something up (without that it is one that sees nothing or has no
+    /// ray): its floats are NaN and its ids 0.
+    pub(crate) fn is_open(&self, at: usize) -> bool {
+        let floats = [&self.range, &self.depth_z, &self.cos_incidence, &self.echo];
+        let ids = [&self.polygon_id, &self.object_id];
+        floats.iter().all(|image| image.get(at).is_none_or(|v| v.is_nan()))
+            && ids.iter().all(|image| image.get(at).is_none_or(|id| *id == 0))
+    }
+
+    /// Takes one pixel over from images of the same size and outputs.
+    pub(crate) fn copy_pixel(&mut self, from: &Self, at: usize) {
+        fn copy<T: Copy>(to: &mut [T], from: &[T], at: usize) {
+            if let (Some(to), Some(from)) = (to.get_mut(at), from.get(at)) {
+                *to = *from;
+            }
+        }
+        copy(&mut self.range, &from.range, at);
+        copy(&mut self.depth_z, &from.depth_z, at);
+        copy(&mut self.cos_incidence, &from.cos_incidence, at);
+        copy(&mut self.echo, &from.echo, at);
+        copy(&mut self.polygon_id, &from.polygon_id, at);
+        copy(&mut self.object_id, &from.object_id, at);
+        copy(&mut self.feature_id, &from.feature_id, at);
+    }
+
     /// Bytes of memory held, including the capacity of images that are empty now.
     pub fn bytes(&self) -> u64 {
         let floats = [&self.range, &self.depth_z, &self.cos_incidence, &self.echo].map(Vec::capacity);

@@ -13,6 +13,7 @@ pub use request::{IdScheme, ImageRequest, Output, Outputs};
 pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
+use crate::deadline::Watch;
 use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
@@ -85,6 +86,13 @@ pub struct Run {
     pub nearest: f32,
 }
 
+impl Run {
+    /// A distance, metres, that no point of the run is nearer than. The key is rounded to nearest, this one down.
+    pub(crate) fn nearest_below(&self) -> f32 {
+        self.nearest.next_down().max(0.0)
+    }
+}
+
 /// Why engines have nothing to do.
 pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
@@ -131,6 +139,10 @@ pub struct FramePlan {
     pub polygons_out_of_view: usize,
     /// Objects in view that the sensor's class cannot see.
     pub objects_not_opaque: usize,
+    /// The clock that drawing stops by, if there is a deadline.
+    pub(crate) watch: Option<Watch>,
+    /// Metres: the radius to which the runs were cut for the deadline, if they were.
+    pub(crate) radius: Option<f32>,
     /// Scratch memory, kept from frame to frame.
     found: Found,
     selected: Vec<ObjectRun>,
@@ -181,11 +193,27 @@ impl FramePlan {
             objects_out_of_view: 0,
             polygons_out_of_view: 0,
             objects_not_opaque: 0,
+            watch: None,
+            radius: None,
             found,
             selected,
         };
         plan.fill()?;
         Ok(plan)
+    }
+
+    /// Lets engines stop drawing by a clock: for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
+    #[doc(hidden)]
+    pub fn set_watch(&mut self, watch: Watch) {
+        self.watch = Some(watch);
+    }
+
+    /// Keeps the nearest `runs` only.
+    pub(crate) fn cut(&mut self, runs: usize) {
+        let Some(first_out) = self.runs.get(runs) else { return };
+        self.radius = Some(first_out.nearest_below());
+        self.runs.truncate(runs);
+        self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
     }
 
     /// Gives up the plan for its memory.
@@ -239,6 +267,7 @@ impl FramePlan {
         self.instances.clear();
         self.runs.clear();
         self.facings.clear();
+        (self.watch, self.radius) = (None, None);
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
         let world = self.world.clone();

@@ -1,6 +1,7 @@
 //! Statistics: what a prediction did and what it cost.
 
 use super::LeftOut;
+use crate::deadline::{GivenUp, Kept};
 use serde::Serialize;
 use std::time::Instant;
 
@@ -31,6 +32,9 @@ pub struct Stats {
     pub left_out: Vec<LeftOut>,
     /// Notices for the caller, such as a fallback to the CPU.
     pub notices: Vec<String>,
+    /// How the deadline was kept, if there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deadline: Option<Kept>,
 }
 
 /// The work of a prediction, counted.
@@ -112,6 +116,11 @@ pub struct StageRow {
 const AFTER: [&str; 2] = ["features", "regions of interest"];
 
 impl Stats {
+    /// What was given up for the deadline; `None` if everything is there.
+    pub fn given_up(&self) -> Option<&GivenUp> {
+        self.deadline.as_ref()?.given_up.as_ref()
+    }
+
     /// Records the time since `start` under a stage name.
     pub fn stage(&mut self, name: &str, start: Instant) {
         self.stages_ms.push((name.to_owned(), start.elapsed().as_secs_f64() * 1e3));

@@ -59,7 +59,7 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
         let seen_from = (world, sensor, world_from_sensor);
-        let settings = settings(request);
+        let settings = FeatureSettings { is_partial: stats.given_up().is_some(), ..settings(request) };
         let mut features = self.see(seen_from, images, &placed.features, &settings, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
         tell_lost(&placed.lost, &sensor.spec().class, stats);
@@ -249,7 +249,7 @@ impl Predictor {
 fn settings(request: &Request) -> FeatureSettings {
     let FeatureOptions { time, visibility, step, .. } = request.features.clone().unwrap_or_default();
     let feature_id = request.outputs.has(Output::FeatureId);
-    FeatureSettings { time, ids: request.ids, feature_id, visibility, step }
+    FeatureSettings { time, ids: request.ids, feature_id, visibility, step, is_partial: false }
 }
 
 /// What is to be known of features that are left out because nothing is under them.

@@ -1,10 +1,12 @@
 //! The predictor: from a world, a sensor and a pose to images, features and regions of interest, in one call.
 
+mod deadline;
 mod features;
 mod request;
 
 pub use request::Request;
 
+use crate::cost::Controller;
 use crate::cpu;
 use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
@@ -16,7 +18,7 @@ use crate::row::RowCuts;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -89,6 +91,8 @@ pub struct Predictor {
     buffers: PlanBuffers,
     /// The world's own features that were placed last.
     own: Option<features::OwnFeatures>,
+    /// Keeps deadlines.
+    controller: Controller,
     /// What happened to the GPU, if something did.
     notice: Option<String>,
     row_cuts: RowCuts,
@@ -123,6 +127,7 @@ impl Predictor {
             proven: Proven::default(),
             buffers: PlanBuffers::default(),
             own: None,
+            controller: Controller::default(),
             notice: None,
             row_cuts: RowCuts::default(),
         }
@@ -193,7 +198,8 @@ impl Predictor {
     /// Those of [`Request::check`] and [`Pose::check`]; [`ErrorKind::Usage`] if features are asked for and the world has
     /// none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not in the world;
     /// [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
-    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`].
+    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if nothing can be made within
+    /// [`Request::deadline`], and [`ErrorKind::Usage`] for a deadline of 0 or of an engine that cannot stop.
     pub fn predict(
         &mut self,
         world: &World,
@@ -247,7 +253,8 @@ impl Predictor {
         request.check(sensor)?;
         world_from_sensor.check()?;
         let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
-        *stats = self.predict_images(world, sensor, world_from_sensor, request.drawn(), images)?;
+        let drawn = request.drawn();
+        *stats = self.predict_within(world, sensor, world_from_sensor, (drawn, request.deadline), images)?;
         *features = match &placed {
             Some(placed) => Some(self.features(world, sensor, world_from_sensor, request, placed, images, stats)?),
             None => None,
@@ -268,19 +275,39 @@ impl Predictor {
         request: impl Into<ImageRequest>,
         images: &mut Images,
     ) -> Result<Stats> {
-        let request = request.into();
+        self.predict_within(world, sensor, world_from_sensor, (request.into(), None), images)
+    }
+
+    /// Predicts images, by a deadline if there is one.
+    fn predict_within(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        (request, deadline): (ImageRequest, Option<Duration>),
+        images: &mut Images,
+    ) -> Result<Stats> {
+        let threads = self.engine.threads_with_deadline();
+        let mut timed = self.controller.begin(deadline, threads, (sensor, request.outputs))?;
         let start = Instant::now();
         let buffers = std::mem::take(&mut self.buffers);
-        let plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
         let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
         stats.stage("selection", start);
+        if let Some(timed) = &mut timed {
+            self.controller.plan(timed, &mut plan)?;
+        }
         let rendered = self.render(&plan, images, &mut stats);
         let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
         stats.left_out.extend(by_engine);
         plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
         stats.notices.extend(self.notice.clone());
         self.buffers = plan.into_buffers();
-        rendered.map(|()| stats)
+        rendered?;
+        if let Some(timed) = &timed {
+            self.controller.end(timed, &mut stats);
+        }
+        Ok(stats)
     }
 
     /// Runs a function on the predictor's own threads.

@@ -6,6 +6,7 @@ use crate::features::{BoxOptions, FeatureOptions};
 use crate::plan::{IdScheme, ImageRequest, Output, Outputs};
 use crate::sensor::Sensor;
 use crate::{Backend, Threads};
+use std::time::Duration;
 
 /// All that one prediction is asked for. What is not asked for costs nothing.
 ///
@@ -28,6 +29,9 @@ pub struct Request {
     pub features: Option<FeatureOptions>,
     /// Regions of interest of these features, if they are asked for.
     pub regions: Option<BoxOptions>,
+    /// The time that the images may take, from the call on; what cannot be made in it is given up (see [`crate::deadline`]).
+    /// `None` means as long as it takes, and reads no clock to decide anything.
+    pub deadline: Option<Duration>,
 }
 
 impl Request {
@@ -58,6 +62,12 @@ impl Request {
     #[must_use]
     pub fn with_regions(self, regions: BoxOptions) -> Self {
         Self { regions: Some(regions), ..self }
+    }
+
+    /// With a deadline.
+    #[must_use]
+    pub fn with_deadline(self, deadline: Duration) -> Self {
+        Self { deadline: Some(deadline), ..self }
     }
 
     /// Checks that a sensor can answer it.

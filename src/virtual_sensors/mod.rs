@@ -27,7 +27,7 @@ mod mask;
 mod pixels;
 mod radar_lines;
 mod radar_nearest;
-mod symmetric;
+pub(crate) mod symmetric;
 mod vertical_planes;
 mod view;
 

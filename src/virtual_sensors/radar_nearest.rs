@@ -18,6 +18,9 @@ pub struct Nearest {
     pub nearest: Option<NearestPoint>,
     /// Inside the corridor, if one is given.
     pub corridor: Option<InCorridor>,
+    /// Metres: if beams were given up for a deadline, nothing is said of what is farther away than this, in any direction.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub complete_to: Option<f64>,
 }
 
 /// The closest obstacle of each column, over all its rows.
@@ -25,7 +28,8 @@ pub struct Nearest {
 pub struct Directions {
     /// Of the column, about the sensor's z axis from its x axis, radians, -pi..=pi.
     pub azimuth: Vec<f64>,
-    /// Metres along the beam; infinite (null in files) where nothing is seen.
+    /// Metres along the beam; infinite (null in files) where nothing is seen, NaN (null) where nothing is seen up to
+    /// [`Nearest::complete_to`] and beams were given up.
     pub range: Vec<f64>,
     /// What is seen there; 0 is nothing.
     pub object_id: Vec<u32>,
@@ -63,13 +67,17 @@ impl Nearest {
     pub(super) fn summary(&self) -> String {
         let nearest = match &self.nearest {
             Some(p) => format!("nearest at {:.3} m: {:?}", p.range, p.object),
-            None => "nothing is seen".into(),
+            None => match self.complete_to {
+                Some(complete_to) => format!("none up to {complete_to:.3} m"),
+                None => "nothing is seen".into(),
+            },
         };
         let Some(corridor) = &self.corridor else { return nearest };
         match (corridor.arc_length, &corridor.first) {
             (Some(s), Some(p)) => {
                 format!("{nearest}; corridor free for {s:.3} of {:.3} m: {:?}", corridor.length, p.object)
             }
+            _ if self.complete_to.is_some() => format!("{nearest}; none of it in the corridor"),
             _ => format!("{nearest}; nothing is seen in the {:.3} m of the corridor", corridor.length),
         }
     }
@@ -96,15 +104,26 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
     let (width, height) = (pixels.sensor.width(), pixels.sensor.height());
     let mut directions = Directions::default();
     let (mut nearest, mut first, mut beams) = (None, None, 0);
+    let complete_to = view.given_up.map(|given_up| given_up.complete_to);
     for column in 0..width {
         let azimuth = (0..height).find_map(|row| pixels.ray(column, row)).map_or(f64::NAN, |ray| ray.y.atan2(ray.x));
         let (mut least, mut object_id) = (f64::INFINITY, 0);
+        let is_open = |row: u32| pixels.range[pixels.at(column, row)].is_nan() && pixels.ray(column, row).is_some();
+        let is_partial = complete_to.is_some() && (0..height).any(is_open);
         for row in 0..height {
             let Some((p_in_sensor, object)) = pixels.measured(column, row) else { continue };
             let range = p_in_sensor.length();
+            // Something that was given up may be nearer.
+            let is_unsure = complete_to.is_some_and(|complete_to| range > complete_to);
+            if is_unsure && is_partial {
+                continue;
+            }
             let hit = |key| Hit { key, range, pixel: [column, row], p_in_sensor, object };
             if range < least {
                 (least, object_id) = (range, object.map_or(0, |o| o + 1));
+            }
+            if is_unsure {
+                continue;
             }
             keep(&mut nearest, hit(range));
             if let Some(s) = corridor.and_then(|c| c.arc_length_at(pixels.in_robot(p_in_sensor))) {
@@ -113,7 +132,7 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
             }
         }
         directions.azimuth.push(azimuth);
-        directions.range.push(least);
+        directions.range.push(if is_partial && least == f64::INFINITY { f64::NAN } else { least });
         directions.object_id.push(object_id);
     }
     let point = |hit: &Hit| NearestPoint {
@@ -129,5 +148,5 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
         first: first.as_ref().map(point),
         beams,
     });
-    Ok(Nearest { directions, nearest: nearest.as_ref().map(point), corridor })
+    Ok(Nearest { directions, nearest: nearest.as_ref().map(point), corridor, complete_to })
 }

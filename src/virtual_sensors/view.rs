@@ -1,5 +1,6 @@
 //! What virtual sensors reduce: a predicted image, or a measured one.
 
+use crate::deadline::GivenUp;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::features::FeaturePrediction;
@@ -39,6 +40,8 @@ pub struct View<'a> {
     pub ids: Option<ViewIds<'a>>,
     /// What is seen of features, for tasks that need them ([`super::VirtualSensor::needs_features`]).
     pub features: Option<&'a FeaturePrediction>,
+    /// What was given up for a deadline: where the range is then NaN although there is a ray, nothing is known.
+    pub given_up: Option<&'a GivenUp>,
 }
 
 /// What the pixels of a view show.
@@ -57,7 +60,7 @@ pub struct ViewIds<'a> {
 impl<'a> View<'a> {
     /// A sensor at a pose (body axes), of which nothing else is known.
     pub fn new(sensor: &'a Sensor, world_from_sensor: &Pose) -> Self {
-        Self { sensor, world_from_sensor: *world_from_sensor, range: &[], ids: None, features: None }
+        Self { sensor, world_from_sensor: *world_from_sensor, range: &[], ids: None, features: None, given_up: None }
     }
 
     /// A prediction in an environment.
@@ -71,6 +74,7 @@ impl<'a> View<'a> {
             range: &images.range,
             ids: known.then_some(ids),
             features: prediction.features.as_ref(),
+            given_up: prediction.given_up(),
         }
     }
 

@@ -4,7 +4,7 @@ use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{Verdict, open_scene, print};
 use clap::ValueEnum;
-use presight::compare::{Precision, Report, compare, compare_exactly};
+use presight::compare::{Precision, Report, compare, compare_exactly, compare_partial};
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::exr::{self, Attributes, ImageFile};
@@ -99,9 +99,18 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut reference = exr::read(&args.reference)?;
     let mut other = exr::read(&args.other)?;
     keep_common(&mut reference, &mut other).map_err(|e| e.in_file(&args.other))?;
-    let report = match &args.scene {
-        None => compare_exactly(&reference.images, &other.images),
-        Some(scene) => compare_by_scene(args, scene, &reference, &other.images),
+    let compare = |a: &Images, b: &Images| match &args.scene {
+        None => compare_exactly(a, b),
+        Some(scene) => compare_by_scene(args, scene, (&reference.attributes, a), b),
+    };
+    let (a, b) = (&reference.images, &other.images);
+    let report = match (&reference.attributes.given_up, &other.attributes.given_up) {
+        (None, None) => compare(a, b),
+        (None, Some(_)) => compare_partial(a, b, compare),
+        (Some(_), None) => compare_partial(b, a, |b, a| compare(a, b)),
+        (Some(_), Some(_)) => {
+            Err(Error::invalid("both gave something up for a deadline", "compare with a full prediction"))
+        }
     }
     .map_err(|e| e.in_file(&args.other))?;
     files.check_read()?;
@@ -172,8 +181,12 @@ fn differ(a: &Attributes, b: &Attributes) -> bool {
         || apart(&a.ids, &b.ids)
 }
 
-fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Images) -> Result<Report> {
-    let attributes = &reference.attributes;
+fn compare_by_scene(
+    args: &Args,
+    scene: &Path,
+    (attributes, reference): (&Attributes, &Images),
+    other: &Images,
+) -> Result<Report> {
     let missing = |what: &str| {
         let remedy = "predict it with presight, or compare without --scene";
         Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
@@ -195,9 +208,9 @@ fn compare_by_scene(args: &Args, scene: &Path, reference: &ImageFile, other: &Im
         ..default
     };
     let world = open_scene(scene, &options, Scheme::default())?.world;
-    let request = ImageRequest { outputs: reference.images.outputs(), ids };
+    let request = ImageRequest { outputs: reference.outputs(), ids };
     let plan = FramePlan::new(&world, &sensor, &world_from_sensor, request)?;
-    compare(&reference.images, other, &plan, args.precision.into())
+    compare(reference, other, &plan, args.precision.into())
 }
 
 fn in_words(report: &Report) -> Vec<String> {
@@ -205,6 +218,9 @@ fn in_words(report: &Report) -> Vec<String> {
         "{} pixels: {} same, {} edge, {} coincident, {} faults",
         report.pixels, report.same, report.edge, report.coincident, report.fault
     )];
+    if report.not_predicted > 0 {
+        lines.push(format!("{} more were given up for a deadline and not compared", report.not_predicted));
+    }
     if let Some((column, row)) = report.worst_pixel {
         let w = &report.worst;
         lines.push(format!(

@@ -175,6 +175,7 @@ impl LayerArgs {
             world_from_sensor: prediction.world_from_sensor,
             pose_covariance: layers.map(|layers| layers.boxes.sensor),
             confidence: layers.map(|layers| layers.boxes.confidence),
+            given_up: prediction.given_up().cloned(),
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);

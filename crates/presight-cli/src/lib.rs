@@ -3,6 +3,7 @@
 mod bar;
 mod batch;
 mod compare;
+mod deadline;
 mod doctor;
 #[cfg(feature = "store")]
 mod env;
@@ -13,6 +14,7 @@ mod frame_args;
 mod index;
 mod inspect;
 mod layers;
+mod localize;
 mod outputs;
 pub mod pose;
 pub mod pose_cov;
@@ -23,6 +25,7 @@ mod print;
 mod report;
 mod sensors;
 mod signals;
+mod simulate;
 mod statistics;
 mod summary;
 mod virtual_sensor;
@@ -72,6 +75,8 @@ enum Command {
     Compare(compare::Args),
     Features(Box<features::Args>),
     Doctor(doctor::Args),
+    Localize(Box<localize::Args>),
+    Simulate(simulate::Args),
     #[cfg(feature = "report")]
     Report(report::Args),
     /// Measure error against run time: not in this build
@@ -120,6 +125,8 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Localize(args) => localize::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
         #[cfg(not(feature = "report"))]

@@ -1,5 +1,6 @@
 //! `presight predict`: what a sensor at a pose sees.
 
+use super::deadline::DeadlineArgs;
 use super::file_names::{FileNames, Paths};
 use super::frame_args::FrameArgs;
 use super::layers::{Asked, LayerArgs, Layers};
@@ -156,6 +157,9 @@ pub struct Args {
     #[arg(long, conflicts_with = "explain")]
     pub json: bool,
 
+    #[command(flatten)]
+    deadline: DeadlineArgs,
+
     /// Print what was done, what it cost, what was left out and why
     #[arg(long)]
     explain: bool,
@@ -216,6 +220,7 @@ impl Args {
     fn check(&self) -> Result<Job> {
         self.layers.check(self.asked())?;
         self.virtual_sensor.check()?;
+        self.deadline.check()?;
         self.check_series()?;
         let import = self.import_options()?;
         // From here on it is noted what is read.
@@ -225,6 +230,7 @@ impl Args {
         let stamps: Vec<&str> = poses.iter().map(|(stamp, _)| stamp.as_str()).collect();
         names.add_to(&mut files, &stamps, &sensors)?;
         files.add("--stats", self.stats.as_deref(), &["json"])?;
+        files.add("--costs", self.deadline.costs.as_deref(), &["json"])?;
         files.check_named(self.inputs())?;
         sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
         let threads = Threads::from(self.threads).started()?;
@@ -245,8 +251,12 @@ impl Args {
     }
 
     fn check_series(&self) -> Result<()> {
-        let of_one =
-            [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
+        let of_one = [
+            ("--repeat", self.repeat.is_some()),
+            ("--stats", self.stats.is_some()),
+            ("--explain", self.explain),
+            ("--costs", self.deadline.costs.is_some()),
+        ];
         match of_one.iter().find(|(_, given)| *given && self.is_series()) {
             None => Ok(()),
             Some((flag, _)) => {
@@ -371,7 +381,8 @@ impl Args {
         if self.depth_png.is_some() {
             wanted.push(png::depth_output(sensor));
         }
-        Ok(Request::of(Outputs::of(&wanted)).with_ids(self.scheme()))
+        let request = Request::of(Outputs::of(&wanted)).with_ids(self.scheme());
+        Ok(self.deadline.limit().into_iter().fold(request, Request::with_deadline))
     }
 
     /// What the prediction and its files take of memory.
@@ -438,6 +449,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<Verdict> {
     let (sensor, (_, pose)) = (job.sensors.remove(0), job.poses.remove(0));
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
+    args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
     memory::require(frame.bytes())?;
     let scene = open_scene(&args.scene, &job.import, args.index)?;
@@ -480,6 +492,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<Verdict> {
         false => Vec::new(),
     };
     job.files.check_read()?;
+    args.deadline.write_costs(&predictor)?;
     let paths = job.names.paths(&Names { sensor: &sensor.spec().name, ..Names::default() })?;
     let attributes = args.out.as_ref().map(|_| attributes(args, &scene, &sensor)).transpose()?;
     write_files(args, &paths, &scene, &prediction, attributes, (layers.as_ref(), &sides), reading.as_ref())?;
@@ -515,7 +528,8 @@ pub fn write_files(
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
         let world_from_sensor = Some(prediction.world_from_sensor);
-        exr::write(path, images, args.outputs, &exr::Attributes { world_from_sensor, ..attributes })?;
+        let given_up = prediction.given_up().cloned();
+        exr::write(path, images, args.outputs, &exr::Attributes { world_from_sensor, given_up, ..attributes })?;
     }
     if let Some(path) = &paths.png {
         let overlay = prediction.features.as_ref().map(|features| png::Overlay {
@@ -526,7 +540,9 @@ pub fn write_files(
             numbers: args.layers.numbers(),
         });
         let mark = reading.and_then(VirtualReading::mask);
-        png::write_preview_with(path, images, sensor, args.png_of, overlay.as_ref(), mark)?;
+        let given_up = prediction.not_predicted();
+        let marks = png::Marks { overlay: overlay.as_ref(), mask: mark, given_up: &given_up };
+        png::write_preview_with(path, images, sensor, args.png_of, &marks)?;
     }
     args.layers.write(scene, prediction, layers, reading, paths.features.as_deref())?;
     args.virtual_sensor.tell(reading, paths.mask.as_deref(), args.layers.writes_something())?;
@@ -560,6 +576,7 @@ pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::At
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),
         ids: Some(args.scheme()),
+        given_up: None,
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
 }

@@ -1,5 +1,6 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
+use presight::deadline::Kept;
 use presight::plan::{LeftOut, StageRow, Stats, Taken, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -55,6 +56,9 @@ pub struct Statistics {
     taken: Vec<Taken>,
     left_out: Vec<LeftOut>,
     notices: Vec<String>,
+    /// How the last prediction's deadline was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    deadline: Option<Kept>,
     #[serde(skip)]
     rows: Vec<StageRow>,
 }
@@ -121,6 +125,7 @@ impl Statistics {
             taken: last.taken,
             left_out,
             notices: last.notices,
+            deadline: last.deadline,
             rows,
         }
     }
@@ -153,6 +158,11 @@ impl Statistics {
             1 => format!("time      {:.2} ms", ms.median),
             n => format!("time      {:.2} ms median, {:.2} p95, {:.2} min of {n}", ms.median, ms.p95, ms.min),
         });
+        if let Some(kept) = &self.deadline {
+            let Kept { deadline_ms, time_ms, estimate_ms, .. } = kept;
+            lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
+            lines.extend(kept.given_up.iter().map(|given_up| format!("given up  {}", given_up.summary())));
+        }
         let counts = || {
             let of_work = self.work.counts().into_iter().filter(|(_, n)| *n > 0);
             self.counts.0.iter().map(|(name, n)| (name.as_str(), *n)).chain(of_work)

@@ -248,8 +248,11 @@ mod tests {
             assert!(!near || at.truncate().length() <= 1.0 + 1e-6 && (0.0..=1.0).contains(&at.z), "{what}: {at}");
         }
         // A hundred around one edge are far from the limit.
-        let hundred = steps_of(&fan(100));
-        assert!(hundred < limits::MAX_FEATURE_STEPS / 100, "{hundred}");
+        let hundred = fan(100);
+        let effort = Effort::new(&hundred, &|_| {});
+        generate_with(&hundred, "video", &GenerateOptions::default(), &effort).unwrap();
+        let taken = effort.taken.load(Relaxed);
+        assert!(taken < limits::MAX_FEATURE_STEPS / 1000, "{taken}");
     }
 
     #[test]

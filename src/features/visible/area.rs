@@ -206,7 +206,8 @@ impl Judge<'_> {
         let straight = matches!(self.frame.sensor.grid(), PixelGrid::Lines(_));
         if area.plain && straight {
             let ends = [run.start, run.end - 1].map(|sample| self.place(span.line, sample, area));
-            if let Some(state) = self.state_between(ends, id, area) {
+            let state = self.state_between(ends, id, area).filter(|_| id != 0 || !self.frame.options.is_partial);
+            if let Some(state) = state {
                 self.stats.samples += run.len();
                 return self.take_pixels(span, run, state, area, tally);
             }
@@ -219,6 +220,7 @@ impl Judge<'_> {
             let reason = if area.plain { None } else { self.before_occlusion(&one, range, area.own) };
             let state = match reason {
                 Some(reason) => Some(State::Hidden(reason, None)),
+                None if self.is_not_predicted(span.line, sample) => Some(State::Hidden(Reason::NotPredicted, None)),
                 None => {
                     self.stats.samples += 1;
                     self.state_between([at; 2], id, area)
@@ -233,6 +235,11 @@ impl Judge<'_> {
                 }
             }
         }
+    }
+
+    /// True of a pixel that the images say nothing of. Ids alone do not tell it from one that sees nothing.
+    fn is_not_predicted(&self, line: u32, sample: u32) -> bool {
+        self.frame.options.is_partial && self.frame.images.is_open(self.number_at(line, sample))
     }
 
     /// What is true of two places, and of all between them, of which the image shows the same surface; `None` if more than the

@@ -67,11 +67,21 @@ pub struct FeatureSettings {
     /// fractions more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
     /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many where the step is finer.
     pub step: f64,
+    /// The images gave something up for a deadline: where they are NaN with id 0, they say nothing. Large patches, which the
+    /// images decide about, are [`crate::features::Reason::NotPredicted`] there; all else is found in space, as always.
+    pub is_partial: bool,
 }
 
 impl Default for FeatureSettings {
     fn default() -> Self {
-        Self { time: None, ids: IdScheme::default(), feature_id: false, visibility: Visibility::default(), step: STEP }
+        Self {
+            time: None,
+            ids: IdScheme::default(),
+            feature_id: false,
+            visibility: Visibility::default(),
+            step: STEP,
+            is_partial: false,
+        }
     }
 }
 

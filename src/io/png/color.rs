@@ -35,6 +35,8 @@ pub fn by_distance(share: f64) -> Rgb {
 
 /// Marked pixels.
 const MARKED: Rgb = [0x35, 0xd0, 0xff];
+/// Stripes over what was given up.
+const GIVEN_UP: Rgb = [0x7a, 0x80, 0x8c];
 
 /// Grey that looks evenly stepped.
 pub fn grey(share: f64) -> Rgb {
@@ -101,6 +103,16 @@ impl Palette {
         if pixels.contains(&true) {
             self.specials.push((MARKED, "marked"));
         }
+    }
+
+    /// Hatches pixels that were given up.
+    pub fn hatch(&mut self, given_up: &[bool], width: u32) {
+        let is_dark = |at: usize| (at % width as usize + at / width as usize) % 6 < 3;
+        for (at, color) in self.colors.iter_mut().enumerate().filter(|(at, _)| given_up[*at]) {
+            *color = if is_dark(at) { GIVEN_UP } else { MISS };
+        }
+        self.specials.retain(|(_, name)| *name != "no ray");
+        self.specials.push((GIVEN_UP, "not predicted"));
     }
 
     pub fn color(&self, pixel: usize) -> Rgb {

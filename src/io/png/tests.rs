@@ -45,7 +45,7 @@ fn place_of(canvas: &Canvas, color: [u8; 3]) -> [f64; 2] {
 fn left_is_left_and_top_is_top() {
     let near = color::by_distance(0.0);
     for (sensor, left) in [(camera(), true), (scanner(10.0, 2), false), (scanner(-10.0, 2), true)] {
-        let canvas = preview(&near_corner(&sensor), &sensor, Output::Range, None, None).unwrap();
+        let canvas = preview(&near_corner(&sensor), &sensor, Output::Range, &Marks::default()).unwrap();
         let [x, y] = place_of(&canvas, near);
         assert_eq!(x < 0.4, left, "{}: {x}", sensor.spec().name);
         assert_eq!(x > 0.6, !left, "{}: {x}", sensor.spec().name);
@@ -57,7 +57,7 @@ fn left_is_left_and_top_is_top() {
 fn a_scan_of_one_row_is_seen_from_above() {
     for (step, left) in [(10.0, false), (-10.0, true)] {
         let sensor = scanner(step, 1);
-        let canvas = preview(&near_corner(&sensor), &sensor, Output::Range, None, None).unwrap();
+        let canvas = preview(&near_corner(&sensor), &sensor, Output::Range, &Marks::default()).unwrap();
         let [x, _] = place_of(&canvas, color::by_distance(0.0));
         let [_, far_y] = place_of(&canvas, color::by_distance(1.0));
         assert_eq!(x < 0.5, left, "beam 0 at {x}");
@@ -73,17 +73,17 @@ fn every_output_of_every_shape_can_be_drawn() {
         let odd = [f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 1e30];
         images.range.iter_mut().zip(odd.iter().cycle()).for_each(|(v, o)| *v = *o);
         for output in Output::ALL {
-            preview(&images, &sensor, output, None, None).unwrap();
+            preview(&images, &sensor, output, &Marks::default()).unwrap();
         }
         images.range.fill(f32::INFINITY);
-        preview(&images, &sensor, Output::Range, None, None).unwrap();
+        preview(&images, &sensor, Output::Range, &Marks::default()).unwrap();
     }
 }
 
 #[test]
 fn an_image_that_is_not_there_is_an_error() {
-    assert!(preview(&near_corner(&camera()), &camera(), Output::ObjectId, None, None).is_err());
-    assert!(preview(&near_corner(&camera()), &scanner(1.0, 3), Output::Range, None, None).is_err());
+    assert!(preview(&near_corner(&camera()), &camera(), Output::ObjectId, &Marks::default()).is_err());
+    assert!(preview(&near_corner(&camera()), &scanner(1.0, 3), Output::Range, &Marks::default()).is_err());
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! The command from outside: what it writes, what it says, and with which exit status.
 
+mod deadline;
 mod features;
 mod frames;
+mod localize;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;

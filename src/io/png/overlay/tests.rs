@@ -2,8 +2,8 @@
 
 use super::super::canvas::{Canvas, Rgb};
 use super::super::pen::{HIDDEN, SEEN};
-use super::super::preview;
 use super::super::view::{FOOTER, HEADER, MARGIN};
+use super::super::{Marks, preview};
 use super::*;
 use crate::environment::{Existence, Feature, Properties};
 use crate::features::{HiddenInterval, Reason, VisibleInterval};
@@ -64,7 +64,7 @@ fn draw(sensor: &Sensor, features: Vec<SeenFeature>, sides: &[SeenFeature], numb
     let of = |features| FeaturePrediction { features, ..FeaturePrediction::default() };
     let draw = |features: &FeaturePrediction, sides| {
         let overlay = Overlay { features, sides, sensor, world_from_sensor: &Pose::IDENTITY, numbers };
-        preview(&images, sensor, Output::Range, Some(&overlay), None).unwrap()
+        preview(&images, sensor, Output::Range, &Marks { overlay: Some(&overlay), ..Marks::default() }).unwrap()
     };
     let (page, blank) = (draw(&of(features), sides), draw(&of(Vec::new()), &[]));
     let all = (0..i64::from(page.height())).flat_map(|y| (0..i64::from(page.width())).map(move |x| (x, y)));

@@ -1,0 +1,106 @@
+//! `presight simulate`: a log of what a robot's depth camera would measure on a drive.
+
+use super::outputs::OutputFiles;
+use super::{Verdict, folder, open_scene};
+use presight::frame::Frame;
+use presight::index::Scheme;
+use presight::io::atomic::write_atomically;
+use presight::io::gltf::ImportOptions;
+use presight::io::{depth_folder, load_sensor, png, sensor_toml, tum};
+use presight::simulate::{Disturbances, Simulator};
+use presight::{Backend, Error, Images, Options, Predictor, Result, Threads};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight simulate hall.glb --sensor laser-range-camera --poses drive.tum --out run
+  presight localize run --map hall.glb --sensor run/sensor.toml --init reference --out run.tum";
+
+/// Simulate a log: depth images of a drive with noise, drop-outs and mixed pixels, and the truth beside them
+///
+/// DIR gets what `localize` reads - camera.json, depth/*.png, poses.txt - and sensor.toml. Depths are whole millimetres. The
+/// same seed gives the same log.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
+    scene: PathBuf,
+
+    /// The camera, with its noise and mount
+    #[arg(long, value_name = "PRESET|FILE")]
+    sensor: String,
+
+    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw, times of at least 0
+    #[arg(long, value_name = "FILE.tum")]
+    poses: PathBuf,
+
+    /// Write the log into this folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Which noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+
+    /// Share of the pixels without a measurement
+    #[arg(long, value_name = "SHARE", default_value_t = Disturbances::default().drop_outs)]
+    drop_outs: f64,
+
+    /// Share of the pixels at edges that measure something in between
+    #[arg(long, value_name = "SHARE", default_value_t = Disturbances::default().mixed_pixels)]
+    mixed_pixels: f64,
+
+    /// CPU threads, 0 = all cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the scene, the sensor and the poses, and of writing.
+pub fn run(args: &Args) -> Result<Verdict> {
+    let mut files = OutputFiles::new();
+    files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml"])?;
+    files.check_named([args.scene.as_path(), args.poses.as_path(), Path::new(&args.sensor)])?;
+    let (sensor, notices) = load_sensor(&args.sensor)?;
+    super::print::notices(&notices);
+    let camera = depth_folder::camera_json(&sensor)?;
+    let poses = tum::read(&args.poses)?;
+    if let Some(early) = poses.iter().find(|p| p.time < 0.0) {
+        let what = format!("a time of {} s", early.time);
+        return Err(Error::invalid(what, "give times of at least 0: images are named by them").in_file(&args.poses));
+    }
+    let threads = Threads::from(args.threads).started()?;
+    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+    let scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
+    let disturbances =
+        Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
+    let mut simulator = Simulator::new(predictor, sensor.clone(), disturbances, args.seed)?;
+    files.check_read()?;
+    folder::ready(&args.out)?;
+    folder::ready(&args.out.join("depth"))?;
+    for pose in &poses {
+        let frame = simulator.frame(&scene.world, pose.time, &pose.pose)?;
+        let path = args.out.join("depth").join(depth_folder::image_name(pose.time));
+        super::print::notices(&png::write_depth(&path, &images(&frame), &sensor)?);
+    }
+    let write = |name: &str, text: &str| write_atomically(&args.out.join(name), |file| file.write_all(text.as_bytes()));
+    write("camera.json", &camera)?;
+    write("sensor.toml", &sensor_toml::to_string(sensor.spec()))?;
+    write("poses.txt", &depth_folder::poses_txt(&sensor, &poses))?;
+    Ok(Verdict::Done)
+}
+
+/// The ranges of a frame as depths.
+fn images(frame: &Frame) -> Images {
+    let sensor = frame.sensor();
+    let width = sensor.width();
+    let depth = |(i, range): (usize, &f32)| {
+        let ray = sensor.ray(i as u32 % width, i as u32 / width);
+        ray.map_or(f32::NAN, |ray| (f64::from(*range) * ray.z) as f32)
+    };
+    let depth_z = frame.ranges().iter().enumerate().map(depth).collect();
+    Images { width, height: sensor.height(), depth_z, ..Images::default() }
+}

@@ -1,0 +1,51 @@
+//! Deadlines on the command line.
+
+use super::*;
+
+const PREDICT: &str = "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu --threads 1";
+
+#[test]
+fn a_deadline_is_told_and_costs_are_kept() {
+    let place = Place::new();
+    let line = format!("{PREDICT} --deadline-ms 60000 --costs costs.json --explain --stats stats.json --out a.exr");
+    let said = place.done(&line);
+    assert!(said.contains("deadline  ") && said.contains(" of 60000 ms"), "{said}");
+    let costs = fs::read_to_string(place.path("costs.json")).unwrap();
+    let stats: Value = serde_json::from_str(&fs::read_to_string(place.path("stats.json")).unwrap()).unwrap();
+    assert_eq!((&stats["deadline"]["deadline_ms"], &stats["deadline"]["given_up"]), (&json!(60000.0), &Value::Null));
+    assert!(stats["counts"]["samples tested"].as_u64() > Some(0) && stats["counts"]["waves"] == 1);
+    assert_eq!(place.images("a.exr").attributes.given_up, None);
+    // It goes on from there.
+    place.done(&line);
+    let frames = |text: &str| serde_json::from_str::<Value>(text).unwrap()["models"][0]["frames"].as_u64().unwrap();
+    assert!(frames(&fs::read_to_string(place.path("costs.json")).unwrap()) > frames(&costs));
+}
+
+#[test]
+fn deadlines_that_cannot_be_are_wrong_usage_and_what_cannot_be_done_is_status_4() {
+    let place = Place::new();
+    for wrong in ["0", "-3", "NaN", "inf", "1e300"] {
+        let outcome = place.run(&format!("{PREDICT} --deadline-ms {wrong} --out a.exr"));
+        assert_eq!(outcome.status, Some(2), "{wrong}: {}", outcome.stderr);
+        assert!(outcome.stderr.contains("--deadline-ms"), "{}", outcome.stderr);
+    }
+    let outcome = place.run(&format!("{PREDICT} --deadline-ms 0.000001 --out a.exr"));
+    assert_eq!(outcome.status, Some(4), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("nothing can be predicted within"), "{}", outcome.stderr);
+    assert_eq!(place.run(&format!("{PREDICT} --costs costs.json")).status, Some(2), "costs without a deadline");
+    assert_eq!(place.names(), ["wall.glb"]);
+}
+
+#[test]
+fn broken_costs_are_named_and_kept() {
+    let place = Place::new();
+    for (text, said) in
+        [("{}", "has no format"), ("{\"format\": 9, \"models\": []}", "newer"), ("no", "no file of costs")]
+    {
+        place.write("costs.json", text.as_bytes());
+        let outcome = place.run(&format!("{PREDICT} --deadline-ms 60000 --costs costs.json"));
+        assert_eq!(outcome.status, Some(1), "{text}: {}", outcome.stderr);
+        assert!(outcome.stderr.contains("costs.json") && outcome.stderr.contains(said), "{}", outcome.stderr);
+        assert_eq!(fs::read_to_string(place.path("costs.json")).unwrap(), text);
+    }
+}

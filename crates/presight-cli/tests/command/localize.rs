@@ -1,0 +1,65 @@
+//! `presight simulate` and `presight localize`: a drive is simulated, followed, and compared with what it was.
+
+use super::Place;
+use presight::io::tum;
+use std::fs;
+
+const CAMERA: &str = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 80\nheight = 60\nfx = 70.0\nfy = 70.0\ncx = 39.5\n\
+    cy = 29.5\nrange_max = 10.0\n[noise]\nrange_sigma = 0.005\n[mount]\nxyz = [0.1, 0.0, 0.3]\nrpy_deg = [0.0, 12.0, 0.0]\n";
+
+/// A place with a room and the log of a drive through it.
+fn drive() -> Place {
+    let place = Place::new();
+    let room = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
+    fs::copy(room, place.path("room.glb")).unwrap();
+    place.write("camera.toml", CAMERA.as_bytes());
+    let line = |k: usize| {
+        let (x, half) = (0.3 + 0.02 * k as f64, 0.5 * (0.66 + 0.01 * k as f64));
+        format!("{} {x} 0.35 1.35 0 0 {} {}\n", 10 + k, half.sin(), half.cos())
+    };
+    place.write("drive.tum", (0..8).map(line).collect::<String>().as_bytes());
+    let made = place.run("simulate room.glb --sensor camera.toml --poses drive.tum --out log");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    place
+}
+
+#[test]
+fn a_simulated_drive_is_followed() {
+    let place = drive();
+    let line = "localize log --map room.glb --sensor log/sensor.toml --init reference --out run.tum";
+    let done = place.run(line);
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    assert!(done.stdout.contains("8 of 8 frames have a pose"), "{}", done.stdout);
+    assert!(done.stdout.contains("against the log's own poses"), "{}", done.stdout);
+    let (found, truth) = (tum::read(&place.path("run.tum")).unwrap(), tum::read(&place.path("drive.tum")).unwrap());
+    assert_eq!(found.len(), truth.len());
+    for (f, t) in found.iter().zip(&truth) {
+        assert_eq!(f.time, t.time);
+        assert!(f.pose.translation.distance(t.pose.translation) < 0.01, "{f:?} {t:?}");
+        assert!(f.pose.rotation.angle_between(t.pose.rotation) < 0.01, "{f:?} {t:?}");
+    }
+    let details = fs::read_to_string(place.path("run.jsonl")).unwrap();
+    let last: serde_json::Value = serde_json::from_str(details.lines().last().unwrap()).unwrap();
+    assert_eq!(last["state"], "tracking");
+    assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
+}
+
+#[test]
+fn what_is_wrong_with_a_log_is_named() {
+    let place = drive();
+    let run = |log: &str, init: &str| place.run(&format!("localize {log} --map room.glb --init {init} --out x.tum"));
+    let refused = |log: &str, init: &str, status: i32, told: &str| {
+        let done = run(log, init);
+        assert!(done.status == Some(status) && done.stderr.contains(told), "{done:?}");
+        assert!(!place.path("x.tum").exists());
+    };
+    refused("nowhere", "0,0,1,0,0,0", 1, "camera.json");
+    refused("log", "0,0,nan,0,0,0", 2, "--init");
+    fs::remove_file(place.path("log/poses.txt")).unwrap();
+    refused("log", "reference", 2, "no poses");
+    let images: Vec<_> = fs::read_dir(place.path("log/depth")).unwrap().map(|e| e.unwrap().path()).collect();
+    let bytes = fs::read(&images[0]).unwrap();
+    fs::write(&images[0], &bytes[..bytes.len() / 2]).unwrap();
+    let name = images[0].file_name().unwrap().to_str().unwrap().to_owned();
+    refused("log", "0.3,0.35,1.35,0,0,38", 1, &name);
+}

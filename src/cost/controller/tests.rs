@@ -1,0 +1,192 @@
+//! Recorded counts and times, replayed: no clock runs here.
+
+use super::*;
+use crate::deadline::{GivenUp, Kept};
+use crate::environment::Environment;
+use crate::geometry::Pose;
+use crate::world::World;
+use std::sync::Mutex;
+
+/// Stands until it is set.
+#[derive(Debug, Default)]
+struct Standing(Mutex<Duration>);
+
+impl Standing {
+    fn pass(&self, microseconds: f64) {
+        *self.0.lock().unwrap() += Duration::from_secs_f64(microseconds * 1e-6);
+    }
+}
+
+impl Clock for Standing {
+    fn now(&self) -> Duration {
+        *self.0.lock().unwrap()
+    }
+}
+
+/// An engine by its recorded times, microseconds.
+#[derive(Clone, Copy)]
+struct Recorded {
+    selection: f64,
+    /// For each polygon.
+    polygon: f64,
+    images: f64,
+    /// All of it takes so many times as long.
+    slow: f64,
+}
+
+const RECORDED: Recorded = Recorded { selection: 200.0, polygon: 1.0, images: 500.0, slow: 1.0 };
+
+struct Replay {
+    clock: Arc<Standing>,
+    controller: Controller,
+    world: World,
+    sensor: Sensor,
+}
+
+/// What became of a frame.
+#[derive(Debug)]
+struct Frame {
+    took_us: f64,
+    kept: Kept,
+    drawn: usize,
+    radius: Option<f32>,
+}
+
+impl Replay {
+    fn new() -> Self {
+        let clock = Arc::new(Standing::default());
+        let mut controller = Controller::default();
+        controller.set_clock(clock.clone());
+        let sensor = crate::io::preset("laser-scanner").unwrap();
+        Self { clock, controller, world: World::new(Environment::new()), sensor }
+    }
+
+    /// A frame of runs of 10 polygons each, a decimetre apart, by an engine that stops between two runs.
+    fn frame(&mut self, deadline_us: f64, runs: usize, recorded: Recorded) -> Result<Frame> {
+        let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
+        let mut timed =
+            self.controller.begin(Some(deadline), Some(1), (&self.sensor, outputs))?.expect("it has a deadline");
+        self.clock.pass(recorded.selection * recorded.slow);
+        let mut plan = FramePlan::new(&self.world, &self.sensor, &Pose::IDENTITY, outputs)?;
+        plan.runs = (0..runs).map(|i| Run { instance: 0, first: 0, count: 10, nearest: 0.1 * i as f32 }).collect();
+        self.controller.plan(&mut timed, &mut plan)?;
+        let watch = plan.watch.clone().expect("it has a deadline");
+        let mut drawn = 0;
+        while drawn < plan.runs.len() && !watch.is_over() {
+            self.clock.pass(10.0 * recorded.polygon * recorded.slow);
+            drawn += 1;
+        }
+        let drawn_ms = watch.elapsed().as_secs_f64() * 1e3;
+        self.clock.pass(recorded.images * recorded.slow);
+        let stopped = drawn < plan.runs.len();
+        let clock = MeansTaken { means: Means::Clock, at_ms: drawn_ms, metres: 0.0 };
+        let given_up = (stopped || plan.radius.is_some()).then(|| GivenUp {
+            complete_to: 0.0,
+            samples: 1,
+            means: stopped.then_some(clock).into_iter().collect(),
+        });
+        let mut stats = Stats { deadline: Some(Kept { drawn_ms, given_up, ..Kept::default() }), ..Stats::default() };
+        stats.count("runs selected", plan.runs.len());
+        stats.count("polygons set up", 10 * drawn);
+        self.controller.end(&timed, &mut stats);
+        let took_us = watch.elapsed().as_secs_f64() * 1e6;
+        Ok(Frame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius })
+    }
+
+    /// Fifty frames without need.
+    fn learn(&mut self) {
+        for k in 0..50 {
+            self.frame(1e9, 100 + 17 * (k % 20), RECORDED).unwrap();
+        }
+    }
+}
+
+#[test]
+fn whole_frames_give_nothing_up_and_costs_are_found() {
+    let mut replay = Replay::new();
+    replay.learn();
+    let frame = replay.frame(1e9, 300, RECORDED).unwrap();
+    assert_eq!((frame.drawn, frame.radius, frame.kept.given_up), (300, None, None));
+    // 200 + 3000 + 500 microseconds.
+    assert!((frame.kept.time_ms - 3.7).abs() < 1e-6, "{}", frame.kept.time_ms);
+    assert!((frame.kept.estimate_ms / 3.7 - 1.0).abs() < 0.02, "{}", frame.kept.estimate_ms);
+}
+
+#[test]
+fn deadlines_are_kept_by_stopping_in_time_for_the_images() {
+    let mut replay = Replay::new();
+    replay.learn();
+    for deadline in [1000.0, 1500.0, 2500.0, 3500.0] {
+        let frame = replay.frame(deadline, 300, RECORDED).unwrap();
+        assert!(frame.took_us <= deadline, "{} of {deadline}", frame.took_us);
+        // What is kept back is what images take, and the margin: little more is given up than must be.
+        let possible = (deadline - 700.0) / 10.0;
+        assert!(
+            frame.drawn as f64 > possible - 25.0 && (frame.drawn as f64) < possible,
+            "{} of {possible}",
+            frame.drawn
+        );
+    }
+}
+
+/// The radius is cut by what surely cannot be drawn; by hand: 1000 microseconds less 200, 500 and 100 are 20 runs of 10.
+#[test]
+fn a_radius_is_a_prefix_of_the_runs() {
+    let mut replay = Replay::new();
+    replay.learn();
+    let frame = replay.frame(1000.0, 300, RECORDED).unwrap();
+    let radius = frame.radius.expect("it is cut");
+    // Runs within 2 m are never cut, and 20 of them are.
+    assert!((2.0..2.4).contains(&radius), "{radius}");
+    let means = &frame.kept.given_up.as_ref().unwrap().means;
+    assert_eq!(means[0].means, Means::Radius);
+    assert!((means[0].metres - f64::from(radius)).abs() < 1e-9);
+    // Rounded down: nothing that was cut off is nearer.
+    let first_out = (0..300).map(|i| 0.1 * i as f32).find(|nearest| *nearest > radius).unwrap();
+    assert!(radius < first_out && radius > first_out - 1e-5);
+    // A frame that fits is not cut.
+    assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().radius, None);
+}
+
+#[test]
+fn a_machine_that_gets_busy_is_planned_for_in_a_few_frames() {
+    let mut replay = Replay::new();
+    replay.learn();
+    let busy = Recorded { slow: 3.0, ..RECORDED };
+    let late: Vec<bool> = (0..40).map(|_| replay.frame(4000.0, 300, busy).is_ok_and(|f| f.took_us > 4000.0)).collect();
+    assert!(late[0], "nobody could know");
+    assert!(late[4..].iter().all(|late| !late), "{late:?}");
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_at_once_and_tried_when_that_may_be_wrong() {
+    let mut replay = Replay::new();
+    replay.learn();
+    for _ in 0..500 {
+        let before = replay.clock.now();
+        let refused = replay.frame(200.0, 300, RECORDED).unwrap_err();
+        assert_eq!((refused.kind(), replay.clock.now()), (ErrorKind::Deadline, before));
+        assert!(refused.to_string().contains("; give 0."), "{refused}");
+    }
+    // A machine that was three times as slow for long, and is no longer: its estimates are doubted until one frame is tried.
+    let busy = Recorded { slow: 3.0, ..RECORDED };
+    (0..300).for_each(|_| drop(replay.frame(1e9, 300, busy)));
+    let tries = (0..200).position(|_| replay.frame(1100.0, 300, RECORDED).is_ok());
+    assert!(tries.is_some_and(|tries| tries < 100), "{tries:?}");
+}
+
+/// The same records give the same decisions, to the bit, also from a saved model.
+#[test]
+fn decisions_replay() {
+    let run = |saved: bool| {
+        let mut replay = Replay::new();
+        replay.learn();
+        if saved {
+            let text = crate::io::costs::to_text(&replay.controller.costs);
+            replay.controller.costs = crate::io::costs::parse(&text).unwrap();
+        }
+        let frames = (1..60).map(|k| replay.frame(60.0 * f64::from(k), 300, RECORDED).map_err(|e| e.to_string()));
+        format!("{:?}", frames.collect::<Vec<_>>())
+    };
+    assert_eq!(run(false), run(true));
+}

@@ -1,0 +1,340 @@
+//! Residuals of range images: how far measured points are from the planes of the polygons that are predicted there.
+//!
+//! A measured point x of a ray u is compared with the polygon of the nearest predicted point in a window of the predicted image,
+//! as wide as the pose is uncertain. Its residual is e = n x - d, with the exact plane (n, d) of that polygon; by a motion of the
+//! robot at c it changes by J = [n, (x - c) cross n]. Its variance is that of the measurement along n.
+
+use super::normal::{GroupSum, Normal, Shared};
+use super::{Gate, Kernel, Residuals};
+use crate::frame::{Frame, RangeNoise};
+use crate::geometry::Pose;
+use crate::motion::{add_to, apply, product, sandwich, turn};
+use crate::verdict::{Expected, body_from_image};
+use crate::virtual_sensors::symmetric::Matrix;
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+/// Surfaces that a ray meets flatter than this say too little along the ray, cosine.
+const FLATTEST: f64 = 0.1;
+/// Residuals up to so many standard deviations are explained.
+pub(crate) const EXPLAINED: f64 = 3.3;
+/// Beyond so many standard deviations the last kernel gives no weight (Tukey's biweight, 95 % efficient).
+const TUKEY: f64 = 4.685;
+/// Most probes of a window in one direction from its middle.
+const PROBES: i32 = 6;
+/// Points of one task.
+const CHUNK: usize = 512;
+
+/// A range image and what was expected of it.
+pub struct RangeSource<'a> {
+    expected: &'a Expected,
+    noise: RangeNoise,
+    robot_from_image: Pose,
+    /// Measured points that are worth looking at, image frame.
+    points: &'a [MeasuredPoint],
+    /// Objects whose surfaces count; all if `None`.
+    only: Option<u32>,
+}
+
+/// A measured point with the normal of the surface through its neighbours; 0 where there is none. Image frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredPoint {
+    /// Metres.
+    pub point: Vec3,
+    /// Unit length, towards the sensor.
+    pub normal: Vec3,
+}
+
+/// The measured points of a frame, image frame, metres: those with a finite range within the sensor's limits.
+pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
+    let sensor = frame.sensor();
+    let width = sensor.width() as usize;
+    let spec = sensor.spec();
+    let height = sensor.height() as usize;
+    let point = |(i, range): (usize, &f32)| {
+        let range = f64::from(*range);
+        let inside = range.is_finite() && range >= spec.range_min && range <= spec.range_max;
+        let ray = inside.then(|| sensor.ray((i % width) as u32, (i / width) as u32)).flatten();
+        ray.map_or(Vec3::NAN, |ray| (range * ray).as_vec3())
+    };
+    let points: Vec<Vec3> = frame.ranges().iter().enumerate().map(point).collect();
+    let at = |c: usize, r: usize| points[r * width + c];
+    let mut found = Vec::with_capacity(points.len());
+    for r in 0..height {
+        for c in 0..width {
+            let p = at(c, r);
+            if p.is_nan() {
+                continue;
+            }
+            let slope = |before: Vec3, after: Vec3| after - before;
+            const N: usize = 2;
+            let across = slope(at(c.saturating_sub(N), r), at((c + N).min(width - 1), r));
+            let down = slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)));
+            let n = across.cross(down).normalize_or_zero();
+            let n = if n.is_nan() {
+                Vec3::ZERO
+            } else if n.dot(p) > 0.0 {
+                -n
+            } else {
+                n
+            };
+            found.push(MeasuredPoint { point: p, normal: n });
+        }
+    }
+    found
+}
+
+/// What one chunk of points adds; J in the axes of the expected image.
+#[derive(Clone)]
+struct Sum {
+    information: Matrix,
+    noise: Matrix,
+    gradient: [f64; 6],
+    cost: f64,
+    explained: usize,
+    normalized: Vec<f32>,
+    groups: HashMap<Shared, GroupSum>,
+}
+
+impl Default for Sum {
+    fn default() -> Self {
+        let zero = [[0.0; 6]; 6];
+        Self {
+            information: zero,
+            noise: zero,
+            gradient: [0.0; 6],
+            cost: 0.0,
+            explained: 0,
+            normalized: Vec::new(),
+            groups: HashMap::new(),
+        }
+    }
+}
+
+impl<'a> RangeSource<'a> {
+    /// A source of measured points (see [`measured_points`]) and what is expected of them. `robot_from_sensor` is the sensor's
+    /// mount.
+    pub fn new(expected: &'a Expected, points: &'a [MeasuredPoint], noise: RangeNoise) -> Self {
+        let mount = expected.sensor.spec().mount;
+        Self { expected, noise, robot_from_image: mount * body_from_image(&expected.sensor), points, only: None }
+    }
+
+    /// Only the surfaces of one object count: for a pose relative to it.
+    #[must_use]
+    pub fn only(self, object: u32) -> Self {
+        Self { only: Some(object), ..self }
+    }
+
+    /// The expected pixel nearest to a point, both in the expected image's frame, and its distance squared.
+    fn nearest(&self, q: Vec3, m: Vec3, lambda2: f32, half: (i32, i32)) -> Option<(usize, f32)> {
+        let e = self.expected;
+        let (u, v) = self.project(q)?;
+        let (w, h) = (e.width as i32, e.height as i32);
+        let (u, v) = (u.round(), v.round());
+        let near = |x: f32, side: i32, half: i32| x >= -(half as f32) && x <= (side + half) as f32;
+        if !(near(u, w, half.0) && near(v, h, half.1)) {
+            return None;
+        }
+        let (mut cu, mut cv) = (u as i32, v as i32);
+        let mut best: Option<(usize, f32)> = None;
+        let (mut hu, mut hv) = half;
+        loop {
+            let (su, sv) = ((hu + PROBES - 1) / PROBES, (hv + PROBES - 1) / PROBES);
+            let (su, sv) = (su.max(1), sv.max(1));
+            let (nu, nv) = (hu / su, hv / sv);
+            let (mut bu, mut bv) = (cu, cv);
+            for j in -nv..=nv {
+                let row = cv + j * sv;
+                if row < 0 || row >= h {
+                    continue;
+                }
+                for i in -nu..=nu {
+                    let column = cu + i * su;
+                    if column < 0 || column >= w {
+                        continue;
+                    }
+                    let at = (row * w + column) as usize;
+                    let pixel = &e.pixels[at];
+                    let agree = pixel.normal.dot(m);
+                    let agree = if pixel.offset > 0.0 { -agree } else { agree };
+                    let apart = pixel.point.distance_squared(q) + lambda2 * (1.0 - agree);
+                    if best.is_none_or(|(_, b)| apart < b) && apart.is_finite() {
+                        best = Some((at, apart));
+                        (bu, bv) = (column, row);
+                    }
+                }
+            }
+            if su == 1 && sv == 1 {
+                return best;
+            }
+            (cu, cv) = (bu, bv);
+            (hu, hv) = ((su - 1).max(0), (sv - 1).max(0));
+        }
+    }
+
+    fn project(&self, q: Vec3) -> Option<(f32, f32)> {
+        if let crate::Geometry::Camera(c) = &self.expected.sensor.spec().geometry
+            && c.distortion.is_none()
+        {
+            let s = 1.0 / q.z;
+            return (q.z > 0.0).then_some((q.x * s * c.fx as f32 + c.cx as f32, q.y * s * c.fy as f32 + c.cy as f32));
+        }
+        self.expected.sensor.project(q.as_dvec3()).map(|(u, v)| (u as f32, v as f32))
+    }
+
+    fn add_point(&self, sum: &mut Sum, p: MeasuredPoint, moved: &Moved, gate: &Gate) {
+        let (p, m) = (p.point, p.normal);
+        let q = moved.expected_from_now.transform_point3(p.as_dvec3());
+        let range = f64::from(p.length());
+        let reach = gate.translation + gate.rotation * range;
+        let flat = if self.expected.sensor.is_camera() { 1.0 } else { (p.truncate().length() / p.length()).max(0.1) };
+        let half = |spacing: f64, slant: f64| ((reach / (range * spacing * slant)).ceil() as i32).clamp(1, 1 << 12);
+        let (su, sv) = self.expected.spacing;
+        let half = (half(su, f64::from(flat)), half(sv, 1.0));
+        let constant = gate.kernel.most();
+        let lambda = (reach) as f32;
+        let m = moved.expected_from_now.transform_vector3(m.as_dvec3()).as_vec3();
+        let Some((at, _)) = self.nearest(q.as_vec3(), m, lambda * lambda, half) else {
+            sum.cost += constant;
+            return;
+        };
+        let pixel = &self.expected.pixels[at];
+        let apart = pixel.point.distance_squared(q.as_vec3());
+        let normal = pixel.normal.as_dvec3();
+        let sight = q - moved.centre;
+        let cos = normal.dot(sight).abs() / sight.length();
+        // A neighbour's point may be as far as the pixels are apart on the surface.
+        let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
+        let sigma = self.noise.variance_along_normal(range, cos).max(1e-12).sqrt();
+        let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
+        let counts = self.only.is_none_or(|o| o == pixel.object);
+        if !(f64::from(apart) <= within * within) || cos < FLATTEST || !counts {
+            sum.cost += constant;
+            return;
+        }
+        let e = normal.dot(q) - f64::from(pixel.offset);
+        let normalized = e / sigma;
+        sum.normalized.push(normalized.abs() as f32);
+        let (weight, cost) = gate.kernel.weigh(normalized, reach / sigma);
+        sum.cost += cost;
+        sum.explained += usize::from(normalized.abs() <= EXPLAINED);
+        if weight == 0.0 {
+            return;
+        }
+        let w = weight / (sigma * sigma);
+        let turned = (q - moved.robot).cross(normal);
+        let j = [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z];
+        for a in 0..6 {
+            sum.gradient[a] += w * j[a] * e;
+            for b in a..6 {
+                sum.information[a][b] += w * j[a] * j[b];
+            }
+        }
+        if gate.finally {
+            for a in 0..6 {
+                for b in a..6 {
+                    sum.noise[a][b] += w * weight * j[a] * j[b];
+                }
+            }
+            // An offset of the plane takes e down by as much.
+            let group = sum.groups.entry(Shared::Offset(pixel.group)).or_default();
+            (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
+            group.weight += w;
+            group.residual += w * e;
+            group.variance += w * weight;
+        }
+    }
+}
+
+/// Where things are in the expected image's frame.
+struct Moved {
+    expected_from_now: DAffine3,
+    centre: DVec3,
+    robot: DVec3,
+}
+
+impl Residuals for RangeSource<'_> {
+    fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
+        let expected_from_world = self.expected.world_from_image.inverse();
+        let now = expected_from_world * *world_from_robot * self.robot_from_image;
+        let moved = Moved {
+            expected_from_now: now.to_affine(),
+            centre: now.translation,
+            robot: expected_from_world.transform_point(world_from_robot.translation),
+        };
+        let step = self.points.len().div_ceil(gate.points).max(1);
+        let picked: Vec<MeasuredPoint> = self.points.iter().copied().step_by(step).collect();
+        let sums: Vec<Sum> = picked
+            .par_chunks(CHUNK)
+            .map(|chunk| {
+                let mut sum = Sum::default();
+                chunk.iter().for_each(|p| self.add_point(&mut sum, *p, &moved, gate));
+                sum
+            })
+            .collect();
+        self.put_together(sums, picked.len())
+    }
+}
+
+impl RangeSource<'_> {
+    /// Adds up in a fixed order and turns into world axes.
+    fn put_together(&self, sums: Vec<Sum>, measured: usize) -> Normal {
+        let mut total = Normal { measured, ..Normal::default() };
+        let mut normalized = Vec::new();
+        for sum in sums {
+            add_to(&mut total.information, &sum.information);
+            add_to(&mut total.noise, &sum.noise);
+            (0..6).for_each(|i| total.gradient[i] += sum.gradient[i]);
+            total.chi2 += sum.cost;
+            total.explained += sum.explained;
+            normalized.extend(sum.normalized);
+            for (shared, m) in sum.groups {
+                total.groups.entry(shared).or_default().add(&m);
+            }
+        }
+        total.compared = normalized.len();
+        if !normalized.is_empty() {
+            let middle = normalized.len() / 2;
+            total.spread = f64::from(*normalized.select_nth_unstable_by(middle, f32::total_cmp).1);
+        }
+        let t = turn(self.expected.world_from_image.rotation);
+        for m in [&mut total.information, &mut total.noise] {
+            for a in 0..6 {
+                (0..a).for_each(|b| m[a][b] = m[b][a]);
+            }
+            *m = sandwich(&t, m);
+        }
+        total.gradient = apply(&t, &total.gradient);
+        // The column of an offset is a number along the normal: it has no axes to turn.
+        total.groups.values_mut().for_each(|g| g.pull = product(&t, &g.pull));
+        total
+    }
+}
+
+impl Kernel {
+    /// Weight, and cost in variances, of a residual in standard deviations. `wide` is the gate in standard deviations.
+    fn weigh(self, e: f64, wide: f64) -> (f64, f64) {
+        match self {
+            Self::Wide => {
+                // Geman and McClure, as wide as the gate is, no narrower than the noise's own.
+                let c2 = (2.0 * wide).max(TUKEY / 2.0).powi(2);
+                let r = c2 / (c2 + e * e);
+                (r * r, e * e * r)
+            }
+            Self::Redescending { spread } => {
+                let c = TUKEY * spread;
+                let t = (e / c).powi(2);
+                if t >= 1.0 { (0.0, c * c / 6.0) } else { ((1.0 - t).powi(2), c * c / 6.0 * (1.0 - (1.0 - t).powi(3))) }
+            }
+        }
+    }
+
+    /// The cost of a point that is compared with nothing.
+    fn most(self) -> f64 {
+        match self {
+            Self::Wide => 0.0,
+            Self::Redescending { spread } => (TUKEY * spread).powi(2) / 6.0,
+        }
+    }
+}

@@ -1,0 +1,495 @@
+//! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
+
+use super::answer::{Estimate, Hypothesis, State, covariance, weak_directions};
+use super::normal::{Freedom, Normal, Shared};
+use super::range::{MeasuredPoint, RangeSource, measured_points};
+use super::{Gate, Kernel, Residuals};
+use crate::error::{Error, Result};
+use crate::frame::{Frame, RangeNoise};
+use crate::geometry::Pose;
+use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, sandwich, scaled, transposed};
+use crate::predict::Predictor;
+use crate::random::SplitMix64;
+use crate::verdict::{Expected, Surfaces, Uncertainty, Verdicts, judge};
+use crate::virtual_sensors::symmetric::{Matrix, eigen};
+use crate::world::World;
+use std::sync::Arc;
+
+/// What was known of the pose before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// world_from_robot.
+    pub pose: Pose,
+    /// x y z, then rotation about fixed x y z, world axes, row by row; metres and radians.
+    pub covariance: Matrix,
+}
+
+impl Prior {
+    /// With the same standard deviation along each axis, metres, and about each, radians.
+    pub fn of_sigmas(pose: Pose, translation: f64, rotation: f64) -> Self {
+        let sigma = |i: usize| if i < 3 { translation } else { rotation };
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 }));
+        Self { pose, covariance }
+    }
+
+    fn check(&self, freedom: Freedom) -> Result<()> {
+        self.pose.check()?;
+        let c = &self.covariance;
+        let wrong = |what: &str| {
+            let remedy = "give a symmetric matrix with positive variances, metres and radians";
+            Err(Error::usage(format!("the covariance of the prior {what}"), remedy))
+        };
+        if !c.as_flattened().iter().all(|x| x.is_finite()) {
+            return wrong("is not finite");
+        }
+        let scale = |i: usize, j: usize| (c[i][i].abs() * c[j][j].abs()).sqrt();
+        if (0..6).any(|i| (0..i).any(|j| (c[i][j] - c[j][i]).abs() > 1e-6 * scale(i, j) + 1e-300)) {
+            return wrong("is not symmetric");
+        }
+        let correlations = restricted(
+            &std::array::from_fn(|i| {
+                std::array::from_fn(|j| if scale(i, j) > 0.0 { c[i][j] / scale(i, j) } else { 0.0 })
+            }),
+            freedom.axes(),
+        );
+        let (values, _) = eigen(correlations, 6);
+        if freedom.axes().iter().any(|i| !(c[*i][*i] > 0.0)) || values.iter().any(|v| *v < -1e-9) {
+            return wrong("is not positive");
+        }
+        Ok(())
+    }
+}
+
+/// How an [`Estimator`] works.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EstimateOptions {
+    /// Which numbers of the pose are looked for.
+    pub freedom: Freedom,
+    /// Share of the measured points that the right pose has to explain.
+    pub least_explained: f64,
+    /// Most full predictions of an estimate.
+    pub most_predictions: usize,
+    /// How far polygons may be off along their normals, one standard deviation, metres. It is each point's own.
+    pub model_sigma: f64,
+    /// Standard deviation of the offsets that polygons of one plane share, metres, until it is learnt.
+    pub offset_sigma: f64,
+    /// A direction is weak where the measurement alone is looser, metres.
+    pub loosest: f64,
+}
+
+impl Default for EstimateOptions {
+    fn default() -> Self {
+        Self {
+            freedom: Freedom::Full,
+            least_explained: 0.75,
+            most_predictions: 12,
+            model_sigma: 0.0,
+            offset_sigma: 0.003,
+            loosest: 0.5,
+        }
+    }
+}
+
+/// Estimates poses from frames, one after the other.
+pub struct Estimator {
+    predictor: Predictor,
+    surfaces: Surfaces,
+    options: EstimateOptions,
+    /// Learnt standard deviation of the offsets of polygon groups, metres.
+    offset_sigma: f64,
+}
+
+/// Prior standard deviations that the first gate is wide.
+const GATE: f64 = 1.75;
+/// Points that the wide search looks at.
+const SEARCH_POINTS: usize = 2000;
+/// Starts that are drawn from the prior in one go.
+const DRAWS: usize = 16;
+
+/// Points that a search from a far end looks at.
+const FAR_POINTS: usize = 500;
+/// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
+const LOOSE: (f64, f64) = (0.05, 0.05);
+/// The best pose has to explain more of the points than any other by this share.
+const LEAD: f64 = 0.05;
+
+/// A frame as the iteration needs it.
+struct Measured<'a> {
+    frame: &'a Frame,
+    points: Vec<MeasuredPoint>,
+    noise: RangeNoise,
+}
+
+/// Where an iteration came to rest.
+#[derive(Clone)]
+struct Minimum {
+    pose: Pose,
+    /// What was expected in the prediction that it was found with.
+    expected: Arc<Vec<Expected>>,
+    normal: Normal,
+    spread: f64,
+}
+
+impl Minimum {
+    fn hypothesis(&self) -> Hypothesis {
+        let n = self.normal.measured.max(1) as f64;
+        Hypothesis { pose: self.pose, explained: self.normal.explained_share(), cost: self.normal.chi2 / n }
+    }
+}
+
+/// One estimate under way.
+struct Run<'a> {
+    world: &'a World,
+    measured: Vec<Measured<'a>>,
+    prior: Prior,
+    prior_information: Matrix,
+    /// Metres and radians that the pose may be off.
+    extent: (f64, f64),
+    predictions: usize,
+}
+
+/// How the gate narrows over the steps from one prediction.
+struct Schedule {
+    first: f64,
+    shrink: f64,
+    least: f64,
+    steps: usize,
+    /// From this step on the kernel redescends.
+    settle: usize,
+    points: usize,
+}
+
+const SEARCH: Schedule =
+    Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: SEARCH_POINTS };
+const SETTLE: Schedule = Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: usize::MAX };
+
+impl Estimator {
+    /// Makes an estimator that predicts with `predictor`.
+    pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
+        Self { predictor, surfaces: Surfaces::default(), options, offset_sigma: options.offset_sigma }
+    }
+
+    /// Where the robot is, by frames of its sensors taken at one time.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] without a frame, or for a prior that is none; those of [`Predictor::predict_images`].
+    pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
+        prior.check(self.options.freedom)?;
+        if frames.is_empty() {
+            return Err(Error::usage("an estimate without a frame", "give at least one"));
+        }
+        let measured = frames.iter().map(|frame| {
+            let mut noise = RangeNoise::of(frame.sensor());
+            noise.sigma = noise.sigma.hypot(self.options.model_sigma);
+            Measured { frame, points: measured_points(frame), noise }
+        });
+        let axes = self.options.freedom.axes();
+        let sigma =
+            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+        let mut run = Run {
+            world,
+            measured: measured.collect(),
+            prior: *prior,
+            prior_information: inverse(&prior.covariance, axes),
+            extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
+            predictions: 0,
+        };
+        if run.measured.iter().all(|m| m.points.is_empty()) {
+            return Ok(self.blind(&run));
+        }
+        let expected = self.expected(&mut run, &prior.pose)?;
+        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let mut best = self.settle(&mut run, &found.pose)?;
+        if best.normal.explained_share() < self.options.least_explained {
+            best = self.restart(&mut run, &expected, best)?;
+        }
+        let others = self.other_minima(&mut run, &best)?;
+        self.answer(&run, best, others)
+    }
+
+    /// Looks for a second pose that explains the measurement about as well: starts from the far ends of the prior, along the
+    /// directions in which the measurement says least, go where they go.
+    fn other_minima(&mut self, run: &mut Run<'_>, best: &Minimum) -> Result<Vec<Minimum>> {
+        if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
+            return Ok(Vec::new());
+        }
+        let mut others: Vec<Minimum> = Vec::new();
+        for start in far_ends(run, best, self.options.freedom) {
+            let search = Schedule { points: FAR_POINTS, ..SEARCH };
+            let there = self.descend(run, &best.expected, start, &search);
+            // Not worth a prediction unless it is elsewhere and explains something.
+            let near = |m: &Minimum| self.is_same(run, m, &there);
+            if near(best)
+                || others.iter().any(near)
+                || there.normal.explained_share() < 0.5 * best.normal.explained_share()
+            {
+                continue;
+            }
+            let there = self.settle(run, &there.pose)?;
+            let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD;
+            if as_good && !self.is_same(run, best, &there) && !others.iter().any(|m| self.is_same(run, m, &there)) {
+                others.push(there);
+            }
+        }
+        Ok(others)
+    }
+
+    /// True if two minima differ by no more than an estimate errs.
+    fn is_same(&self, run: &Run<'_>, a: &Minimum, b: &Minimum) -> bool {
+        let off = motion_between(&a.pose, &b.pose);
+        let (metres, radians) = (length(&off[..3]), length(&off[3..]));
+        metres < 0.1 * run.extent.0 + 3.0 * self.offset_sigma && radians < 0.1 * run.extent.1
+    }
+
+    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose) -> Result<Arc<Vec<Expected>>> {
+        run.predictions += 1;
+        let one = |m: &Measured<'_>| {
+            let sensor = m.frame.sensor();
+            let world_from_sensor = *pose * sensor.spec().mount;
+            Expected::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
+        };
+        let all: Result<Vec<Expected>> = run.measured.iter().map(one).collect();
+        all.map(Arc::new)
+    }
+
+    /// Predicts anew where a search ended, and settles there.
+    fn settle(&mut self, run: &mut Run<'_>, pose: &Pose) -> Result<Minimum> {
+        let expected = self.expected(run, pose)?;
+        Ok(self.descend(run, &expected, *pose, &SETTLE))
+    }
+
+    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew.
+    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Vec<Expected>>, best: Minimum) -> Result<Minimum> {
+        let mut best = best;
+        let mut random = SplitMix64(0x5eed);
+        while run.predictions + 3 <= self.options.most_predictions {
+            let mut found: Vec<Minimum> = (0..DRAWS)
+                .map(|_| self.descend(run, expected, drawn(&run.prior, self.options.freedom, &mut random), &SEARCH))
+                .collect();
+            found.sort_by(|a, b| b.normal.explained_share().total_cmp(&a.normal.explained_share()));
+            for start in found.iter().take(3) {
+                let end = self.settle(run, &start.pose)?;
+                if end.normal.explained_share() > best.normal.explained_share() {
+                    best = end;
+                }
+                if best.normal.explained_share() >= self.options.least_explained {
+                    return Ok(best);
+                }
+            }
+        }
+        Ok(best)
+    }
+
+    /// Steps from a start to rest, without a new prediction.
+    fn descend(&mut self, run: &Run<'_>, expected: &Arc<Vec<Expected>>, start: Pose, schedule: &Schedule) -> Minimum {
+        let at_once = || descend(run, expected, start, schedule, self.options.freedom);
+        self.predictor
+            .on_threads(at_once)
+            .unwrap_or_else(|_| descend(run, expected, start, schedule, self.options.freedom))
+    }
+
+    fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
+        let freedom = self.options.freedom;
+        self.learn_offsets(&best.normal);
+        let offset = self.offset_sigma * self.offset_sigma;
+        let shared = |_: Shared| {
+            let mut m = [[0.0; 6]; 6];
+            m[0][0] = offset;
+            m
+        };
+        let reach = reach_of(&run.measured);
+        let prior = Some(&run.prior_information);
+        let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
+        let mut information = best.normal.information;
+        add_to(&mut information, &run.prior_information);
+        let weak = weak_directions(
+            &best.normal,
+            Some(&run.prior.covariance),
+            freedom,
+            reach,
+            best.spread,
+            self.options.loosest,
+            &shared,
+        );
+        let hypothesis = best.hypothesis();
+        let state = state(&hypothesis, &others, self.options.least_explained);
+        for other in &others {
+            let off = motion_between(&best.pose, &other.pose);
+            let apart = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
+            add_to(&mut covariance, &scaled(&apart, 1.0 / (1.0 + others.len() as f64)));
+        }
+        let verdicts = self.verdicts(run, &best, &covariance)?;
+        Ok(Estimate {
+            pose: best.pose,
+            covariance,
+            verdicts,
+            information: restricted(&information, freedom.axes()),
+            weak,
+            explained: hypothesis.explained,
+            cost: hypothesis.cost,
+            spread: best.spread,
+            offset_sigma: self.offset_sigma,
+            hypotheses: std::iter::once(hypothesis).chain(others.iter().map(Minimum::hypothesis)).collect(),
+            state,
+            predictions: run.predictions,
+        })
+    }
+
+    fn verdicts(&self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
+        let polygons = self.options.model_sigma.hypot(self.offset_sigma);
+        let one = |(m, expected): (&Measured<'_>, &Expected)| {
+            let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
+            judge(m.frame, expected, &best.pose, &known)
+        };
+        run.measured.iter().zip(&*best.expected).map(one).collect()
+    }
+
+    /// Offsets of groups show as their mean residuals, less what noise makes of these.
+    fn learn_offsets(&mut self, normal: &Normal) {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for group in normal.groups.values().filter(|g| g.weight > 0.0) {
+            let mean = group.residual / group.weight;
+            let own = group.variance / (group.weight * group.weight);
+            // A group counts as far as its mean is known better than the offsets are wide.
+            let known = self.offset_sigma.powi(2) / (self.offset_sigma.powi(2) + own);
+            sum += known * (mean * mean - own);
+            count += known;
+        }
+        // The pose takes up six of the numbers.
+        if count > 12.0 {
+            let seen = (sum / (count - 6.0)).max(0.0);
+            const FORGET: f64 = 0.1;
+            self.offset_sigma = ((1.0 - FORGET) * self.offset_sigma.powi(2) + FORGET * seen).sqrt().max(1e-5);
+        }
+    }
+
+    fn blind(&self, run: &Run<'_>) -> Estimate {
+        Estimate {
+            pose: run.prior.pose,
+            covariance: restricted(&run.prior.covariance, self.options.freedom.axes()),
+            verdicts: Vec::new(),
+            information: run.prior_information,
+            weak: weak_directions(
+                &Normal::default(),
+                Some(&run.prior.covariance),
+                self.options.freedom,
+                1.0,
+                1.0,
+                self.options.loosest,
+                &|_| [[0.0; 6]; 6],
+            ),
+            explained: 0.0,
+            cost: 0.0,
+            spread: 1.0,
+            offset_sigma: self.offset_sigma,
+            hypotheses: Vec::new(),
+            state: State::Undetermined("no pixel measured a range within the sensor's limits".into()),
+            predictions: 0,
+        }
+    }
+}
+
+/// Two prior standard deviations to either side of a minimum, along the two directions in which the measurement says least
+/// beside the prior.
+fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
+    // In the prior's own units the directions are those of S' H S, with S a root of its covariance.
+    let (values, vectors) = eigen(restricted(&run.prior.covariance, freedom.axes()), 6);
+    let root: Matrix = std::array::from_fn(|i| std::array::from_fn(|k| vectors[i][k] * values[k].max(0.0).sqrt()));
+    let (said, directions) = eigen(sandwich(&transposed(&root), &best.normal.information), 6);
+    let mut order: Vec<usize> = (0..6).collect();
+    order.sort_by(|a, b| said[*a].total_cmp(&said[*b]));
+    let axis = |k: usize| -> Vector { apply(&root, &std::array::from_fn(|i| directions[i][k])) };
+    // Numbers that are not looked for have no root: their axes have no length.
+    let axes = order.into_iter().map(axis).filter(|v| length(v) > 1e-9).take(2);
+    axes.flat_map(|v| [2.0, -2.0].map(|s| moved(&best.pose, &v.map(|x| s * x)))).collect()
+}
+
+fn length(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn descend(
+    run: &Run<'_>,
+    expected: &Arc<Vec<Expected>>,
+    start: Pose,
+    schedule: &Schedule,
+    freedom: Freedom,
+) -> Minimum {
+    let sources: Vec<RangeSource<'_>> =
+        expected.iter().zip(&run.measured).map(|(e, m)| RangeSource::new(e, &m.points, m.noise)).collect();
+    let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
+    let mut factor = schedule.first;
+    for k in 0..schedule.steps {
+        let last = k + 1 == schedule.steps;
+        let kernel = if k >= schedule.settle { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
+        let gate = Gate {
+            translation: factor * run.extent.0,
+            rotation: factor * run.extent.1,
+            kernel,
+            points: schedule.points,
+            finally: last && schedule.settle < schedule.steps,
+        };
+        let mut normal = Normal::default();
+        sources.iter().for_each(|s| normal.add(&s.linearize(&end.pose, &gate)));
+        end.spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
+        end.normal = normal;
+        if last {
+            break;
+        }
+        let step = step(&end.normal, run, &end.pose, freedom);
+        end.pose = moved(&end.pose, &step);
+        factor = (factor * schedule.shrink).max(schedule.least);
+    }
+    end
+}
+
+/// The step of Gauss and Newton, the prior's residual included.
+fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector {
+    let axes = freedom.axes();
+    let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
+    let off = motion_between(&run.prior.pose, pose);
+    add_to(&mut h, &run.prior_information);
+    let pull = apply(&run.prior_information, &off);
+    (0..6).for_each(|i| g[i] += pull[i]);
+    apply(&inverse(&h, axes), &g).map(|x| -x)
+}
+
+fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> State {
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    if best.explained < least {
+        return State::Undetermined(format!(
+            "{} of the measured points are explained, less than {}",
+            percent(best.explained),
+            percent(least)
+        ));
+    }
+    let Some(other) = others.first() else { return State::Determined };
+    let off = motion_between(&best.pose, &other.pose);
+    State::Undetermined(format!(
+        "a pose {:.3} m and {:.2} deg off explains {}, the best one {}",
+        length(&off[..3]),
+        length(&off[3..]).to_degrees(),
+        percent(other.normal.explained_share()),
+        percent(best.explained)
+    ))
+}
+
+/// A pose drawn from the prior.
+fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+    let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
+    let mut motion = [0.0; 6];
+    for (k, value) in values.iter().enumerate() {
+        // Box and Muller.
+        let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
+        let x = value.max(0.0).sqrt() * radius * (std::f64::consts::TAU * random.unit()).cos();
+        (0..6).for_each(|i| motion[i] += x * vectors[i][k]);
+    }
+    moved(&prior.pose, &motion)
+}
+
+/// How far away points are measured, root of the mean square, metres.
+fn reach_of(measured: &[Measured<'_>]) -> f64 {
+    let squares = measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
+    let (sum, count) = squares.fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
+    (sum / f64::max(count, 1.0)).sqrt().max(1e-3)
+}

@@ -1,0 +1,213 @@
+//! Sensed frames: what a sensor really saw, in the pixels of its own image.
+//!
+//! A [`Frame`] has the pixel order, the frames and the special values of a prediction, so that the two can be compared pixel by
+//! pixel. Values follow REP-117: `-inf` is too near, `+inf` is nothing within reach, NaN is no measurement.
+
+mod noise;
+
+pub use noise::RangeNoise;
+
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+
+/// What a sensor measured, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Sensed {
+    /// Metres along each ray.
+    Range(Vec<f32>),
+    /// Metres along the optical axis of a camera (REP-118).
+    DepthZ(Vec<f32>),
+}
+
+impl Sensed {
+    /// The values, row by row.
+    pub fn values(&self) -> &[f32] {
+        match self {
+            Self::Range(values) | Self::DepthZ(values) => values,
+        }
+    }
+}
+
+/// How the robot moved since the frame before, as odometry tells it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// The robot's pose now, in its frame of then.
+    pub previous_from_current: Pose,
+    /// x y z, then rotation about fixed x y z, in the robot's frame of then, row by row; metres and radians.
+    pub covariance: [[f64; 6]; 6],
+}
+
+/// One measurement of one sensor.
+///
+/// # Examples
+/// ```
+/// use presight::frame::{Frame, Sensed};
+/// let scanner = presight::preset("laser-scanner")?; // 361 beams
+/// let frame = Frame::new(0.0, scanner.clone(), Sensed::Range(vec![2.0; 361]))?;
+/// assert_eq!(frame.ranges()[180], 2.0);
+/// // Of another size than the sensor's image:
+/// assert!(Frame::new(0.0, scanner, Sensed::Range(vec![2.0; 360])).is_err());
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Seconds, on the log's own clock.
+    pub stamp: f64,
+    /// Since the frame before; `None` if nothing was told.
+    pub motion: Option<Motion>,
+    sensor: Sensor,
+    sensed: Sensed,
+    ranges: Vec<f32>,
+}
+
+impl Frame {
+    /// Makes a frame of measured values.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a value is negative, if the
+    /// stamp is no number, or if depth is given for a sensor that is no camera.
+    pub fn new(stamp: f64, sensor: Sensor, sensed: Sensed) -> Result<Self> {
+        let (width, height) = (sensor.width() as usize, sensor.height() as usize);
+        let values = sensed.values();
+        if !stamp.is_finite() {
+            return Err(Error::invalid(format!("a time stamp of {stamp}"), "give finite seconds"));
+        }
+        if values.len() != width * height {
+            return Err(Error::invalid(
+                format!("{} measured values for a sensor of {width} x {height} pixels", values.len()),
+                "give one value a pixel, or the sensor that measured them",
+            ));
+        }
+        let negative = |v: &f32| *v < 0.0 && v.is_finite();
+        if let Some(at) = values.iter().position(negative) {
+            return Err(Error::invalid(
+                format!("pixel {},{} measured {} m", at % width, at / width, values[at]),
+                "give distances of at least 0; -inf is too near, +inf nothing within reach, NaN no measurement",
+            ));
+        }
+        let mut ranges = match &sensed {
+            Sensed::Range(values) => values.clone(),
+            Sensed::DepthZ(values) => ranges_of_depth(&sensor, values)?,
+        };
+        ranges.iter_mut().filter(|r| **r == 0.0).for_each(|r| *r = f32::NAN);
+        Ok(Self { stamp, motion: None, sensor, sensed, ranges })
+    }
+
+    /// The sensor that measured.
+    pub fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+
+    /// What was measured.
+    pub fn sensed(&self) -> &Sensed {
+        &self.sensed
+    }
+
+    /// Metres along each ray, row by row, whatever was measured. 0 is told as NaN: no measurement.
+    pub fn ranges(&self) -> &[f32] {
+        &self.ranges
+    }
+
+    /// Every `stride`-th column and row, as a frame of a sensor of its own: each pixel that is kept has its ray and its value.
+    /// Sides shorter than the stride keep one pixel.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a stride of 0.
+    pub fn thinned(&self, stride: u32) -> Result<Self> {
+        if stride == 0 {
+            return Err(Error::usage("a stride of 0", "give 1 for every pixel"));
+        }
+        let (width, height) = (self.sensor.width(), self.sensor.height());
+        let (columns, rows) = (Kept::of(width, stride), Kept::of(height, stride));
+        let spec = thinned_spec(self.sensor.spec(), columns, rows)?;
+        let pick = |values: &[f32]| {
+            let row = |r: u32| (0..columns.count).map(move |c| (columns.at(c), r));
+            let pixels = (0..rows.count).flat_map(|r| row(rows.at(r)));
+            pixels.map(|(c, r)| values[r as usize * width as usize + c as usize]).collect::<Vec<f32>>()
+        };
+        let sensed = match &self.sensed {
+            Sensed::Range(values) => Sensed::Range(pick(values)),
+            Sensed::DepthZ(values) => Sensed::DepthZ(pick(values)),
+        };
+        Ok(Self {
+            stamp: self.stamp,
+            motion: self.motion,
+            sensor: Sensor::new(spec)?,
+            sensed,
+            ranges: pick(&self.ranges),
+        })
+    }
+}
+
+/// The pixels of one side that are kept.
+#[derive(Clone, Copy)]
+struct Kept {
+    first: u32,
+    stride: u32,
+    count: u32,
+}
+
+impl Kept {
+    /// In the middle of each stretch, as far as the side goes.
+    fn of(side: u32, stride: u32) -> Self {
+        let stride = stride.min(side);
+        let count = side / stride;
+        Self { first: (side - 1 - (count - 1) * stride) / 2, stride, count }
+    }
+
+    fn at(self, k: u32) -> u32 {
+        self.first + k * self.stride
+    }
+}
+
+fn thinned_spec(spec: &SensorSpec, columns: Kept, rows: Kept) -> Result<SensorSpec> {
+    let scaled =
+        |f: f64, c: f64, kept: Kept| (f / f64::from(kept.stride), (c - f64::from(kept.first)) / f64::from(kept.stride));
+    let geometry = match &spec.geometry {
+        Geometry::Camera(camera) => {
+            let ((fx, cx), (fy, cy)) = (scaled(camera.fx, camera.cx, columns), scaled(camera.fy, camera.cy, rows));
+            let distortion = camera.distortion.clone();
+            Geometry::Camera(Camera { width: columns.count, height: rows.count, fx, fy, cx, cy, distortion })
+        }
+        Geometry::Scanner(scanner) => {
+            let falling = scanner.rows_deg();
+            let elevation = Angles::Listed((0..rows.count).map(|r| falling[rows.at(r) as usize]).collect());
+            let azimuth = match scanner.azimuth {
+                Angles::Uniform { step_deg, .. } => Angles::Uniform {
+                    start_deg: scanner.azimuth.degrees(columns.first as usize),
+                    step_deg: step_deg * f64::from(columns.stride),
+                    count: columns.count,
+                },
+                Angles::Listed(_) => Angles::Listed(
+                    (0..columns.count).map(|c| scanner.azimuth.degrees(columns.at(c) as usize)).collect(),
+                ),
+            };
+            Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: scanner.beam_height_deg })
+        }
+        Geometry::Rays(table) => {
+            let at = |c: u32, r: u32| table.directions()[(rows.at(r) * table.width() + columns.at(c)) as usize];
+            let directions = (0..rows.count).flat_map(|r| (0..columns.count).map(move |c| at(c, r))).collect();
+            Geometry::Rays(RayTable::new(columns.count, rows.count, directions)?)
+        }
+    };
+    Ok(SensorSpec { geometry, ..spec.clone() })
+}
+
+fn ranges_of_depth(sensor: &Sensor, depth_z: &[f32]) -> Result<Vec<f32>> {
+    if !sensor.is_camera() {
+        return Err(Error::invalid(
+            format!("depth_z of sensor {:?}, which is no camera", sensor.spec().name),
+            "give ranges",
+        ));
+    }
+    let width = sensor.width() as usize;
+    let range = |(i, z): (usize, &f32)| {
+        let ray = sensor.ray((i % width) as u32, (i / width) as u32);
+        ray.map_or(f32::NAN, |ray| (f64::from(*z) / ray.z) as f32)
+    };
+    Ok(depth_z.iter().enumerate().map(range).collect())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,80 @@
+use super::*;
+use image::{ImageBuffer, Luma};
+
+fn folder(camera: &str, images: &[(&str, u32, u16)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("camera.json"), camera).unwrap();
+    std::fs::create_dir(folder.path().join("depth")).unwrap();
+    for (name, width, value) in images {
+        let image: ImageBuffer<Luma<u16>, Vec<u16>> = ImageBuffer::from_pixel(*width, 2, Luma([*value]));
+        image.save(folder.path().join("depth").join(name)).unwrap();
+    }
+    folder
+}
+
+const CAMERA: &str = r#"{"width": 3, "height": 2, "fx": 4, "fy": 4, "cx": 1, "cy": 0.5, "depth_unit_m": 0.002}"#;
+
+#[test]
+fn images_are_read_in_order_with_their_times() {
+    let folder = folder(CAMERA, &[("00007.png", 3, 0), ("00003.png", 3, 500)]);
+    let frames: Vec<Frame> = DepthFolder::open(folder.path(), None).unwrap().map(|f| f.unwrap()).collect();
+    assert_eq!(frames.iter().map(|f| f.stamp).collect::<Vec<_>>(), [3.0, 7.0]);
+    assert_eq!(frames[0].sensed(), &Sensed::DepthZ(vec![1.0; 6]));
+    assert!(frames[1].ranges().iter().all(|r| r.is_nan()));
+}
+
+/// The camera looks along -z of a world with y up, 2 m above its floor: along y of the world with z up.
+#[test]
+fn poses_are_turned_to_body_axes_and_z_up() {
+    let folder = folder(CAMERA, &[("0.png", 3, 1)]);
+    let pose = "# time tx ty tz qx qy qz qw split\n0 5 2 -3 1 0 0 0 map\n";
+    std::fs::write(folder.path().join("poses.txt"), pose).unwrap();
+    let log = DepthFolder::open(folder.path(), None).unwrap();
+    let pose = log.reference()[0].pose;
+    assert!(pose.translation.distance(DVec3::new(5.0, 3.0, 2.0)) < 1e-12, "{pose:?}");
+    assert!((pose.rotation * DVec3::X).distance(DVec3::Y) < 1e-12, "it looks along y");
+    assert!((pose.rotation * DVec3::Z).distance(DVec3::Z) < 1e-12, "and its head is up");
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let told = |camera: &str, images: &[(&str, u32, u16)]| {
+        let folder = folder(camera, images);
+        let end = DepthFolder::open(folder.path(), None).and_then(|log| log.collect::<Result<Vec<_>>>().map(|_| ()));
+        end.unwrap_err().to_string()
+    };
+    assert!(told(CAMERA, &[]).contains("no .png"));
+    assert!(told(CAMERA, &[("0.png", 4, 1)]).contains("4 x 2 pixels"));
+    assert!(told("{\"width\": 3", &[("0.png", 3, 1)]).contains("camera.json"));
+    assert!(told(&CAMERA.replace("0.002", "-1"), &[("0.png", 3, 1)]).contains("depth unit"));
+    let broken = folder(CAMERA, &[]);
+    std::fs::write(broken.path().join("depth/0.png"), b"no image").unwrap();
+    let mut log = DepthFolder::open(broken.path(), None).unwrap();
+    assert!(log.next().unwrap().unwrap_err().to_string().contains("0.png"));
+}
+
+/// What the simulator writes is what is read.
+#[test]
+fn written_cameras_and_poses_are_read_again() {
+    let camera = Camera {
+        distortion: Distortion::PlumbBob([0.1, -0.02, 1e-3, 0.0, 0.0]),
+        ..Camera::pinhole(3, 2, 4.0, 5.0, 1.1, 0.5)
+    };
+    let mut spec = SensorSpec::new("c", "laser", Geometry::Camera(camera));
+    spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 1.0), 0.0, 0.1, 0.3);
+    let sensor = Sensor::new(spec).unwrap();
+    let robot = Stamped { time: 12.5, pose: Pose::from_xyz_rpy(DVec3::new(3.0, -1.0, 0.2), 0.01, 0.02, 2.0) };
+    let folder = folder(&camera_json(&sensor).unwrap(), &[(&image_name(12.5), 3, 1500)]);
+    std::fs::write(folder.path().join("poses.txt"), poses_txt(&sensor, &[robot])).unwrap();
+    let log = DepthFolder::open(folder.path(), Some(&sensor)).unwrap();
+    let there = log.reference()[0];
+    let expected = robot.pose * sensor.spec().mount;
+    assert!(there.pose.translation.distance(expected.translation) < 1e-12);
+    assert!(there.pose.rotation.angle_between(expected.rotation) < 1e-7 && there.time == 12.5);
+    let own = DepthFolder::open(folder.path(), None).unwrap();
+    assert_eq!(own.sensor().spec().geometry, sensor.spec().geometry);
+    let frames: Vec<Frame> = log.map(|f| f.unwrap()).collect();
+    assert_eq!((frames.len(), frames[0].stamp, frames[0].sensed()), (1, 12.5, &Sensed::DepthZ(vec![1.5; 6])));
+    assert!(image_name(9.0) < image_name(10.0));
+    assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
+}

@@ -1,0 +1,118 @@
+//! What is expected of each pixel: the predicted point and the exact plane of its polygon.
+
+use super::Surfaces;
+use crate::error::Result;
+use crate::geometry::Pose;
+use crate::plan::{Images, Output, Outputs};
+use crate::predict::Predictor;
+use crate::sensor::{Geometry, Sensor, body_from_optical_rotation};
+use crate::world::World;
+use glam::{DVec3, Vec3};
+
+/// A pixel of a prediction. All of it is told in the image frame of the predicted pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExpectedPixel {
+    /// The predicted point, metres; NaN where nothing is predicted.
+    pub point: Vec3,
+    /// Metres along the ray; not finite where no point is.
+    pub range: f32,
+    /// Unit normal of the polygon.
+    pub normal: Vec3,
+    /// `normal . point`, metres.
+    pub offset: f32,
+    /// Index of the object.
+    pub object: u32,
+    /// See [`super::Surface::group`].
+    pub group: u32,
+}
+
+const NOTHING: ExpectedPixel = ExpectedPixel {
+    point: Vec3::NAN,
+    range: f32::INFINITY,
+    normal: Vec3::NAN,
+    offset: f32::NAN,
+    object: u32::MAX,
+    group: u32::MAX,
+};
+
+/// A prediction, arranged for comparing it with what is sensed.
+#[derive(Clone, Debug)]
+pub struct Expected {
+    pub(crate) sensor: Sensor,
+    pub(crate) world_from_image: Pose,
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) pixels: Vec<ExpectedPixel>,
+    /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
+    pub(crate) spacing: (f64, f64),
+}
+
+/// The frame in which rays and points of an image are told, in body axes.
+pub(crate) fn body_from_image(sensor: &Sensor) -> Pose {
+    let rotation = if sensor.is_camera() { body_from_optical_rotation() } else { glam::DQuat::IDENTITY };
+    Pose { rotation, translation: DVec3::ZERO }
+}
+
+impl Expected {
+    /// Predicts what a sensor should see at a pose (body axes), with the plane of each pixel's polygon.
+    ///
+    /// # Errors
+    /// Those of [`Predictor::predict_images`].
+    pub fn predict(
+        predictor: &mut Predictor,
+        world: &World,
+        surfaces: &mut Surfaces,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+    ) -> Result<Self> {
+        let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
+        let mut images = Images::default();
+        predictor.predict_images(world, sensor, world_from_sensor, outputs, &mut images)?;
+        surfaces.follow(world);
+        let world_from_image = *world_from_sensor * body_from_image(sensor);
+        let image_from_world = world_from_image.inverse();
+        let (width, height) = (sensor.width() as usize, sensor.height() as usize);
+        let mut pixels = Vec::with_capacity(width * height);
+        for row in 0..height {
+            for column in 0..width {
+                let i = row * width + column;
+                let (range, id) = (images.range[i], images.polygon_id[i]);
+                let surface = id.checked_sub(1).and_then(|slot| surfaces.of(world, slot));
+                let ray = sensor.ray(column as u32, row as u32);
+                let (Some(surface), Some(ray), true) = (surface, ray, range.is_finite()) else {
+                    pixels.push(ExpectedPixel { range, ..NOTHING });
+                    continue;
+                };
+                let normal = image_from_world.rotation * surface.plane.normal;
+                let offset = surface.plane.offset - surface.plane.normal.dot(world_from_image.translation);
+                pixels.push(ExpectedPixel {
+                    point: (f64::from(range) * ray).as_vec3(),
+                    range,
+                    normal: normal.as_vec3(),
+                    offset: offset as f32,
+                    object: surface.object,
+                    group: surface.group,
+                });
+            }
+        }
+        Ok(Self { sensor: sensor.clone(), world_from_image, width, height, pixels, spacing: spacing(sensor) })
+    }
+
+    /// The pixels, row by row.
+    pub fn pixels(&self) -> &[ExpectedPixel] {
+        &self.pixels
+    }
+}
+
+/// Radians between neighbouring columns and rows in the middle of the image.
+fn spacing(sensor: &Sensor) -> (f64, f64) {
+    if let Geometry::Camera(camera) = &sensor.spec().geometry {
+        return (1.0 / camera.fx, 1.0 / camera.fy);
+    }
+    let (column, row) = (sensor.width() / 2, sensor.height() / 2);
+    let between = |c: u32, r: u32| match (sensor.ray(column, row), sensor.ray(c, r)) {
+        (Some(a), Some(b)) if (c, r) != (column, row) => a.angle_between(b),
+        _ => f64::INFINITY,
+    };
+    (between(column.saturating_sub(1), row), between(column, row.saturating_sub(1)))
+}

@@ -1,0 +1,83 @@
+//! Deadlines that cannot be, clocks that jump, and engines that cannot stop.
+
+use crate::common::scenes::{camera, room_world};
+use crate::ticks::{Jumping, Untouchable};
+use presight::engine::EngineKind;
+use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+fn predictor() -> Predictor {
+    Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap()
+}
+
+fn within(deadline: Duration) -> Request {
+    Request::default().with_deadline(deadline)
+}
+
+#[test]
+fn no_time_is_wrong_usage_and_too_little_is_an_error_in_time() {
+    let (world, sensor, mut predictor) = (room_world(1, 50), camera(640, 480), predictor());
+    let none = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::ZERO)).unwrap_err();
+    assert_eq!((none.kind(), none.kind().exit_status()), (ErrorKind::Usage, 2));
+    let start = Instant::now();
+    let too_little = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1))).unwrap_err();
+    assert!(start.elapsed() < Duration::from_millis(20), "{:?}", start.elapsed());
+    assert_eq!((too_little.kind(), too_little.kind().exit_status()), (ErrorKind::Deadline, 4));
+    let said = too_little.to_string();
+    assert!(said.starts_with("nothing can be predicted within 0.000 ms; give ") && !said.contains('\n'), "{said}");
+    // After it all is as before.
+    let all = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::MAX)).unwrap();
+    assert_eq!(all.given_up(), None);
+    assert!(all.stats.deadline.is_some());
+}
+
+#[test]
+fn without_a_deadline_no_clock_is_looked_at() {
+    let (world, sensor, mut predictor) = (room_world(1, 50), camera(64, 48), predictor());
+    predictor.set_clock(Arc::new(Untouchable));
+    let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
+    assert_eq!(seen.stats.deadline, None);
+    assert!(
+        std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1)))
+        }))
+        .is_err()
+    );
+}
+
+/// Answers stay right and costs finite, whatever a clock says.
+#[test]
+fn a_clock_that_jumps_spoils_nothing() {
+    let (world, sensor, mut predictor) = (room_world(1, 300), camera(64, 48), predictor());
+    let full = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().images;
+    predictor.set_clock(Arc::new(Jumping::default()));
+    let mut answers = 0;
+    for k in 1..60u64 {
+        match predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_millis(40 * k))) {
+            Ok(partial) => {
+                answers += 1;
+                for (full, partial) in full.range.iter().zip(&partial.images.range) {
+                    assert!(full == partial || partial.is_nan(), "{full} {partial}");
+                }
+            }
+            Err(e) => assert_eq!(e.kind(), ErrorKind::Deadline),
+        }
+    }
+    assert!(answers > 0);
+    let costs = predictor.costs();
+    for key in costs.keys() {
+        assert!(costs.unit_costs(key).unwrap().iter().all(|c| c.is_finite() && *c >= 0.0));
+    }
+}
+
+#[test]
+fn an_engine_that_cannot_stop_says_so() {
+    let (world, sensor) = (room_world(1, 10), camera(32, 24));
+    let options = Options::new(Backend::Cpu).with_threads(1);
+    let engine = EngineKind::Reference.open(&1.into()).unwrap();
+    let mut predictor = Predictor::with_engine(options, engine);
+    let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1))).unwrap_err();
+    assert_eq!(refused.kind(), ErrorKind::Usage);
+    assert!(refused.to_string().contains("--backend cpu"), "{refused}");
+}

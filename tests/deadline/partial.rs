@@ -1,0 +1,178 @@
+//! Stopped anywhere, an image says nothing that the full prediction does not say.
+
+use crate::common::scenes::{all_round, camera, fisheye, lens, room_world, scanner};
+use crate::common::{Random, data, env_number, plan};
+use crate::ticks::Ticks;
+use presight::cpu::Engine;
+use presight::deadline::Watch;
+use presight::{Images, Output, Pose, Sensor, Stats, World};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// What a partial prediction gets wrong, and what it holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Verdict {
+    /// Samples that show something else than the full prediction, `+inf` where that has a range among them.
+    wrong: usize,
+    /// Samples nearer than `complete_to` that are not there.
+    missing: usize,
+    /// Samples that are not there.
+    open: usize,
+    /// Samples that show something.
+    shown: usize,
+}
+
+/// Holds a partial prediction to the full one.
+fn judge(full: &Images, partial: &Images, complete_to: f64) -> Verdict {
+    let mut verdict = Verdict::default();
+    let floats = |images: &Images, at: usize| {
+        [Output::Range, Output::DepthZ, Output::CosIncidence, Output::Echo].map(|o| {
+            images.floats(o).map(|image| if image[at].is_nan() { f32::NAN.to_bits() } else { image[at].to_bits() })
+        })
+    };
+    let ids = |images: &Images, at: usize| [images.polygon_id[at], images.object_id[at]];
+    for at in 0..full.pixels() {
+        let same = floats(full, at) == floats(partial, at) && ids(full, at) == ids(partial, at);
+        let is_open = floats(partial, at).iter().flatten().all(|bits| f32::from_bits(*bits).is_nan())
+            && ids(partial, at) == [0; 2];
+        verdict.shown += usize::from(partial.range[at].is_finite());
+        if same {
+            continue;
+        }
+        verdict.open += usize::from(is_open);
+        verdict.wrong += usize::from(!is_open);
+        verdict.missing += usize::from(is_open && f64::from(full.range[at]) < complete_to);
+    }
+    verdict
+}
+
+fn sensors() -> Vec<Sensor> {
+    vec![camera(96, 64), scanner(180, 24), scanner(721, 1), all_round(90, 40), lens(80, 60), fisheye(72, 56)]
+}
+
+struct Subject<'a> {
+    world: &'a World,
+    sensor: &'a Sensor,
+    pose: Pose,
+}
+
+impl Subject<'_> {
+    /// The images, stopped after so many looks at the clock; and how many looks there were.
+    fn render(&self, engine: &mut Engine, looks: u64) -> (Images, Stats, u64) {
+        let clock = Arc::new(Ticks::default());
+        let mut plan = plan(self.world, self.sensor, &self.pose);
+        plan.set_watch(Watch::start(clock.clone(), Duration::from_micros(looks)));
+        let (mut images, mut stats) = (Images::default(), Stats::default());
+        engine.render(&plan, &mut images, &mut stats).unwrap();
+        (images, stats, clock.looks())
+    }
+
+    fn full(&self, engine: &mut Engine) -> Images {
+        let mut images = Images::default();
+        engine.render(&plan(self.world, self.sensor, &self.pose), &mut images, &mut Stats::default()).unwrap();
+        images
+    }
+}
+
+#[derive(Default)]
+struct Tally {
+    frames: usize,
+    partial: usize,
+    with_something: usize,
+}
+
+/// Stops some frames at random.
+fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut Engine, tally: &mut Tally) {
+    let full = subject.full(engine);
+    let (all, stats, looks) = subject.render(engine, u64::MAX / 2000);
+    assert_eq!(stats.given_up(), None);
+    let name = &subject.sensor.spec().name;
+    assert_eq!(
+        judge(&full, &all, f64::INFINITY),
+        Verdict { shown: judge(&full, &full, 0.0).shown, ..Verdict::default() }
+    );
+    for frame in 0..frames {
+        // The first one has no time at all.
+        let stop = if frame == 0 { 0 } else { 1 + random.below(looks as usize) as u64 };
+        let (partial, stats, _) = subject.render(engine, stop);
+        let given_up = stats.given_up();
+        let verdict = judge(&full, &partial, given_up.map_or(f64::INFINITY, |g| g.complete_to));
+        assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, stopped after {stop} of {looks} looks");
+        // What is not there is counted, and what is counted is not there. Samples that see nothing in the full image are, too.
+        assert_eq!(given_up.map_or(0, |g| g.samples as usize), verdict.open, "{name}, stopped after {stop}");
+        tally.frames += 1;
+        tally.partial += usize::from(verdict.open > 0);
+        tally.with_something += usize::from(verdict.open > 0 && verdict.shown > 0);
+    }
+}
+
+#[test]
+fn what_is_final_is_the_full_predictions_to_the_bit() {
+    let mut random = Random(11);
+    let mut tally = Tally::default();
+    let frames = env_number("FRAMES", 12) as usize;
+    for seed in 0..2 {
+        let world = room_world(seed, 700);
+        for threads in [1, 2] {
+            let mut engine = Engine::new(threads).unwrap();
+            for sensor in sensors() {
+                let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+                hold(&subject, &mut random, frames, &mut engine, &mut tally);
+            }
+        }
+    }
+    println!(
+        "{} frames, {} gave something up, {} of them show something",
+        tally.frames, tally.partial, tally.with_something
+    );
+    assert!(tally.partial * 2 > tally.frames, "hardly any frame was stopped");
+    assert!(tally.with_something * 4 > tally.partial, "hardly any stopped frame shows anything");
+}
+
+/// The same in buildings: `SCENE_FRAMES=60 cargo test --release --test deadline buildings -- --nocapture` for many.
+#[test]
+fn what_is_final_in_buildings_is_the_full_predictions_to_the_bit() {
+    let mut random = Random(12);
+    let frames = env_number("SCENE_FRAMES", 3) as usize;
+    for name in ["hospital", "factory_hall", "office_willowgarage"] {
+        let Some(world) = data::scene(name, true) else { return };
+        let mut engine = Engine::new(2).unwrap();
+        let mut tally = Tally::default();
+        for (pose, turn) in data::poses(&world, 2.max(frames / 8), 5).into_iter().zip(0..) {
+            for sensor in data::presets_at(turn, 0, 3).iter().chain(&[lens(160, 120), all_round(180, 60)]) {
+                hold(&Subject { world: &world, sensor, pose }, &mut random, frames, &mut engine, &mut tally);
+            }
+        }
+        println!(
+            "{name}: {} frames, {} gave something up, {} of them show something",
+            tally.frames, tally.partial, tally.with_something
+        );
+        assert!(tally.partial > 0);
+    }
+}
+
+/// A controller that says that nothing is where it did not look is found out.
+#[test]
+fn infinity_for_what_was_left_out_is_caught() {
+    let (world, sensor) = (room_world(3, 700), camera(96, 64));
+    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+    let mut engine = Engine::new(1).unwrap();
+    let full = subject.full(&mut engine);
+    let (mut partial, stats, _) = subject.render(&mut engine, 6);
+    let given_up = stats.given_up().expect("six looks are too few").clone();
+    assert_eq!(judge(&full, &partial, given_up.complete_to).wrong, 0);
+    let seen = full.range.iter().filter(|range| range.is_finite()).count();
+    for range in partial.range.iter_mut().filter(|range| range.is_nan()) {
+        *range = f32::INFINITY;
+    }
+    assert!(judge(&full, &partial, given_up.complete_to).wrong > seen / 100);
+    // So is one that shows what it has drawn so far beyond what is complete.
+    let (mut partial, _, _) = subject.render(&mut engine, 6);
+    let at = partial.range.iter().position(|range| range.is_nan()).unwrap();
+    (partial.range[at], partial.polygon_id[at]) = (9.0, 1);
+    assert_eq!(judge(&full, &partial, given_up.complete_to).wrong, 1);
+    // And one that claims to be complete farther than it is.
+    let nearest_open = (0..full.pixels()).filter(|at| partial.range[*at].is_nan()).map(|at| full.range[at]);
+    let beyond = f64::from(nearest_open.fold(f32::INFINITY, f32::min)) + 0.01;
+    assert!(judge(&full, &partial, beyond).missing > 0);
+}

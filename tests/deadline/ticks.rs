@@ -1,0 +1,43 @@
+//! Clocks without time.
+
+use presight::deadline::Clock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// Every look at it takes a microsecond.
+#[derive(Debug, Default)]
+pub struct Ticks(AtomicU64);
+
+impl Ticks {
+    /// How often it was looked at.
+    pub fn looks(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl Clock for Ticks {
+    fn now(&self) -> Duration {
+        Duration::from_micros(self.0.fetch_add(1, Ordering::Relaxed))
+    }
+}
+
+/// Nobody may look at it.
+#[derive(Debug)]
+pub struct Untouchable;
+
+impl Clock for Untouchable {
+    fn now(&self) -> Duration {
+        panic!("a clock decides about a prediction without a deadline")
+    }
+}
+
+/// Jumps to and fro.
+#[derive(Debug, Default)]
+pub struct Jumping(AtomicU64);
+
+impl Clock for Jumping {
+    fn now(&self) -> Duration {
+        let n = self.0.fetch_add(1, Ordering::Relaxed);
+        Duration::from_micros(if n.is_multiple_of(3) { 5_000_000 - n } else { n * n })
+    }
+}

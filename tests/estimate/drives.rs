@@ -1,0 +1,98 @@
+//! Robots followed from frame to frame.
+
+use super::*;
+use presight::ErrorKind;
+use presight::estimate::Prior;
+use presight::localize::{LocalizeOptions, Localizer, Phase};
+
+/// A pose on a round through the room, looking ahead and down a little.
+fn on_the_way(k: usize) -> Pose {
+    let t = 0.02 * k as f64;
+    let at = DVec3::new(1.3 + 0.5 * t.sin(), 2.3 + 0.4 * t.cos(), 1.4);
+    Pose::from_xyz_rpy(at, 0.0, 0.25, -0.25 + 0.3 * (0.7 * t).sin())
+}
+
+fn at(stamp: f64, frame: Frame) -> Frame {
+    Frame::new(stamp, frame.sensor().clone(), frame.sensed().clone()).unwrap()
+}
+
+fn localizer(start: &Pose) -> Localizer {
+    let prior = Prior::of_sigmas(*start, 0.05, 0.03);
+    Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default())
+}
+
+#[test]
+fn a_drive_is_followed_without_odometry() {
+    let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(11));
+    let mut robot = localizer(&off_by(&on_the_way(0), 0.04, 1.5, &mut random));
+    for k in 0..60 {
+        let truth = on_the_way(k);
+        let step = robot.step(&world, &at(k as f64, sense(&world, &sensor, &truth, &mut random))).unwrap();
+        let (metres, degrees) = apart(&step.pose, &truth);
+        assert!(metres < 0.01 && degrees < 0.3, "{k}: {metres} m {degrees} deg, {}", step.reason);
+        assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
+    }
+}
+
+/// A robot that is carried away says so within five frames, and is found again when it is put back.
+#[test]
+fn a_kidnapped_robot_is_lost() {
+    let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(12));
+    let mut robot = localizer(&on_the_way(0));
+    let elsewhere = Pose::from_xyz_rpy(DVec3::new(4.6, 1.2, 1.2), 0.0, 0.1, 2.9);
+    let mut lost = None;
+    let mut back = None;
+    for k in 0..50 {
+        let away = (20..28).contains(&k);
+        let truth = if away { elsewhere } else { on_the_way(k) };
+        let step = robot.step(&world, &at(k as f64, sense(&world, &sensor, &truth, &mut random))).unwrap();
+        if k < 20 {
+            assert_ne!(step.phase, Phase::Lost, "a false alarm at {k}: {}", step.reason);
+        }
+        if step.phase == Phase::Lost {
+            lost.get_or_insert(k);
+        }
+        if k >= 28 && step.phase == Phase::Tracking {
+            back.get_or_insert(k);
+        }
+        let (metres, _) = apart(&step.pose, &truth);
+        assert!(step.phase != Phase::Tracking || metres < 0.05 || k < 25, "{k}: tracking and {metres} m off");
+    }
+    assert!(lost.is_some_and(|k| (20..25).contains(&k)), "{lost:?}");
+    assert!(back.is_some_and(|k| k < 38), "{back:?}");
+}
+
+#[test]
+fn a_wrong_map_is_never_tracked() {
+    let (real, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(13));
+    let mut other = Environment::new();
+    other.add_material(Material::named("m")).unwrap();
+    add_box(&mut other, "hall", Vec3::new(-2.0, -1.0, 0.0), Vec3::new(8.5, 6.3, 4.0));
+    add_box(&mut other, "press", Vec3::new(3.0, 3.0, 0.0), Vec3::new(4.5, 4.0, 2.0));
+    let other = World::new(other);
+    let mut robot = localizer(&on_the_way(0));
+    for k in 0..10 {
+        let step = robot.step(&other, &at(k as f64, sense(&real, &sensor, &on_the_way(k), &mut random))).unwrap();
+        assert_ne!(step.phase, Phase::Tracking, "{}", step.reason);
+    }
+}
+
+#[test]
+fn frames_out_of_order_and_bad_odometry_are_refused() {
+    let (world, sensor) = (room(Vec3::ZERO), camera(0.01));
+    let frame = |stamp| at(stamp, sense(&world, &sensor, &on_the_way(0), &mut Random(14)));
+    let mut robot = localizer(&on_the_way(0));
+    robot.step(&world, &frame(1.0)).unwrap();
+    for stamp in [1.0, 0.5] {
+        assert_eq!(robot.step(&world, &frame(stamp)).unwrap_err().kind(), ErrorKind::Invalid);
+    }
+    let mut broken = frame(2.0);
+    let nowhere = Pose { translation: DVec3::NAN, ..Pose::IDENTITY };
+    broken.motion = Some(presight::frame::Motion { previous_from_current: nowhere, covariance: [[0.0; 6]; 6] });
+    assert!(robot.step(&world, &broken).unwrap_err().to_string().contains("odometry"));
+    let mut broken = frame(2.0);
+    let covariance = [[f64::NAN; 6]; 6];
+    broken.motion = Some(presight::frame::Motion { previous_from_current: Pose::IDENTITY, covariance });
+    assert_eq!(robot.step(&world, &broken).unwrap_err().kind(), ErrorKind::Invalid);
+    assert_eq!(robot.step(&world, &frame(2.0)).unwrap().stamp, 2.0);
+}

@@ -1,0 +1,104 @@
+//! Poses from frames: truths worked out by hand, simulated rooms, real depth images, and what must not be claimed.
+
+mod drives;
+mod livingroom;
+mod rooms;
+mod simulated;
+mod singular;
+mod verdicts;
+
+use glam::{DVec3, Vec3};
+use presight::estimate::{EstimateOptions, Estimator, moved};
+use presight::frame::{Frame, Sensed};
+use presight::{
+    Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose,
+    Predictor, Request, Scanner, Sensor, SensorSpec, World,
+};
+use presight_testkit::Random;
+use std::sync::Arc;
+
+/// A box from corner to corner as an object of its own; `inwards` is a room.
+pub fn add_box(environment: &mut Environment, name: &str, least: Vec3, most: Vec3) {
+    let corner = |i: u32| {
+        let pick = |bit: u32, a: f32, b: f32| if i & bit == 0 { a } else { b };
+        Vec3::new(pick(1, least.x, most.x), pick(2, least.y, most.y), pick(4, least.z, most.z))
+    };
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let polygons = faces.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect();
+    let mesh = Mesh::new(name, (0..8).map(corner).collect(), polygons, PolygonOrder::Given).unwrap();
+    environment.insert(NewObject::new(name, Pose::IDENTITY, Arc::new(mesh))).unwrap();
+}
+
+/// A room of 6 x 4 x 2.6 m with a table, a shelf and a pillar that make it like no other; `shift` moves all of these.
+pub fn room(shift: Vec3) -> World {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("paint")).unwrap();
+    add_box(&mut environment, "room", Vec3::ZERO, Vec3::new(6.0, 4.0, 2.6));
+    for (name, least, most) in [
+        ("table", [2.0, 0.8, 0.0], [3.2, 1.6, 0.75]),
+        ("shelf", [4.6, 3.4, 0.0], [5.9, 4.0, 1.9]),
+        ("pillar", [3.6, 2.5, 0.0], [3.9, 2.8, 2.6]),
+        ("crate", [5.2, 0.0, 0.0], [6.0, 0.7, 0.6]),
+    ] {
+        add_box(&mut environment, name, Vec3::from(least) + shift, Vec3::from(most) + shift);
+    }
+    World::new(environment)
+}
+
+/// A laser range camera of 80 x 60 pixels, 60 degrees wide, with this noise.
+pub fn camera(range_sigma: f64) -> Sensor {
+    let camera = Camera::pinhole(80, 60, 70.0, 70.0, 39.5, 29.5);
+    let mut spec = SensorSpec::new("range camera", "laser", Geometry::Camera(camera));
+    spec.noise.range_sigma = range_sigma;
+    Sensor::new(spec).unwrap()
+}
+
+/// A level scanner of one row, 360 beams.
+pub fn scanner(range_sigma: f64) -> Sensor {
+    let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 1.0, count: 360 };
+    let elevation = Angles::Listed(vec![0.0]);
+    let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
+    let mut spec = SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner));
+    spec.noise.range_sigma = range_sigma;
+    Sensor::new(spec).unwrap()
+}
+
+/// Predicts on two threads.
+pub fn predictor() -> Predictor {
+    Predictor::new(Options::new(Backend::Cpu).with_threads(2)).unwrap()
+}
+
+/// An estimator on two threads.
+pub fn estimator(options: EstimateOptions) -> Estimator {
+    Estimator::new(predictor(), options)
+}
+
+/// A number with mean 0 and variance 1.
+pub fn normal(random: &mut Random) -> f64 {
+    let radius = (-2.0 * random.uniform(1e-300, 1.0).ln()).sqrt();
+    radius * random.uniform(0.0, std::f64::consts::TAU).cos()
+}
+
+/// A unit vector of any direction.
+pub fn direction(random: &mut Random) -> DVec3 {
+    DVec3::new(normal(random), normal(random), normal(random)).normalize()
+}
+
+/// What a sensor on the robot's origin measures in a world, with the noise that it states.
+pub fn sense(world: &World, sensor: &Sensor, pose: &Pose, random: &mut Random) -> Frame {
+    let seen = predictor().predict(world, sensor, pose, &Request::default()).unwrap();
+    let sigma = sensor.spec().noise.range_sigma;
+    let noisy = |r: &f32| (f64::from(*r) + sigma * normal(random)) as f32;
+    Frame::new(0.0, sensor.clone(), Sensed::Range(seen.images.range.iter().map(noisy).collect())).unwrap()
+}
+
+/// A pose off by so many metres and degrees, in any direction.
+pub fn off_by(pose: &Pose, metres: f64, degrees: f64, random: &mut Random) -> Pose {
+    let (t, r) = (metres * direction(random), degrees.to_radians() * direction(random));
+    moved(pose, &[t.x, t.y, t.z, r.x, r.y, r.z])
+}
+
+/// Metres and degrees between two poses.
+pub fn apart(a: &Pose, b: &Pose) -> (f64, f64) {
+    ((a.translation - b.translation).length(), a.rotation.angle_between(b.rotation).to_degrees())
+}

@@ -1,0 +1,86 @@
+//! The simulator, and logs of it.
+
+use super::*;
+use presight::estimate::Prior;
+use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::simulate::{Disturbances, Simulator};
+
+fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
+    Simulator::new(predictor(), camera(0.01), disturbances, seed).unwrap()
+}
+
+const NONE: Disturbances = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
+
+/// Mean and deviation of what noise adds are those stated; drop-outs are as many as asked for.
+#[test]
+fn noise_is_as_stated() {
+    let world = room(Vec3::ZERO);
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
+    let truth = predictor().predict(&world, &camera(0.01), &pose, &Request::default()).unwrap().images.range;
+    let frame = simulator(Disturbances { drop_outs: 0.1, ..NONE }, 1).frame(&world, 0.0, &pose).unwrap();
+    let errors: Vec<f64> =
+        frame.ranges().iter().zip(&truth).map(|(a, b)| f64::from(a - b)).filter(|e| e.is_finite()).collect();
+    let n = errors.len() as f64;
+    let mean = errors.iter().sum::<f64>() / n;
+    let sigma = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
+    assert!(mean.abs() < 4.0 * 0.01 / n.sqrt() && (sigma / 0.01 - 1.0).abs() < 0.05, "{mean} {sigma}");
+    let lost = frame.ranges().iter().filter(|r| r.is_nan()).count() as f64 / 4800.0;
+    assert!((lost - 0.1).abs() < 0.02, "{lost}");
+    // The same seed, the same frame; another, another.
+    let again = |seed| simulator(Disturbances { drop_outs: 0.1, ..NONE }, seed).frame(&world, 0.0, &pose).unwrap();
+    let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&frame), bits(&again(1)));
+    assert_ne!(bits(&frame), bits(&again(2)));
+}
+
+/// Mixed pixels lie between the two surfaces of an edge, and nowhere else.
+#[test]
+fn mixed_pixels_are_at_edges() {
+    let world = room(Vec3::ZERO);
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
+    let frame = |mixed_pixels| simulator(Disturbances { mixed_pixels, ..NONE }, 3).frame(&world, 0.0, &pose).unwrap();
+    let (plain, mixed) = (frame(0.0), frame(1.0));
+    let mut changed = 0;
+    for i in 0..4799 {
+        let (a, b, next) = (plain.ranges()[i], mixed.ranges()[i], plain.ranges()[i + 1]);
+        if (a - b).abs() > 0.06 {
+            changed += 1;
+            assert!((a.min(next) - 0.1..=a.max(next) + 0.1).contains(&b), "{i}: {a} {b} {next}");
+        }
+    }
+    assert!(changed > 20, "{changed}");
+}
+
+#[test]
+fn a_simulated_log_is_tracked_with_odometry() {
+    let world = room(Vec3::ZERO);
+    let mut simulator = simulator(Disturbances::default(), 5);
+    let pose = |k: usize| {
+        let t = 0.05 * k as f64;
+        Pose::from_xyz_rpy(DVec3::new(1.2 + 0.4 * t.sin(), 2.3 + 0.3 * t.cos(), 1.4), 0.0, 0.25, -0.25 + 0.2 * t.sin())
+    };
+    let prior = Prior::of_sigmas(pose(0), 0.03, 0.02);
+    let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
+    let mut squares = 0.0;
+    for k in 0..60 {
+        let frame = simulator.frame(&world, k as f64, &pose(k)).unwrap();
+        assert_eq!(frame.motion.is_some(), k > 0);
+        let step = robot.step(&world, &frame).unwrap();
+        assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
+        squares += apart(&step.pose, &pose(k)).0.powi(2);
+    }
+    let rms = (squares / 60.0).sqrt();
+    assert!(rms < 0.003, "{rms}");
+}
+
+#[test]
+fn bad_disturbances_are_refused() {
+    for bad in [
+        Disturbances { drop_outs: 1.5, ..NONE },
+        Disturbances { mixed_pixels: f64::NAN, ..NONE },
+        Disturbances { slip: -0.1, ..NONE },
+        Disturbances { turn_slip: f64::INFINITY, ..NONE },
+    ] {
+        assert!(Simulator::new(predictor(), camera(0.01), bad, 1).is_err(), "{bad:?}");
+    }
+}
