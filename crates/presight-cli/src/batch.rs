@@ -362,6 +362,8 @@ impl<'a> Job<'a> {
             scene_blake3: Some(blake3_of(&args.scene)?),
             ids: Some(IdScheme::Model),
             objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
+            // No batch has a deadline.
+            given_up: None,
         };
         Ok(Self { args, scene, sensor, request, attributes })
     }
