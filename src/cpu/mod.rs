@@ -71,7 +71,7 @@ impl Engine {
 
     /// How many threads it has.
     pub fn threads(&self) -> usize {
-        self.pool.current_num_threads()
+        if self.alone { 1 } else { self.pool.current_num_threads() }
     }
 
     /// Fills the asked images.
@@ -83,7 +83,7 @@ impl Engine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "cpu".into();
-        stats.threads = if self.alone { 1 } else { self.pool.current_num_threads() };
+        stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
@@ -174,7 +174,7 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let left_out = set_up(plan, bands, (&runs, least), batches, &mut used);
+        let left_out = set_up(plan, bands, least, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -182,15 +182,15 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
-        let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate().with_min_len(least);
-        parts.for_each(|(band, ((buffer, target), progress))| {
+        let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
+        parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
             let (target, clear) = (last.then_some(target), waves == 0);
             arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress });
         });
         waves += 1;
         if !last && progress.is_over() {
-            let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate().with_min_len(least);
-            parts.for_each(|(band, ((buffer, target), progress))| {
+            let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate();
+            parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
                 arch.dispatch(Resolve { buffer, target, plan, winners, bands, band, progress });
             });
         }
@@ -220,7 +220,8 @@ fn draw_waves(
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
-    (runs, least): (&[Run], usize),
+    least: usize,
+    runs: &[Run],
     batches: &mut Vec<Batch>,
     used: &mut usize,
 ) -> Option<f32> {

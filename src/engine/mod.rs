@@ -45,14 +45,14 @@ pub trait Engine: Any + Send {
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
-    /// Its threads if it stops by a plan's clock; `None` if it cannot keep a deadline.
-    fn threads_with_deadline(&self) -> Option<usize> {
-        None
-    }
-
     /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
     /// `None` for an engine that cannot be one of several.
     fn for_task(&self) -> Option<Box<dyn Engine>> {
+        None
+    }
+
+    /// Its threads if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    fn threads_with_deadline(&self) -> Option<usize> {
         None
     }
 
@@ -188,12 +188,12 @@ impl Engine for cpu::Engine {
         Self::render(self, plan, images, stats)
     }
 
-    fn threads_with_deadline(&self) -> Option<usize> {
-        Some(self.threads())
-    }
-
     fn for_task(&self) -> Option<Box<dyn Engine>> {
         Some(Box::new(self.on_one_thread()))
+    }
+
+    fn threads_with_deadline(&self) -> Option<usize> {
+        Some(self.threads())
     }
 }
 
