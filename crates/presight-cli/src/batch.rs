@@ -364,7 +364,6 @@ impl<'a> Job<'a> {
             given_up: None,
             objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
             // No batch has a deadline.
-            given_up: None,
         };
         Ok(Self { args, scene, sensor, request, attributes })
     }
