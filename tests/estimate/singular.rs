@@ -120,7 +120,7 @@ fn a_repeating_corridor_has_two_places() {
     let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
     let mut prior = Prior::of_sigmas(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.5, 0.02);
     prior.covariance[1][1] = 0.01;
-    let mut answer = |crate_too: bool| {
+    let answer = |crate_too: bool| {
         let world = corridor(crate_too);
         let frame = sense(&world, &sensor, &truth, &mut Random(5));
         estimator(options).estimate(&world, &[&frame], &prior).unwrap()
