@@ -19,7 +19,7 @@ const LEAST_RADIUS: f32 = 2.0;
 const MARGIN: Duration = Duration::from_micros(100);
 /// What is left of a doubted estimate after each refusal by it, and at least.
 const DOUBT: f64 = 0.98;
-const MOST_DOUBT: f64 = 0.5;
+const MOST_DOUBT: f64 = 0.25;
 /// The same of estimates that nothing was learnt for: machines differ by as much.
 const UNKNOWN_MACHINE: f64 = 0.125;
 

@@ -164,7 +164,7 @@ fn what_cannot_be_done_is_refused_at_once_and_tried_when_that_may_be_wrong() {
     replay.learn();
     for _ in 0..500 {
         let before = replay.clock.now();
-        let refused = replay.frame(200.0, 300, RECORDED).unwrap_err();
+        let refused = replay.frame(100.0, 300, RECORDED).unwrap_err();
         assert_eq!((refused.kind(), replay.clock.now()), (ErrorKind::Deadline, before));
         assert!(refused.to_string().contains("; give 0."), "{refused}");
     }
