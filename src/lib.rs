@@ -115,6 +115,7 @@ mod printable;
 pub mod probe;
 mod random;
 pub mod reference;
+mod request;
 #[doc(hidden)]
 pub mod row;
 mod scene;
@@ -131,7 +132,8 @@ pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
 pub use plan::{FramePlan, IdScheme, ImageRequest, Images, LeftOut, Output, Outputs, StageRow, Stats, Work};
-pub use predict::{Backend, Options, Prediction, Predictor, Request};
+pub use predict::{Backend, Options, Prediction, Predictor};
+pub use request::Request;
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
 pub use sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec};
 pub use threads::Threads;

@@ -14,7 +14,7 @@ use super::sensor_toml;
 use crate::features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, STEP, Visibility};
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Outputs};
-use crate::predict::Request;
+use crate::request::Request;
 use crate::sensor::{Sensor, SensorSpec};
 use glam::{DQuat, DVec3};
 use serde::de::Error as _;

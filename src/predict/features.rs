@@ -11,8 +11,8 @@ use crate::features::{
 use crate::geometry::Pose;
 use crate::placement;
 use crate::plan::{Images, Output, Stats};
-use crate::predict::Request;
 use crate::probe::{Probe, Task};
+use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
 use std::time::Instant;

@@ -2,9 +2,7 @@
 
 mod deadline;
 mod features;
-mod request;
-
-pub use request::Request;
+mod view;
 
 use crate::cost::Controller;
 use crate::cpu;
@@ -14,6 +12,7 @@ use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
 use crate::probe::{Probe, Task, Told};
+use crate::request::Request;
 use crate::row::RowCuts;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
@@ -47,6 +46,25 @@ pub struct Options {
     pub backend: Backend,
     /// CPU threads: a handle to share, or a number (`2.into()`), 0 for all cores.
     pub threads: Threads,
+}
+
+impl Options {
+    /// With this engine.
+    pub fn new(backend: Backend) -> Self {
+        Self { backend, ..Self::default() }
+    }
+
+    /// With another engine.
+    #[must_use]
+    pub fn with_backend(self, backend: Backend) -> Self {
+        Self { backend, ..self }
+    }
+
+    /// With other threads: a handle to share, or a number, 0 for all cores.
+    #[must_use]
+    pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
+        Self { threads: threads.into(), ..self }
+    }
 }
 
 /// What a sensor should see at one pose: the answer to a [`Request`].

@@ -42,7 +42,7 @@ pub use mask::{Mask, MaskRegion};
 pub use radar_lines::{COLLINEAR, RadarLine, RadarLines};
 pub use radar_nearest::{Directions, InCorridor, Nearest, NearestPoint};
 pub use vertical_planes::{COPLANAR, VERTICAL, VerticalPlane, VerticalPlanes};
-pub use view::{View, ViewIds, floor_below};
+pub use view::{View, ViewIds};
 
 use crate::environment::FeatureShape;
 use crate::error::{Error, Result};

@@ -2,14 +2,10 @@
 
 use crate::deadline::GivenUp;
 use crate::environment::Environment;
-use crate::error::{Error, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{IdScheme, Output, Outputs};
-use crate::predict::{Prediction, Predictor, Request};
-use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
-use crate::world::World;
-use glam::DVec3;
+use crate::plan::IdScheme;
+use crate::sensor::Sensor;
 
 /// What a sensor sees, or should see, at a pose.
 ///
@@ -63,21 +59,6 @@ impl<'a> View<'a> {
         Self { sensor, world_from_sensor: *world_from_sensor, range: &[], ids: None, features: None, given_up: None }
     }
 
-    /// A prediction in an environment.
-    pub fn of(prediction: &'a Prediction, environment: &'a Environment) -> Self {
-        let (images, scheme) = (&prediction.images, prediction.request.ids);
-        let known = !images.polygon_id.is_empty() && !images.object_id.is_empty();
-        let ids = ViewIds { environment, scheme, polygon_id: &images.polygon_id, object_id: &images.object_id };
-        Self {
-            sensor: &prediction.sensor,
-            world_from_sensor: prediction.world_from_sensor,
-            range: &images.range,
-            ids: known.then_some(ids),
-            features: prediction.features.as_ref(),
-            given_up: prediction.given_up(),
-        }
-    }
-
     /// With ranges, metres along each pixel's ray, row-major.
     #[must_use]
     pub fn with_range(self, range: &'a [f32]) -> Self {
@@ -95,33 +76,4 @@ impl<'a> View<'a> {
     pub fn with_features(self, features: &'a FeaturePrediction) -> Self {
         Self { features: Some(features), ..self }
     }
-}
-
-/// Returns the height in the world of what is straight below a sensor, metres: the floor for `free-floor`, where the
-/// sensor's mount does not say how high it is above the floor.
-///
-/// ```
-/// use presight::{Options, Pose, Predictor, Scene, virtual_sensors};
-/// let scene = Scene::open("scenes/room.glb")?;
-/// let mut predictor = Predictor::new(Options::default())?;
-/// let pose = Pose::from_xyz_rpy(glam::DVec3::new(1.0, 1.5, 0.5), 0.0, 0.0, 0.0);
-/// let floor = virtual_sensors::floor_below(&mut predictor, &scene.world, &presight::preset("video-camera")?, &pose)?;
-/// assert!(floor.abs() < 0.05);
-/// # Ok::<(), presight::Error>(())
-/// ```
-///
-/// # Errors
-/// [`crate::ErrorKind::Usage`] if nothing is below; those of [`Predictor::predict`].
-pub fn floor_below(predictor: &mut Predictor, world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Result<f64> {
-    let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
-    let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
-    let at = Pose { translation: world_from_sensor.translation, ..Pose::IDENTITY };
-    let request = Request::of(Outputs::of(&[Output::Range]));
-    let range = f64::from(predictor.predict(world, &probe, &at, &request)?.images.range[0]);
-    if !range.is_finite() {
-        let what = format!("sensor {:?} has no [mount], and nothing is below it", sensor.spec().name);
-        let remedy = "give --floor-z, or robot_from_sensor under [mount] in the sensor's file";
-        return Err(Error::usage(what, remedy).at("--virtual free-floor"));
-    }
-    Ok(world_from_sensor.translation.z - range)
 }

@@ -108,6 +108,11 @@ fn sources(folder: &Path, to: &mut Vec<PathBuf>) {
 fn breaches(architecture: &str, lib: &str, files: &[(String, String)]) -> Vec<String> {
     let rows = table(architecture);
     let (allowed, mut faults) = allowed(&rows);
+    for engine in ["cpu", "gpu", "engine", "predict"] {
+        if allowed.get("io").is_some_and(|may| may.contains(engine)) {
+            faults.push(format!("io depends on {engine}"));
+        }
+    }
     let again = given_again(lib);
     for (module, source) in files {
         let Some(may) = allowed.get(module.as_str()) else {
@@ -178,6 +183,8 @@ fn breaches_are_found() {
     for (module, source, said) in broken {
         assert!(of(module, source).iter().any(|fault| fault == said), "{module}: {source}: {:?}", of(module, source));
     }
+    let through = table.replace("| plan |\n\n", "| gpu |\n\n");
+    assert!(breaches(&through, lib, &[]).contains(&"io depends on gpu".to_owned()));
     let upward = table.replace("| x | nothing |", "| x | plan |");
     assert!(breaches(&upward, lib, &[]).iter().any(|fault| fault.starts_with("plan, on which")), "a row below");
 }

@@ -5,7 +5,7 @@ use presight::geometry::Pose;
 use presight::io::{corridor, png};
 use presight::plan::Outputs;
 use presight::sensor::Sensor;
-use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor, floor_below};
+use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
 use presight::{Error, Prediction, Predictor, Result, Scene};
 use std::path::{Path, PathBuf};
 
@@ -78,7 +78,7 @@ impl VirtualArgs {
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
             && self.floor_z.is_none()
             && sensor.spec().mount == Pose::IDENTITY;
-        let below = if unknown { Some(floor_below(predictor, &scene.world, sensor, pose)?) } else { None };
+        let below = if unknown { Some(predictor.floor_below(&scene.world, sensor, pose)?) } else { None };
         Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
     }
 

@@ -1,11 +1,9 @@
 //! Requests: all that one prediction is asked for.
 
-use super::Options;
 use crate::error::{Error, Result};
 use crate::features::{BoxOptions, FeatureOptions};
 use crate::plan::{IdScheme, ImageRequest, Output, Outputs};
 use crate::sensor::Sensor;
-use crate::{Backend, Threads};
 use std::time::Duration;
 
 /// All that one prediction is asked for. What is not asked for costs nothing.
@@ -89,7 +87,7 @@ impl Request {
     }
 
     /// The images that are drawn: those asked for, and what features are predicted from.
-    pub(super) fn drawn(&self) -> ImageRequest {
+    pub(crate) fn drawn(&self) -> ImageRequest {
         let outputs = if self.features.is_some() { self.outputs.with(Output::PolygonId) } else { self.outputs };
         ImageRequest { outputs, ids: self.ids }
     }
@@ -98,24 +96,5 @@ impl Request {
 impl From<&Request> for ImageRequest {
     fn from(request: &Request) -> Self {
         Self { outputs: request.outputs, ids: request.ids }
-    }
-}
-
-impl Options {
-    /// With this engine.
-    pub fn new(backend: Backend) -> Self {
-        Self { backend, ..Self::default() }
-    }
-
-    /// With another engine.
-    #[must_use]
-    pub fn with_backend(self, backend: Backend) -> Self {
-        Self { backend, ..self }
-    }
-
-    /// With other threads: a handle to share, or a number, 0 for all cores.
-    #[must_use]
-    pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
-        Self { threads: threads.into(), ..self }
     }
 }
