@@ -59,7 +59,8 @@ impl Serialize for SensorSpec {
 impl<'de> Deserialize<'de> for SensorSpec {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let table = toml_of(Value::deserialize(deserializer)?).map_err(D::Error::custom)?;
-        sensor_toml::parse(&table.to_string(), "sensor", None).map_err(D::Error::custom)
+        let text = toml::to_string(&table).map_err(D::Error::custom)?;
+        sensor_toml::parse(&text, "sensor", None).map_err(D::Error::custom)
     }
 }
 
