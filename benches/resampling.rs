@@ -125,7 +125,7 @@ fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
     let sensor = segment()?;
     let request = ImageRequest::default();
     let mut truth = Images::default();
-    reference::render(&FramePlan::new(world, &sensor, pose, &request)?, &mut truth)?;
+    reference::render(&FramePlan::new(world, &sensor, pose, request)?, &mut truth)?;
     let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
     let mut images = Images::default();
     let print = |way: &str, ms: f64, images: &Images| {
@@ -133,7 +133,7 @@ fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
         println!("| {name} | {way} | {ms:.2} ms | {:.3} % | {mean:.2e} m | {most:.2e} m |", 100.0 * others);
     };
     for (way, sensor) in [("spherical spans", sensor.clone()), ("ray table", table(&sensor)?)] {
-        let ms = time(|| predictor.predict_images(world, &sensor, pose, &request, &mut images).map(|_| ()))?;
+        let ms = time(|| predictor.predict_images(world, &sensor, pose, request, &mut images).map(|_| ()))?;
         print(way, ms, &images);
     }
     for scale in [1.0, 2.0, 4.0] {
@@ -143,7 +143,7 @@ fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
         let request = ImageRequest { outputs, ..request };
         let mut curved = Images::default();
         let ms = time(|| {
-            predictor.predict_images(world, &planar, pose, &request, &mut images)?;
+            predictor.predict_images(world, &planar, pose, request, &mut images)?;
             resample(&images, &table, &mut curved);
             Ok(())
         })?;

@@ -235,7 +235,7 @@ mod tests {
             let at = DVec3::new(2.0 + 0.08 * f64::from(k), 1.5, 1.2);
             let pose = Pose::from_xyz_rpy(at, 0.1, 0.2, 0.3 * f64::from(k));
             let mut images = Images::default();
-            let plan = FramePlan::new(&world, &sensor, &pose, &ImageRequest::default()).unwrap();
+            let plan = FramePlan::new(&world, &sensor, &pose, ImageRequest::default()).unwrap();
             reference::render(&plan, &mut images).unwrap();
             let share = images.range.iter().filter(|r| r.is_finite()).count() as f64 / f64::from(RAYS);
             let surrounded = is_surrounded(&world, &rays, &pose, &mut found);

@@ -81,7 +81,7 @@ fn cast(world: &World, origin: DVec3, ray: DVec3) -> Option<(f64, u32)> {
 
 fn check(world: &World, sensor: &Sensor, pose: &Pose) -> Result<(), TestCaseError> {
     let request = ImageRequest { outputs: Outputs::ALL, ..ImageRequest::default() };
-    let plan = FramePlan::new(world, sensor, pose, &request).unwrap();
+    let plan = FramePlan::new(world, sensor, pose, request).unwrap();
     let images = render(&plan, 1);
     prop_assert!(same_bits(&render(&plan, 3), &images));
     let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
@@ -155,7 +155,7 @@ fn a_miss_beside_and_behind_the_image_plane_is_infinitely_deep() {
     let camera = Sensor::new(SensorSpec::new("fisheye", "video", Geometry::Camera(camera))).unwrap();
     assert!(camera.ray(0, 1).unwrap().z < 0.0, "it sees behind itself");
     let request = ImageRequest { outputs: Outputs::ALL, ..ImageRequest::default() };
-    let images = render(&FramePlan::new(&world(&[]), &camera, &Pose::IDENTITY, &request).unwrap(), 1);
+    let images = render(&FramePlan::new(&world(&[]), &camera, &Pose::IDENTITY, request).unwrap(), 1);
     assert!(images.depth_z.iter().chain(&images.range).all(|x| *x == f32::INFINITY), "{:?}", images.depth_z);
 }
 
@@ -177,7 +177,7 @@ fn ties_go_to_the_lower_slot_and_neighbours_leave_no_crack() {
     environment.insert(NewObject::new("wall", Pose::IDENTITY, mesh.into())).unwrap();
     let world = World::new(environment);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.05, 0.3), 0.3, 0.1, -0.05);
-    let plan = FramePlan::new(&world, &camera(), &pose, &ImageRequest::default()).unwrap();
+    let plan = FramePlan::new(&world, &camera(), &pose, ImageRequest::default()).unwrap();
     let images = render(&plan, 0);
     let interior = images.polygon_id.iter().filter(|&&id| id != 0).count();
     assert!(interior > 1000);

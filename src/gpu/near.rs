@@ -207,7 +207,7 @@ mod tests {
             let place = object.world_from_mesh().transform_point3(above);
             let sensor = preset("microwave-radar-image").unwrap();
             let pose = Pose::from_xyz_rpy(place, 0.1, 0.2, turn);
-            let plan = FramePlan::new(&world, &sensor, &pose, &ImageRequest::default()).unwrap();
+            let plan = FramePlan::new(&world, &sensor, &pose, ImageRequest::default()).unwrap();
             let (tables, mut list) = (Tables::new(&sensor), NearList::default());
             let (mut wanted, mut edge_on) = (Vec::new(), 0);
             for run in &plan.runs {

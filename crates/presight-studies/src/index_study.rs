@@ -127,7 +127,7 @@ impl Study {
                 let request = ImageRequest::default();
                 prediction.push(
                     fastest(self.repeats, || {
-                        predictor.predict_images(world, sensor, pose, &request, &mut images).map(|_| ())
+                        predictor.predict_images(world, sensor, pose, request, &mut images).map(|_| ())
                     })? * 1e3,
                 );
             }

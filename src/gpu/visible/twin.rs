@@ -151,7 +151,7 @@ fn the_device_answers_as_its_twin() {
         for sensor in sensors() {
             let world = hard(&mut random);
             let pose = Pose::from_xyz_rpy(random.place(DVec3::splat(0.3)), 0.1, 0.05, random.uniform(-3.0, 3.0));
-            let plan = FramePlan::new(&world, &sensor, &pose, &ImageRequest::default()).unwrap();
+            let plan = FramePlan::new(&world, &sensor, &pose, ImageRequest::default()).unwrap();
             engine.render(&plan, &mut Images::default(), &mut Stats::default()).unwrap();
             let mut asked = OcclusionQuery::with_room(4000, &sensor);
             while asked.count() < 4000 {

@@ -29,7 +29,7 @@ fn world(triangles: &[[[f32; 3]; 3]], pose: Pose) -> World {
 
 fn plan(world: &World, geometry: Geometry, pose: &Pose) -> FramePlan {
     let sensor = Sensor::new(SensorSpec::new("s", "study", geometry)).unwrap();
-    FramePlan::new(world, &sensor, pose, &ImageRequest { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
+    FramePlan::new(world, &sensor, pose, ImageRequest { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
 }
 
 fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::oracle::Sight {

@@ -79,7 +79,7 @@ impl One<'_> {
     }
 
     fn truth(&self, pose: &Pose) -> Result<Truth> {
-        let plan = FramePlan::new(&self.scene.world, self.sensor, pose, &request())?;
+        let plan = FramePlan::new(&self.scene.world, self.sensor, pose, request())?;
         let mut images = Images::default();
         reference::render(&plan, &mut images)?;
         Ok(Truth { plan, images })
@@ -123,7 +123,7 @@ impl One<'_> {
             }
             let draw = |one: &mut Imaging| {
                 let predictor = self.engines.predictor(one.path.which)?;
-                predictor.predict_images(&one.world, &one.view.sensor, pose, &request(), &mut images)
+                predictor.predict_images(&one.world, &one.view.sensor, pose, request(), &mut images)
             };
             by_turns(self.effort, &mut all, draw, |round| progress(&format!("images by turns, {round}: {place}")))?;
         }
@@ -145,11 +145,10 @@ impl One<'_> {
     fn compare(&mut self, Timed { what, timing }: &mut Timed<Imaging>, pose: &Pose, truth: &Truth) -> Result<()> {
         let (view, mut images) = (&what.view, Images::default());
         let predictor = self.engines.predictor(what.path.which)?;
-        timing.warm(|| predictor.predict_images(&what.world, &view.sensor, pose, &request(), &mut images))?;
+        timing.warm(|| predictor.predict_images(&what.world, &view.sensor, pose, request(), &mut images))?;
         let (truth_images, shown) = view.beside(&truth.images, &images);
         // A part of the image is judged by its own sensor: pixels have their places there.
-        let own =
-            (!view.whole).then(|| FramePlan::new(&self.scene.world, &view.judge, pose, &request())).transpose()?;
+        let own = (!view.whole).then(|| FramePlan::new(&self.scene.world, &view.judge, pose, request())).transpose()?;
         let plan = own.as_ref().unwrap_or(&truth.plan);
         let exact = view.exact.then_some(what.path.precision());
         what.errors.add(&errors::compare_images(&truth_images, &shown, plan, exact)?);
