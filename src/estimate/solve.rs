@@ -208,7 +208,7 @@ impl Estimator {
     }
 
     /// Looks for a second pose that explains the measurement about as well: starts from the far ends of the prior, along the
-    /// directions in which the measurement says least, go where they go.
+    /// axes along which it leaves room for one, go where they go.
     fn other_minima(&mut self, run: &mut Run<'_>, best: &Minimum) -> Result<Vec<Minimum>> {
         if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
             return Ok(Vec::new());
@@ -389,19 +389,14 @@ impl Estimator {
     }
 }
 
-/// Two prior standard deviations to either side of a minimum, along the two directions in which the measurement says least
-/// beside the prior.
+/// Two prior standard deviations to either side of a minimum, along every principal axis of the prior that leaves room for a second
+/// one. How much the measurement says along an axis is no reason to leave it out: where things repeat, it says much at each place.
 fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
-    // In the prior's own units the directions are those of S' H S, with S a root of its covariance.
     let (values, vectors) = eigen(restricted(&run.prior.covariance, freedom.axes()), 6);
-    let root: Matrix = std::array::from_fn(|i| std::array::from_fn(|k| vectors[i][k] * values[k].max(0.0).sqrt()));
-    let (said, directions) = eigen(sandwich(&transposed(&root), &best.normal.information), 6);
-    let mut order: Vec<usize> = (0..6).collect();
-    order.sort_by(|a, b| said[*a].total_cmp(&said[*b]));
-    let axis = |k: usize| -> Vector { apply(&root, &std::array::from_fn(|i| directions[i][k])) };
-    // Numbers that are not looked for have no root: their axes have no length.
-    let axes = order.into_iter().map(axis).filter(|v| length(v) > 1e-9).take(2);
-    axes.flat_map(|v| [2.0, -2.0].map(|s| moved(&best.pose, &v.map(|x| s * x)))).collect()
+    let axis = |k: usize| -> Vector { std::array::from_fn(|i| 2.0 * values[k].max(0.0).sqrt() * vectors[i][k]) };
+    let wide = |v: &Vector| length(&v[..3]) > LOOSE.0 || length(&v[3..]) > LOOSE.1;
+    let axes = (0..6).map(axis).filter(wide);
+    axes.flat_map(|v| [1.0, -1.0].map(|s| moved(&best.pose, &v.map(|x| s * x)))).collect()
 }
 
 fn length(v: &[f64]) -> f64 {

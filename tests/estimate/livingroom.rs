@@ -3,6 +3,7 @@
 use super::*;
 use presight::estimate::Prior;
 use presight::io::gltf::import;
+use presight::localize::{LocalizeOptions, Localizer, Phase};
 use std::path::Path;
 
 fn map() -> Option<World> {
@@ -82,5 +83,23 @@ fn from_far_off() {
         let count = predictions.len();
         assert!(right >= least * count / 100, "{metres} m {degrees} deg: {right} of {count}");
         assert!(predictions[count / 2] <= 4, "{predictions:?} predictions");
+    }
+}
+
+/// The first 40 frames of the flight, without odometry: none is lost, and each fits the map to 2 mm (median).
+#[test]
+fn the_flight_is_followed() {
+    let Some(map) = map() else { return };
+    let prior = Prior::of_sigmas(poses("poses.txt")[0], 0.05, 0.035);
+    let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
+    for k in 0..40 {
+        let seen = frame("depth", k, 0.005);
+        let seen = Frame::new(k as f64, seen.sensor().clone(), seen.sensed().clone()).unwrap();
+        let step = robot.step(&map, &seen).unwrap();
+        assert!(k < 2 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
+        let difference = step.estimate.verdicts[0].difference.iter().filter(|d| !d.is_nan());
+        let mut off: Vec<f32> = difference.map(|d| d.abs()).collect();
+        off.sort_unstable_by(f32::total_cmp);
+        assert!(off[off.len() / 2] <= 0.002, "{k}: {} m", off[off.len() / 2]);
     }
 }
