@@ -12,7 +12,7 @@ use presight::gpu::testing::{self, Setup};
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{
-    Backend, Distortion, Environment, Geometry, Images, Material, Mesh, NewObject, Options, Output, Outputs, Polygon,
+    Backend, Distortion, Environment, Geometry, Material, Mesh, NewObject, Options, Output, Outputs, Polygon,
     PolygonOrder, Pose, Prediction, Predictor, Request, Sensor, SensorSpec, Stats, World, preset,
 };
 use std::path::{Path, PathBuf};
@@ -229,7 +229,7 @@ fn device(scene: &Scene) {
     for (what, left_out_by, with, without) in pairs {
         let mut engines = [engine(with), engine(without)];
         let mut times: [Vec<f64>; 3] = Default::default();
-        let mut images = Images::default();
+        let mut images = presight::Images::default();
         for i in 0..PAIRS + 2 {
             let both = [0, 1].map(|k| {
                 let start = Instant::now();

@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn without_scripts_one_is_refused_with_a_remedy() {
-        let e = Scene::open("hall.rhai").err().expect("no scripts");
+        let e = Scene::open("hall.rhai").expect_err("no scripts");
         assert_eq!((e.kind(), e.file()), (ErrorKind::Unsupported, Some(Path::new("hall.rhai"))));
         assert!(e.remedy().contains("script"), "{e}");
     }

@@ -7,7 +7,7 @@ use super::{Gate, Kernel, Residuals};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, sandwich, scaled, transposed};
+use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, scaled};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::verdict::{Expected, Surfaces, Uncertainty, Verdicts, judge};
