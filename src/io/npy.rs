@@ -94,7 +94,7 @@ pub(super) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the shape is not that of so many numbers; [`ErrorKind::System`] if the file cannot be
+/// [`crate::ErrorKind::Invalid`] if the shape is not that of so many numbers; [`crate::ErrorKind::System`] if the file cannot be
 /// written.
 pub fn write(path: &Path, shape: &[usize], values: Values<'_>) -> Result<()> {
     if shape.iter().try_fold(1usize, |product, side| product.checked_mul(*side)) != Some(values.len()) {
@@ -111,7 +111,7 @@ pub fn write(path: &Path, shape: &[usize], values: Values<'_>) -> Result<()> {
 /// Writes an image as `<f4` or `<u4` of shape (rows, columns).
 ///
 /// # Errors
-/// As [`write`]; [`crate::ErrorKind::Invalid`] if the image is not there.
+/// As [`write()`]; [`crate::ErrorKind::Invalid`] if the image is not there.
 pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
     let missing = || Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path);
     let values = Values::of(images, output).ok_or_else(missing)?;
@@ -122,7 +122,7 @@ pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
 /// every kind of sensor, NaN where a pixel has no ray. A point is its ray times its range.
 ///
 /// # Errors
-/// As [`write`]; [`crate::ErrorKind::System`] if there is no memory for them.
+/// As [`write()`]; [`crate::ErrorKind::System`] if there is no memory for them.
 pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
     let (width, height) = (sensor.width(), sensor.height());
     let body_from_image = sensor.body_from_image();
@@ -152,7 +152,7 @@ impl Stack {
     /// with `None`, begins it. It returns false if it was begun.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the file cannot be written; [`ErrorKind::Usage`] for a device or pipe.
+    /// [`crate::ErrorKind::System`] if the file cannot be written; [`crate::ErrorKind::Usage`] for a device or pipe.
     pub fn open(
         path: &Path,
         shape: [usize; 3],
@@ -188,7 +188,7 @@ impl Stack {
     /// Writes the image of one pose.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size or type; [`ErrorKind::System`] if it cannot be written.
+    /// [`crate::ErrorKind::Invalid`] for an image of another size or type; [`crate::ErrorKind::System`] if it cannot be written.
     pub fn put(&mut self, pose: usize, values: Values<'_>) -> Result<()> {
         if values.descr() != self.descr || 4 * values.len() as u64 != self.bytes_per_pose {
             let what = format!("an image of {} {} does not fit the array", values.len(), values.descr());
