@@ -74,7 +74,7 @@ impl PoseArgs {
         let file = Path::new(text);
         if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("tum")) || file.is_file() {
             let remedy = "predict --poses FILE takes the poses of a file, one a line";
-            return Err(Error::usage(format!("--pose {text}: this is a file, not a pose"), remedy));
+            return Err(Error::usage("this is a file, not a pose", remedy).at(format!("--pose {text}")));
         }
         let pose = parse_pose(text).map_err(|e| e.at(format!("--pose {text}")))?;
         Ok(GivenPose::new(pose).with_frame(meaning.frame).with_of(meaning.of).with_world(meaning.world))

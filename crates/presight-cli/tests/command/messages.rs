@@ -112,7 +112,8 @@ fn a_long_line_is_quoted_by_its_start() {
 #[test]
 fn scripts_print_and_throw_one_line() {
     let place = Place::new();
-    let names = |text: &str| format!("print(\"{text}\"); print(\"{}\"); throw \"{text}\";", "y".repeat(16_000));
+    let long = "y".repeat(4_000);
+    let names = |text: &str| format!("print(\"{text}\"); let y = \"{long}\"; print(y + y + y + y); throw \"{text}\";");
     place.write("s.rhai", names("a\\nb\\x1b[2J").as_bytes());
     let outcome = place.run("inspect s.rhai");
     let said: Vec<&str> = outcome.stderr.lines().collect();
