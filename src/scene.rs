@@ -48,9 +48,9 @@ pub struct Scene {
 /// use presight::{Scene, SceneOptions};
 /// // For `source` ids: every triangle stays a polygon.
 /// let import = ImportOptions { merge: false, ..ImportOptions::default() };
-/// let options = SceneOptions::default().with_import(import).with_index(Scheme::Skd3);
+/// let options = SceneOptions::default().with_import(import).with_index(Scheme::S3d);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
-/// assert_eq!(scene.world.index().scheme(), Scheme::Skd3);
+/// assert_eq!(scene.world.index().scheme(), Scheme::S3d);
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]
