@@ -33,8 +33,8 @@ pub mod text {
 /// Rows of changes.
 #[cfg(feature = "store")]
 pub mod row {
-    /// From now on many changes are made to a world one by one, and nobody reads its feature layers in between.
-    pub fn begin(world: &mut crate::World) {
-        world.begin_row();
+    /// From now on many changes are made to a store one by one, and nobody reads its feature layers in between.
+    pub fn begin(store: &mut crate::io::store::Store) {
+        store.begin_row();
     }
 }

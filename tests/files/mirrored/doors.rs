@@ -164,13 +164,12 @@ mod stored {
                 let path = folder.path("s.presight");
                 store::create(&path, &one_sided(), &note()).unwrap();
                 folder.write("cube.glb", &gltf(outside, &nodes).glb());
-                let (mut store, environment) = Store::open(&path).unwrap();
-                let mut world = World::new(environment);
+                let mut store = Store::open(&path).unwrap();
                 let line = r#"{"op":"insert_object","object":"cube","pose":[2.5,0,0,0,0,0],"from":"cube.glb"}"#;
-                let mut batch = store.batch(&mut world).unwrap();
+                let mut batch = store.batch().unwrap();
                 batch.apply_line(line, cube_folder(&folder).as_path(), &note()).unwrap();
                 batch.commit().unwrap();
-                check_on_cpu(what, world.environment(), expected);
+                check_on_cpu(what, store.world().environment(), expected);
                 check_on_cpu(what, &store::read(&path).unwrap(), expected);
             }
         }
