@@ -13,10 +13,10 @@ use std::time::SystemTime;
 /// number of lines, which begin with the pose's number, and a comma if there is more. One process at a time works on it.
 ///
 /// ```
-/// use presight::io::series::Progress;
+/// use presight::io::series::SeriesProgress;
 /// let folder = tempfile::tempdir()?;
 /// let (part, table) = (folder.path().join("poses.csv.part"), folder.path().join("poses.csv"));
-/// let open = || Progress::open(&part, "pose,value", 0..2, 1);
+/// let open = || SeriesProgress::open(&part, "pose,value", 0..2, 1);
 /// let mut progress = open()?;
 /// progress.append(0, "0,1.5\n")?;
 /// drop(progress);
@@ -30,7 +30,7 @@ use std::time::SystemTime;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
-pub struct Progress {
+pub struct SeriesProgress {
     path: PathBuf,
     file: File,
     head: String,
@@ -41,7 +41,7 @@ pub struct Progress {
     written: Option<SystemTime>,
 }
 
-impl Progress {
+impl SeriesProgress {
     /// Opens the record of a job on some poses, or begins one. A record of another job is begun anew. `head` is one line without
     /// its end that tells what must be the same, such as a hash of scene, sensors, poses and request.
     ///
@@ -134,7 +134,7 @@ impl Progress {
     /// Records all poses up to `last` as finished; `lines` are theirs, each with its end.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if they cannot be written; what of them is there is dropped by the next [`Progress::open`].
+    /// [`ErrorKind::System`] if they cannot be written; what of them is there is dropped by the next [`SeriesProgress::open`].
     pub fn append(&mut self, last: usize, lines: &str) -> Result<()> {
         self.file.write_all(lines.as_bytes()).map_err(|e| refused(&self.path, e))?;
         self.next = last + 1;
@@ -166,8 +166,8 @@ impl Progress {
 mod tests {
     use super::*;
 
-    fn open(path: &Path, head: &str) -> Progress {
-        Progress::open(path, head, 4..9, 2).unwrap()
+    fn open(path: &Path, head: &str) -> SeriesProgress {
+        SeriesProgress::open(path, head, 4..9, 2).unwrap()
     }
 
     #[test]
@@ -223,7 +223,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.series");
         let _first = open(&path, "j");
-        let e = Progress::open(&path, "j", 4..9, 2).unwrap_err();
+        let e = SeriesProgress::open(&path, "j", 4..9, 2).unwrap_err();
         assert!(e.kind() == ErrorKind::System && e.to_string().contains("another presight"), "{e}");
     }
 }

@@ -1,7 +1,7 @@
 //! Printing that survives a reader who went away.
 
 use presight::internal::{clipped, printable};
-use presight::io::series::Progress;
+use presight::io::series::SeriesProgress;
 use presight::limits;
 use presight::{Error, ErrorKind, Result};
 use std::io::{self, Write};
@@ -42,7 +42,7 @@ pub fn message(line: &str) {
 }
 
 /// Tells what an interrupted run of a series left, if anything.
-pub fn finished_before(progress: &Progress, count: usize) {
+pub fn finished_before(progress: &SeriesProgress, count: usize) {
     if progress.finished() > 0 {
         let finished = progress.finished();
         message(&format!("note: {finished} of {count} poses are finished already; this goes on with the others"));
