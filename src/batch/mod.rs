@@ -230,7 +230,7 @@ impl Task {
     /// Bytes that an item takes.
     fn bytes(&self) -> usize {
         let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
-        4 * pixels * self.wanted.iter().count() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
+        4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
     }
 
     /// The pose at which is predicted.

@@ -51,6 +51,13 @@ impl Shares {
     }
 }
 
+impl std::fmt::Display for Shares {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { range, depth_z, cos_incidence, echo } = self;
+        write!(f, "range {range:.3}, depth_z {depth_z:.3}, cos_incidence {cos_incidence:.3}, echo {echo:.3}")
+    }
+}
+
 impl Values {
     /// The values of pixel number `at`.
     pub fn of(images: &Images, at: usize) -> Self {

@@ -96,7 +96,7 @@ impl Engine {
         }
         if plan.polygon_count == 0 {
             images.show_nothing(plan.sensor.grid());
-            plan.finish_noting(images, stats);
+            plan.finish_noting(images, stats)?;
             stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
             stats.count("polygons selected", 0);
             let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
@@ -119,8 +119,7 @@ impl Engine {
             stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
         });
-        plan.finish_noting(images, stats);
-        Ok(())
+        plan.finish_noting(images, stats)
     }
 }
 

@@ -138,8 +138,8 @@ impl Frame {
                 Output::PolygonId => self.params.polygon_at = at,
                 Output::ObjectId => self.params.object_at = at,
                 Output::CosIncidence => self.params.cos_at = at,
-                // The plan leaves them out: made of other images.
-                Output::Echo | Output::FeatureId => {}
+                // The plan draws none of those that engines do not make.
+                _ => debug_assert!(false, "{} is made of other images", output.name()),
             }
         }
         self.output_words = u64::from(pixels) * self.outputs.iter().count() as u64;

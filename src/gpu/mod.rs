@@ -25,7 +25,7 @@ pub use visible::OcclusionQuery;
 
 use crate::error::{ErrorKind, Result};
 use crate::features::OcclusionHint;
-use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
+use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, SamplesMut, Stats, Work};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use device::Gpu;
@@ -157,7 +157,7 @@ impl Engine {
         if plan.polygon_count == 0 {
             images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             images.show_nothing(plan.sensor.grid());
-            plan.finish_noting(images, stats);
+            plan.finish_noting(images, stats)?;
             stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
             return Ok(());
         }
@@ -173,7 +173,7 @@ impl Engine {
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
-                plan.finish_noting(images, stats);
+                plan.finish_noting(images, stats)?;
                 self.report(&counters, reruns, stats);
                 let image_bytes = stats.work.image_bytes;
                 stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
@@ -322,16 +322,12 @@ impl Engine {
         let pixels = images.pixels() * 4;
         for (i, output) in self.frame.outputs.iter().enumerate() {
             let from = &bytes[i * pixels..][..pixels];
-            let to: &mut [u8] = match output {
-                Output::Range => bytemuck::cast_slice_mut(&mut images.range),
-                Output::DepthZ => bytemuck::cast_slice_mut(&mut images.depth_z),
-                Output::PolygonId => bytemuck::cast_slice_mut(&mut images.polygon_id),
-                Output::ObjectId => bytemuck::cast_slice_mut(&mut images.object_id),
-                Output::CosIncidence => bytemuck::cast_slice_mut(&mut images.cos_incidence),
-                // The plan leaves them out: made of other images.
-                Output::Echo | Output::FeatureId => continue,
-            };
-            to.copy_from_slice(from);
+            match images.samples_mut(output) {
+                SamplesMut::Floats(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
+                SamplesMut::Ids(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
+                // The plan makes those.
+                SamplesMut::Vectors(_) => {}
+            }
         }
     }
 

@@ -43,10 +43,7 @@ impl<'a> PointCloud<'a> {
     pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
-        let fits = |output| {
-            let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len));
-            len.is_none_or(|len| len == pixels)
-        };
+        let fits = |output| images.samples(output).is_none_or(|samples| samples.len() == pixels);
         let of_size = (images.width, images.height) == (sensor.width(), sensor.height());
         if images.range.len() != pixels || !of_size || !Output::WITH_FEATURES.into_iter().all(fits) {
             return Err(Error::invalid(

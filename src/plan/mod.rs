@@ -1,15 +1,17 @@
 //! The frame plan: what one prediction has to do. It is made before any engine starts and knows no engine.
 
-mod echo;
+mod derived;
 mod images;
+mod output;
 mod polygons;
 mod request;
 mod stats;
 mod view;
 
-pub use images::Images;
+pub use images::{Images, Samples, SamplesMut};
+pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
-pub use request::{IdScheme, ImageRequest, Output, Outputs};
+pub use request::{IdScheme, ImageRequest};
 pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 

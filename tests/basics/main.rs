@@ -4,5 +4,6 @@ mod architecture;
 mod compare;
 mod feature_reasons;
 mod lens_opencv;
+mod outputs;
 mod poses;
 mod skipped;

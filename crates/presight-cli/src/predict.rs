@@ -114,7 +114,7 @@ pub struct Args {
     png: Option<PathBuf>,
 
     /// What the preview shows
-    #[arg(long, value_name = "OUTPUT", default_value = "range", value_parser = parse_output, requires = "png")]
+    #[arg(long, value_name = "OUTPUT", default_value = "range", requires = "png")]
     png_of: Output,
 
     #[command(flatten)]
@@ -197,12 +197,6 @@ enum PointsFrameArg {
     Sensor,
     /// The world
     World,
-}
-
-fn parse_output(name: &str) -> Result<Output> {
-    let names = Output::WITH_FEATURES.map(Output::name).join(", ");
-    let found = Output::WITH_FEATURES.into_iter().find(|o| o.name() == name);
-    found.ok_or_else(|| Error::usage("unknown output", format!("choose from {names}")))
 }
 
 /// The arguments, checked as far as they go without touching the world.
@@ -394,13 +388,12 @@ impl Args {
             images = images.with(Output::CosIncidence);
         }
         let picture = self.png.as_ref().map(|_| presight::internal::preview_size(sensor)).unwrap_or_default();
-        let written = self.out.as_ref().map_or(0, |_| self.outputs.iter().count());
         Frame {
             pixels: u64::from(sensor.width()) * u64::from(sensor.height()),
             scanner: matches!(sensor.spec().geometry, Geometry::Scanner(_)),
             on_device: predictor.engine_name() != "cpu",
-            images: images.iter().count() as u64,
-            exr: written as u64,
+            images: images.numbers() as u64,
+            exr: self.out.as_ref().map_or(0, |_| self.outputs.numbers() as u64),
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
             // Positions in f64, and normals.

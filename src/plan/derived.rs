@@ -7,6 +7,8 @@
 //! All engines share this step, which follows their own. It needs no geometry, only images that they make anyway.
 
 use super::{FramePlan, Images, Output, Outputs, PolygonsOfIds, Stats};
+use crate::error::Result;
+use crate::memory;
 use std::time::Instant;
 
 impl FramePlan {
@@ -22,13 +24,38 @@ impl FramePlan {
 
     /// Makes the images that are computed from other images, and empties those that were drawn only for that. This is the last
     /// step of every engine, on images that hold [`FramePlan::drawn`]. It costs nothing unless `echo` is requested.
-    pub fn finish(&self, images: &mut Images) {
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for them.
+    pub fn finish(&self, images: &mut Images) -> Result<()> {
+        self.derive(images, |_, _| {})
+    }
+
+    /// [`FramePlan::finish`], which also records its cost and the bytes of all images.
+    pub(crate) fn finish_noting(&self, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        self.derive(images, |name, start| stats.stage(name, start))?;
+        stats.work.image_bytes = images.bytes();
+        Ok(())
+    }
+
+    /// Makes each image in turn; `made` is told its name and when it was begun.
+    fn derive(&self, images: &mut Images, mut made: impl FnMut(&'static str, Instant)) -> Result<()> {
         let asked = self.request.outputs;
-        if !asked.has(Output::Echo) {
-            return;
+        if asked.has(Output::Echo) {
+            let start = Instant::now();
+            self.add_echo(images)?;
+            made("echo", start);
         }
+        if self.drawn() != asked {
+            images.keep(asked);
+        }
+        Ok(())
+    }
+
+    fn add_echo(&self, images: &mut Images) -> Result<()> {
         let mut echo = std::mem::take(&mut images.echo);
         echo.clear();
+        memory::reserve(&mut echo, images.cos_incidence.len())?;
         // f32 times f64 in f64: one rounding on the way back. NaN stays NaN.
         let product = |cos: &f32, reflection: f64| (f64::from(*cos) * reflection) as f32;
         if let Some(reflection) = self.common_reflection() {
@@ -40,24 +67,7 @@ impl FramePlan {
             echo.extend(images.cos_incidence.iter().zip(ids).map(of_pixel));
         }
         images.echo = echo;
-        if !asked.has(Output::CosIncidence) {
-            images.cos_incidence.clear();
-        }
-        for (output, ids) in [(Output::PolygonId, &mut images.polygon_id), (Output::ObjectId, &mut images.object_id)] {
-            if !asked.has(output) {
-                ids.clear();
-            }
-        }
-    }
-
-    /// [`FramePlan::finish`], which also records its cost and the bytes of all images.
-    pub(crate) fn finish_noting(&self, images: &mut Images, stats: &mut Stats) {
-        let start = Instant::now();
-        self.finish(images);
-        if self.request.outputs.has(Output::Echo) {
-            stats.stage("echo", start);
-        }
-        stats.work.image_bytes = images.bytes();
+        Ok(())
     }
 
     /// Reflection factor of a polygon's material, 0..=1.
