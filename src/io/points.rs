@@ -22,7 +22,7 @@ pub enum PointsFrame {
 /// The points of a range image, one per pixel, row-major, with what other images say of them.
 ///
 /// Files get a field for each image of range, echo (`intensity`), object_id and polygon_id that is there, `ring` (the row of the
-/// image) if the sensor is no camera, and normals after [`PointCloud::with_normals`].
+/// image) if the sensor is no camera, and normals if there is an image of them or after [`PointCloud::with_normals`].
 #[derive(Clone, Debug)]
 pub struct PointCloud<'a> {
     images: &'a Images,
@@ -67,7 +67,12 @@ impl<'a> PointCloud<'a> {
         }
         let (rings, world_from_sensor) = (!matches!(sensor.spec().geometry, Geometry::Camera(_)), *world_from_sensor);
         let outputs = images.outputs();
-        Ok(Self { images, outputs, rings, frame, world_from_sensor, positions, normals: Vec::new() })
+        let mut normals = memory::reserved(images.normal.len())?;
+        normals.extend(images.normal.iter().map(|n| match frame {
+            PointsFrame::Sensor => Vec3::from(*n),
+            PointsFrame::World => (world_from_sensor.rotation * DVec3::from(n.map(f64::from))).as_vec3(),
+        }));
+        Ok(Self { images, outputs, rings, frame, world_from_sensor, positions, normals })
     }
 
     /// Keeps only the fields of these images.
@@ -75,6 +80,9 @@ impl<'a> PointCloud<'a> {
     pub fn only(mut self, outputs: Outputs) -> Self {
         let there = self.images.outputs();
         self.outputs = Outputs::of(&there.iter().filter(|o| outputs.has(*o)).collect::<Vec<_>>());
+        if there.has(Output::Normal) && !outputs.has(Output::Normal) {
+            self.normals.clear();
+        }
         self
     }
 

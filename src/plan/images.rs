@@ -7,8 +7,8 @@ use crate::sensor::PixelGrid;
 
 /// The images of one prediction, row-major, row 0 on top. An image that was not requested is empty.
 ///
-/// Distances are `+inf` beyond `range_max` and where nothing is hit, `-inf` below `range_min` (ids and cos_incidence are
-/// kept there), and NaN where the pixel has no ray. `cos_incidence` and `echo` are NaN where nothing is hit. Id 0 is nothing.
+/// Distances are `+inf` beyond `range_max` and where nothing is hit, `-inf` below `range_min` (the other images are kept
+/// there), and NaN where the pixel has no ray. `cos_incidence`, `echo` and `normal` are NaN where nothing is hit. Id 0 is nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Images {
     /// Columns.
@@ -27,6 +27,8 @@ pub struct Images {
     pub cos_incidence: Vec<f32>,
     /// 0..=1: reflection factor times `cos_incidence`.
     pub echo: Vec<f32>,
+    /// Unit vectors in the sensor's body axes.
+    pub normal: Vec<[f32; 3]>,
     /// The feature's own number; filled from [`crate::features::FeaturePrediction`], never by an engine.
     pub feature_id: Vec<u32>,
 }
@@ -123,6 +125,7 @@ impl Images {
             Output::ObjectId => Samples::Ids(&self.object_id),
             Output::CosIncidence => Samples::Floats(&self.cos_incidence),
             Output::Echo => Samples::Floats(&self.echo),
+            Output::Normal => Samples::Vectors(&self.normal),
             Output::FeatureId => Samples::Ids(&self.feature_id),
         };
         (!samples.is_empty()).then_some(samples)
@@ -137,6 +140,7 @@ impl Images {
             Output::ObjectId => SamplesMut::Ids(&mut self.object_id),
             Output::CosIncidence => SamplesMut::Floats(&mut self.cos_incidence),
             Output::Echo => SamplesMut::Floats(&mut self.echo),
+            Output::Normal => SamplesMut::Vectors(&mut self.normal),
             Output::FeatureId => SamplesMut::Ids(&mut self.feature_id),
         }
     }
@@ -243,6 +247,7 @@ impl Images {
             Output::ObjectId => self.object_id.capacity(),
             Output::CosIncidence => self.cos_incidence.capacity(),
             Output::Echo => self.echo.capacity(),
+            Output::Normal => self.normal.capacity(),
             Output::FeatureId => self.feature_id.capacity(),
         }
     }

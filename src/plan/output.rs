@@ -18,6 +18,9 @@ pub enum Output {
     /// Strength of the echo: reflection factor of the surface's material times `cos_incidence`, without a range law
     /// (section 3.2). Computed from other images, see [`super::FramePlan::finish`].
     Echo,
+    /// Unit normal of the visible polygon, on the sensor's side, in the sensor's body axes (x forward, y left, z up; of cameras,
+    /// too). Computed from other images, as [`Output::Echo`].
+    Normal,
     /// The visible feature, by its own number; 0 is none. Made from predicted features, not by an engine (see
     /// [`crate::features`]).
     FeatureId,
@@ -81,13 +84,18 @@ const fn resolved(output: Output, name: &'static str, kind: SampleKind, unit: &'
 }
 
 /// In the order of [`Output`]. `feature_id` is the last.
-const TABLE: [OutputInfo; 7] = [
+const TABLE: [OutputInfo; 8] = [
     resolved(Output::Range, "range", SampleKind::Float, "m"),
     OutputInfo { cameras_only: true, ..resolved(Output::DepthZ, "depth_z", SampleKind::Float, "m") },
     resolved(Output::PolygonId, "polygon_id", SampleKind::Id, ""),
     resolved(Output::ObjectId, "object_id", SampleKind::Id, ""),
     resolved(Output::CosIncidence, "cos_incidence", SampleKind::Float, "1"),
     OutputInfo { maker: Maker::Plan, ..resolved(Output::Echo, "echo", SampleKind::Float, "1") },
+    OutputInfo {
+        frame: Some("body"),
+        maker: Maker::Plan,
+        ..resolved(Output::Normal, "normal", SampleKind::Vector, "1")
+    },
     OutputInfo { maker: Maker::Features, ..resolved(Output::FeatureId, "feature_id", SampleKind::Id, "") },
 ];
 

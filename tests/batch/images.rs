@@ -17,9 +17,7 @@ fn poses(n: usize) -> Vec<Pose> {
 
 /// Bits, for NaN is unlike itself.
 fn bits(images: &Images) -> Vec<Vec<u32>> {
-    let floats = [&images.range, &images.depth_z, &images.cos_incidence, &images.echo];
-    let floats = floats.map(|image| image.iter().map(|x| x.to_bits()).collect());
-    floats.into_iter().chain([images.polygon_id.clone(), images.object_id.clone()]).collect()
+    presight::Output::ALL.map(|output| common::bits(images, output)).to_vec()
 }
 
 fn check(world: &World, poses: &[Pose]) {

@@ -52,9 +52,7 @@ impl Task {
 
 /// Every image, bit by bit.
 fn bits(images: &Images) -> Vec<u32> {
-    let floats = Output::ALL.into_iter().filter_map(|o| images.floats(o)).flatten().map(|x| x.to_bits());
-    let ids = Output::ALL.into_iter().filter_map(|o| images.ids(o)).flatten().copied();
-    floats.chain(ids).collect()
+    Output::ALL.into_iter().flat_map(|output| common::bits(images, output)).collect()
 }
 
 fn options(backend: Backend) -> Options {

@@ -3,18 +3,20 @@
 use super::skip::no_adapter;
 use presight::compare::Precision;
 use presight::engine::{Engine, EngineKind};
-use presight::{FramePlan, Images, Stats};
+use presight::plan::SamplesMut;
+use presight::{FramePlan, Images, Output, Stats};
 
 /// Images that held something else before: an engine must write every pixel.
 fn used(plan: &FramePlan) -> Images {
     let mut images = Images::default();
     images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
-    images.range.fill(-7.0);
-    images.depth_z.fill(-7.0);
-    images.cos_incidence.fill(-7.0);
-    images.echo.fill(-7.0);
-    images.polygon_id.fill(0x7777_7777);
-    images.object_id.fill(0x7777_7777);
+    for output in Output::WITH_FEATURES {
+        match images.samples_mut(output) {
+            SamplesMut::Floats(image) => image.fill(-7.0),
+            SamplesMut::Ids(image) => image.fill(0x7777_7777),
+            SamplesMut::Vectors(image) => image.fill([-7.0; 3]),
+        }
+    }
     images
 }
 

@@ -13,12 +13,13 @@ pub mod scenes;
 pub mod skip;
 
 pub use presight::internal::SplitMix64 as Random;
-use presight::{FramePlan, Images, Outputs, Pose, Request, Sensor, World};
+use presight::plan::Samples;
+use presight::{FramePlan, Images, Output, Outputs, Pose, Request, Sensor, World};
 
 /// A plan that asks for everything.
 pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
     let all = Outputs::ALL;
-    let outputs = if sensor.is_camera() { all } else { all.without(presight::Output::DepthZ) };
+    let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
     FramePlan::new(world, sensor, world_from_sensor, &Request::of(outputs)).expect("a sound pose")
 }
 
@@ -27,6 +28,16 @@ pub fn reference(plan: &FramePlan) -> Images {
     let mut images = Images::default();
     presight::reference::render(plan, &mut images).expect("the reference renders");
     images
+}
+
+/// The bits of an image, whatever a pixel of it holds; empty if it is not there.
+pub fn bits(images: &Images, output: Output) -> Vec<u32> {
+    match images.samples(output) {
+        Some(Samples::Floats(image)) => image.iter().map(|v| v.to_bits()).collect(),
+        Some(Samples::Ids(image)) => image.to_vec(),
+        Some(Samples::Vectors(image)) => image.as_flattened().iter().map(|v| v.to_bits()).collect(),
+        None => Vec::new(),
+    }
 }
 
 /// A number from the environment, for spreading runs and for reproducing one.
