@@ -7,7 +7,7 @@
 use super::{CostModel, Counts, Estimate, Forecast, Key};
 use crate::deadline::{Clock, Means, MeansTaken, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Outputs, Run, Stats};
+use crate::plan::{CountName, FramePlan, Outputs, Run, Stats};
 use crate::sensor::Sensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -208,13 +208,13 @@ fn counts_of(runs: &[Run]) -> Counts {
 
 /// What a frame did, by its statistics.
 fn finished(stats: &Stats, timed: &Timed) -> Counts {
-    let of = |name: &str| stats.counts.iter().find(|(n, _)| n == name).map_or(0, |(_, n)| *n);
+    let of = |name| stats.count_of(name).unwrap_or(0);
     Counts {
-        runs: of("runs selected"),
-        polygons: of("polygons set up"),
-        waves: of("waves"),
-        samples_tested: of("samples tested"),
-        samples_written: of("samples written"),
+        runs: of(CountName::RunsSelected),
+        polygons: of(CountName::PolygonsSetUp),
+        waves: of(CountName::Waves),
+        samples_tested: of(CountName::SamplesTested),
+        samples_written: of(CountName::SamplesWritten),
         pixels_resolved: timed.pixels * timed.images,
         ..Counts::default()
     }

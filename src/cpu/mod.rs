@@ -22,7 +22,7 @@ mod spans;
 use crate::deadline::{Kept, Watch};
 use crate::error::{Error, Result};
 use crate::memory::{self, Frame};
-use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
+use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
@@ -82,7 +82,7 @@ impl Engine {
     /// [`crate::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
-        stats.engine = "cpu".into();
+        stats.engine = "cpu";
         stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
@@ -97,8 +97,8 @@ impl Engine {
         if plan.polygon_count == 0 {
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats)?;
-            stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
-            stats.count("polygons selected", 0);
+            stats.leave_out(StageName::SetupAndRasterization, NOTHING_IN_VIEW);
+            stats.count(CountName::PolygonsSelected, 0);
             let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
             stats.deadline = drawn_ms.map(|drawn_ms| Kept { drawn_ms, ..Kept::default() });
             return Ok(());
@@ -116,8 +116,8 @@ impl Engine {
         // The whole frame on the pool: between two stages its threads stay awake.
         pool.install(|| {
             let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
-            stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
-            stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
+            stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
         });
         plan.finish_noting(images, stats)
     }
@@ -200,16 +200,16 @@ fn draw_waves(
     }
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
-        stats.stages_ms.push(("hidden".to_owned(), hiding));
+        stats.stages_ms.push((StageName::Hidden, hiding));
     } else {
-        stats.leave_out("hidden", "the polygons are drawn in one wave");
+        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
     }
-    stats.stages_ms.push(("setup".to_owned(), if waves > 1 { setting_up } else { hiding + setting_up }));
-    stats.stages_ms.push(("rasterization".to_owned(), drawing));
-    stats.count("polygons selected", plan.polygon_count);
-    stats.count("runs selected", plan.runs.len());
-    stats.count("runs hidden", hidden);
-    stats.count("waves", waves);
+    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push((StageName::Rasterization, drawing));
+    stats.count(CountName::PolygonsSelected, plan.polygon_count);
+    stats.count(CountName::RunsSelected, plan.runs.len());
+    stats.count(CountName::RunsHidden, hidden);
+    stats.count(CountName::Waves, waves);
     progress.tell(stats);
     used
 }

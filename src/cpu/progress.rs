@@ -6,7 +6,7 @@
 
 use super::FIRST_WAVE;
 use crate::deadline::{GivenUp, Kept, Means, MeansTaken, Watch};
-use crate::plan::{FramePlan, Stats};
+use crate::plan::{CountName, FramePlan, Stats};
 use std::time::Duration;
 
 /// Least size of a wave, which the time left may ask for.
@@ -67,9 +67,9 @@ impl<'a> Progress<'a> {
     /// Tells counts and, with a deadline, what was given up.
     pub fn tell(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
-        stats.count("samples tested", sum(|band| band.tested) as usize);
+        stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
         let Some(watch) = &self.plan.watch else { return };
-        stats.count("samples written", sum(|band| band.written) as usize);
+        stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);
         let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / stats.threads.max(1) as u32;
         let drawn = self.stopped_at.unwrap_or_else(|| watch.elapsed().saturating_sub(resolving));
         let drawn_ms = drawn.as_secs_f64() * 1e3;

@@ -5,7 +5,7 @@ use super::grid::Tables;
 use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS};
 use super::near::{NearList, is_near};
 use super::stages::{NAMES, RESOLVE};
-use crate::plan::{FramePlan, IdScheme, Output, Outputs};
+use crate::plan::{FramePlan, IdScheme, Output, Outputs, StageName};
 use glam::{DMat3, DVec3, Vec3};
 
 /// Most slots that are read back to resolve images on the CPU.
@@ -38,7 +38,7 @@ impl Frame {
     }
 
     /// Names of the stages that run on the device.
-    pub fn stages(&self) -> &'static [&'static str] {
+    pub fn stages(&self) -> &'static [StageName] {
         if self.on_host { &NAMES[..RESOLVE] } else { &NAMES }
     }
 

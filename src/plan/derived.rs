@@ -9,7 +9,7 @@
 //!
 //! All engines share this step, which follows their own. It needs only images that they make anyway.
 
-use super::{FramePlan, Images, Instance, Output, Outputs, PolygonsOfIds, Stats};
+use super::{FramePlan, Images, Instance, Output, Outputs, PolygonsOfIds, StageName, Stats};
 use crate::environment::Mesh;
 use crate::error::Result;
 use crate::memory;
@@ -48,17 +48,17 @@ impl FramePlan {
     }
 
     /// Makes each image in turn; `made` is told its name and when it was begun.
-    fn derive(&self, images: &mut Images, mut made: impl FnMut(&'static str, Instant)) -> Result<()> {
+    fn derive(&self, images: &mut Images, mut made: impl FnMut(StageName, Instant)) -> Result<()> {
         let asked = self.request.outputs;
         if asked.has(Output::Echo) {
             let start = Instant::now();
             self.add_echo(images)?;
-            made("echo", start);
+            made(StageName::Echo, start);
         }
         if asked.has(Output::Normal) {
             let start = Instant::now();
             self.add_normals(images)?;
-            made("normal", start);
+            made(StageName::Normal, start);
         }
         if self.drawn() != asked {
             images.keep(asked);

@@ -2,6 +2,7 @@
 
 mod derived;
 mod images;
+mod names;
 mod output;
 mod polygons;
 mod request;
@@ -9,10 +10,11 @@ mod stats;
 mod view;
 
 pub use images::{Images, Samples, SamplesMut};
+pub use names::{CountName, Part, StageName};
 pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
 pub use request::{IdScheme, ImageRequest};
-pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
+pub use stats::{LeftOut, StageRow, Stats, Taken, Work};
 pub use view::region_of;
 
 use crate::deadline::Watch;
@@ -23,6 +25,7 @@ use crate::index::{Found, ObjectRun};
 use crate::sensor::{PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
@@ -97,15 +100,6 @@ impl Run {
 
 /// Why engines have nothing to do.
 pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
-
-/// A stage or image that this prediction does not need, and why.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct LeftOut {
-    /// What is left out.
-    pub what: String,
-    /// Why it is not needed.
-    pub why: String,
-}
 
 /// What a material is to the sensor's class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -310,19 +304,16 @@ impl FramePlan {
     /// What this prediction does not need, and why.
     pub fn left_out(&self) -> Vec<LeftOut> {
         let mut all = Vec::new();
-        let mut add = |what: String, why: String| all.push(LeftOut { what, why });
+        let mut add = |what: Part, why: Cow<'static, str>| all.push(LeftOut { what, why });
         if self.objects_out_of_view > 0 {
-            add(format!("{} objects", self.objects_out_of_view), "out of view or reach".into());
+            add(Part::Objects(self.objects_out_of_view), "out of view or reach".into());
         }
         if self.polygons_out_of_view > 0 {
-            add(
-                format!("{} polygons of objects in view", self.polygons_out_of_view),
-                "their run is out of view or reach".into(),
-            );
+            add(Part::Polygons(self.polygons_out_of_view), "their run is out of view or reach".into());
         }
         if self.objects_not_opaque > 0 {
             let why = format!("not opaque to class {:?}", self.sensor.spec().class);
-            add(format!("{} objects", self.objects_not_opaque), why);
+            add(Part::Objects(self.objects_not_opaque), why.into());
         }
         for (what, taken, why) in self.variants() {
             if !taken {
@@ -332,21 +323,21 @@ impl FramePlan {
         let drawn = self.drawn();
         for output in Output::ALL {
             if !self.request.outputs.has(output) && !drawn.has(output) {
-                add(format!("{} image", output.name()), "not asked for".into());
+                add(Part::Image(output), "not asked for".into());
             }
         }
         all
     }
 
     /// Variants of stages that cost extra: the name, whether this prediction uses it, and why.
-    pub fn variants(&self) -> [(&'static str, bool, &'static str); 3] {
+    pub fn variants(&self) -> [(StageName, bool, &'static str); 3] {
         let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
         let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
         let mixed = !self.instances.iter().all(|i| i.plain);
         let by_material = self.reflects_by_material();
         [
             choose(
-                "ray table",
+                StageName::RayTable,
                 by_rays,
                 [
                     "no lens distortion and no listed rays: spans are in closed form",
@@ -354,7 +345,7 @@ impl FramePlan {
                 ],
             ),
             choose(
-                "material test per polygon",
+                StageName::MaterialTest,
                 mixed,
                 [
                     "everything selected is opaque to this class and two-sided",
@@ -362,7 +353,7 @@ impl FramePlan {
                 ],
             ),
             choose(
-                "reflection factor per pixel",
+                StageName::ReflectionFactor,
                 by_material,
                 ["no echo is asked for, or all materials have one factor", "an echo is asked for, and factors differ"],
             ),

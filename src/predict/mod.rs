@@ -10,7 +10,7 @@ use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, StageName, Stats};
 use crate::probe::{Probe, Task, Told};
 use crate::request::Request;
 use crate::row::RowCuts;
@@ -310,8 +310,8 @@ impl Predictor {
         let start = Instant::now();
         let buffers = std::mem::take(&mut self.buffers);
         let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
-        let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
-        stats.stage("selection", start);
+        let mut stats = Stats { index: world.index().scheme().name(), ..Stats::default() };
+        stats.stage(StageName::Selection, start);
         if let Some(timed) = &mut timed {
             self.controller.plan(timed, &mut plan)?;
         }

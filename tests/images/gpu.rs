@@ -10,6 +10,7 @@ use glam::{DAffine3, DQuat, DVec3, Vec3};
 use presight::compare::{Precision, Report, compare};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, Engine};
+use presight::plan::StageName;
 use presight::{
     Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
     Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
@@ -37,7 +38,7 @@ fn engines() -> Vec<(&'static str, Engine)> {
 }
 
 fn count(stats: &Stats, name: &str) -> u64 {
-    stats.counts.iter().find(|(n, _)| n.contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
+    stats.counts.iter().find(|(n, _)| n.name().contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
 }
 
 /// Images of values that no prediction gives.
@@ -66,7 +67,7 @@ fn check(name: &str, engine: &mut Engine, world: &World, sensor: &Sensor, pose: 
         panic!("{what}: {e}; {:#?}; {:?}", &report.faults[..report.faults.len().min(5)], stats.counts);
     }
     if plan.polygon_count == 0 {
-        assert!(stats.left_out.iter().any(|l| l.what == "drawing on the device"), "{:?}", stats.left_out);
+        assert!(stats.left_out.iter().any(|l| l.what == StageName::DrawingOnDevice.into()), "{:?}", stats.left_out);
     } else {
         assert_eq!(count(&stats, "internal"), 0);
     }

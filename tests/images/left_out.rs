@@ -11,7 +11,7 @@ use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
 use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
 use presight::index::{Params, Scheme};
-use presight::plan::SamplesMut;
+use presight::plan::{Part, SamplesMut, StageName};
 use presight::{
     Backend, Camera, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Options, Output,
     Outputs, Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, Work, World,
@@ -69,7 +69,7 @@ fn room(images: &mut Images) -> [usize; Output::WITH_FEATURES.len()] {
 }
 
 fn count(stats: &Stats, name: &str) -> u64 {
-    stats.counts.iter().find(|(n, _)| n == name).map_or(0, |(_, n)| *n)
+    stats.counts.iter().find(|(n, _)| n.name() == name).map_or(0, |(_, n)| *n)
 }
 
 impl Case<'_> {
@@ -156,7 +156,7 @@ impl Case<'_> {
         if self.features == Features::WithBoxes {
             expected.push("regions of interest");
         }
-        let ran: Vec<&str> = did.stats.stages_ms.iter().map(|(name, _)| name.as_str()).collect();
+        let ran: Vec<&str> = did.stats.stages_ms.iter().map(|(name, _)| name.name()).collect();
         same("stages", &ran, &expected)
     }
 
@@ -404,11 +404,11 @@ fn one_stage_pass_group_byte_or_image_too_many_is_found() {
     let did = case.run(&mut cpu(), &[]);
     assert_eq!(case.check(&did), Ok(()));
     let faults: [fn(&mut Did); 10] = [
-        |did| did.stats.stages_ms.push(("features".into(), 0.0)),
+        |did| did.stats.stages_ms.push((StageName::Features, 0.0)),
         |did| did.stats.stages_ms.swap(0, 1),
-        |did| did.stats.left_out.retain(|l| l.what != "ray table"),
-        |did| did.stats.take("material test per polygon", ""),
-        |did| did.stats.left_out.retain(|l| l.what != "echo image"),
+        |did| did.stats.left_out.retain(|l| l.what != StageName::RayTable.into()),
+        |did| did.stats.take(StageName::MaterialTest, ""),
+        |did| did.stats.left_out.retain(|l| l.what != Part::Image(Output::Echo)),
         |did| did.room[6] = 4,
         |did| did.stats.work.image_bytes += 4,
         |did| did.stats.work.gpu_passes += 1,

@@ -84,7 +84,7 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
             assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
             let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
             assert!(notice.starts_with("the GPU was opened again after this: "), "{notice}");
-            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| *name).collect::<Vec<_>>();
             assert_eq!(stages(&after), stages(&before), "nothing of the failed attempt is counted");
         }
     }

@@ -3,7 +3,7 @@
 use super::skip::no_adapter;
 use presight::compare::Precision;
 use presight::engine::{Engine, EngineKind};
-use presight::plan::SamplesMut;
+use presight::plan::{CountName, SamplesMut};
 use presight::{FramePlan, Images, Output, Stats};
 
 /// Images that held something else before: an engine must write every pixel.
@@ -61,7 +61,7 @@ fn renderer(mut engine: Box<dyn Engine>) -> Renderer {
     Box::new(move |plan| {
         let (mut images, mut stats) = (used(plan), Stats::default());
         engine.render(plan, &mut images, &mut stats).expect("the engine renders");
-        let lost = stats.counts.iter().find(|(name, _)| name.contains("internal")).map_or(0, |(_, n)| *n);
+        let lost = stats.count_of(CountName::HitsWithoutId).unwrap_or(0);
         assert_eq!(lost, 0, "hits without id");
         images
     })

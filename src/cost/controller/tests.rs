@@ -86,8 +86,8 @@ impl Replay {
             means: stopped.then_some(clock).into_iter().collect(),
         });
         let mut stats = Stats { deadline: Some(Kept { drawn_ms, given_up, ..Kept::default() }), ..Stats::default() };
-        stats.count("runs selected", plan.runs.len());
-        stats.count("polygons set up", 10 * drawn);
+        stats.count(CountName::RunsSelected, plan.runs.len());
+        stats.count(CountName::PolygonsSetUp, 10 * drawn);
         self.controller.end(&timed, &mut stats);
         let took_us = watch.elapsed().as_secs_f64() * 1e6;
         Ok(Frame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius })
