@@ -75,7 +75,7 @@ fn check(name: &str, engine: &mut Engine, world: &World, sensor: &Sensor, pose: 
 }
 
 fn sensor(name: &str, geometry: Geometry, range_max: f64) -> Sensor {
-    Sensor::new(SensorSpec { range_min: 0.3, range_max, ..SensorSpec::new(name, "laser", geometry) }).unwrap()
+    Sensor::new(SensorSpec::new(name, "laser", geometry).with_limits(0.3, range_max)).unwrap()
 }
 
 fn uniform(start_deg: f64, step_deg: f64, count: u32) -> Angles {

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use presight::compare::compare;
 use presight::{
     Environment, FramePlan, Geometry, IdScheme, Images, Mesh, NewObject, Output, Outputs, Polygon, PolygonOrder, Pose,
-    Request, Sensor, SensorSpec, World,
+    Request, Sensor, World,
 };
 
 /// A wall 1.75 m ahead whose plane leans, 3 ahead for 4 up, so its normal is (-0.8, 0, 0.6) or its opposite.
@@ -30,7 +30,7 @@ fn render(world: &World, sensor: &Sensor, pose: &Pose, outputs: Outputs) -> Vec<
 }
 
 fn limited(sensor: &Sensor, range_min: f64, range_max: f64) -> Sensor {
-    Sensor::new(SensorSpec { range_min, range_max, ..sensor.spec().clone() }).unwrap()
+    Sensor::new(sensor.spec().clone().with_limits(range_min, range_max)).unwrap()
 }
 
 /// The truth by hand, in body axes for a camera and a scanner alike, whichever way the wall winds and whether it is mirrored.

@@ -31,7 +31,7 @@ fn tum(count: usize) -> String {
 
 fn scanner() -> Sensor {
     let spec = presight::preset("laser-scanner").unwrap().spec().clone();
-    Sensor::new(SensorSpec { noise: Noise { range_sigma: 0.05, ..Noise::default() }, ..spec }).unwrap()
+    Sensor::new(spec.with_noise(Noise { range_sigma: 0.05, ..Noise::default() })).unwrap()
 }
 
 impl Place {
