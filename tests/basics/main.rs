@@ -5,5 +5,6 @@ mod compare;
 mod feature_reasons;
 mod lens_opencv;
 mod outputs;
+mod pictures;
 mod poses;
 mod skipped;

@@ -7,7 +7,7 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use presight::compare::{Precision, Report, compare};
+use presight::compare::{Precision, Report};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, Engine};
 use presight::plan::StageName;
@@ -59,7 +59,7 @@ fn check(name: &str, engine: &mut Engine, world: &World, sensor: &Sensor, pose: 
     let plan = plan(world, sensor, pose);
     let (mut images, mut stats) = (poisoned(sensor), Stats::default());
     engine.render(&plan, &mut images, &mut stats).unwrap();
-    let report: Report = compare(&reference(&plan), &images, &plan, Precision::F32).unwrap();
+    let report: Report = common::compare_or_show(&reference(&plan), &images, &plan, Precision::F32);
     let what =
         format!("{name} {}: {} of {} edge, worst {:?}", sensor.spec().name, report.edge, report.pixels, report.worst);
     eprintln!("{what}");

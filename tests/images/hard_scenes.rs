@@ -30,7 +30,7 @@ fn check_engine(
     let (world, pose, sensors) = case.build();
     for sensor in sensors {
         let plan = plan(&world, &sensor, &pose);
-        let report = compare(&reference(&plan), &render(&plan), &plan, precision).expect("images of one shape");
+        let report = common::compare_or_show(&reference(&plan), &render(&plan), &plan, precision);
         let first = report.faults.first();
         prop_assert!(report.fault == 0, "{}: {} faults, first {first:#?}", sensor.spec().name, report.fault);
     }

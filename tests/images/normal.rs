@@ -96,7 +96,7 @@ fn engines_agree_and_planted_faults_are_caught() {
                     let request = Request::of(outputs).with_ids(ids);
                     let plan = FramePlan::new(&world, &sensor, &pose, &request).unwrap();
                     let (right, got) = (reference(&plan), render(&plan));
-                    compare(&right, &got, &plan, precision).unwrap().check(0.01).unwrap();
+                    common::compare_or_show(&right, &got, &plan, precision).check(0.01).unwrap();
                     let at = got.pixels() / 2 + 7;
                     let faults: [fn(Vec3) -> Vec3; 3] =
                         [|n| (n + Vec3::new(1e-3, -2e-3, 1e-3)).normalize(), |n| -n, |n| Vec3::new(-n.y, -n.z, n.x)];

@@ -8,7 +8,7 @@ use common::faulty::{Faulty, Switches};
 use common::scenes;
 use common::skip::no_adapter;
 use glam::DVec3;
-use presight::compare::{Precision, compare};
+use presight::compare::Precision;
 use presight::gpu::testing::Setup;
 use presight::gpu::{DeviceOptions, Engine};
 use presight::{
@@ -45,7 +45,7 @@ impl Task {
     /// Holds images to the reference.
     fn check(&self, prediction: &Prediction) {
         let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request).unwrap();
-        let report = compare(&common::reference(&plan), &prediction.images, &plan, Precision::F32).unwrap();
+        let report = common::compare_or_show(&common::reference(&plan), &prediction.images, &plan, Precision::F32);
         assert_eq!(report.fault, 0, "{:?}", report.faults.first());
     }
 }

@@ -9,9 +9,11 @@ pub mod engines;
 pub mod faulty;
 pub mod hard;
 pub mod oracle;
+pub mod pictures;
 pub mod scenes;
 pub mod skip;
 
+pub use pictures::compare_or_show;
 pub use presight::internal::SplitMix64 as Random;
 use presight::plan::Samples;
 use presight::{FramePlan, Images, Output, Outputs, Pose, Request, Sensor, World};
