@@ -281,9 +281,14 @@ mod tests {
             assert_eq!(toml::from_str::<SensorSpec>(&toml).unwrap(), *sensor.spec(), "{toml}");
         }
         let full = crate::preset("vlp-16").unwrap().spec().clone();
-        let noise = Noise { range_sigma: 0.1, range_sigma_quadratic: 0.2, angle_sigma: 20f64.to_radians(), ..full.noise };
+        let noise =
+            Noise { range_sigma: 0.1, range_sigma_quadratic: 0.2, angle_sigma: 20f64.to_radians(), ..full.noise };
         let mount = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.0 / 3.0), 0.0, 0.1, 3.0);
-        let full = full.with_name("a \"b\"").with_class("sonar").with_limits(0.1, 1.0 / 3.0).with_max_incidence(63f64.to_radians());
+        let full = full
+            .with_name("a \"b\"")
+            .with_class("sonar")
+            .with_limits(0.1, 1.0 / 3.0)
+            .with_max_incidence(63f64.to_radians());
         let full = full.with_mount(mount).with_noise(Noise { pixel_sigma: 0.5, ..noise });
         assert_eq!(through_json(&full), full);
         let rays = RayTable::new(2, 1, vec![DVec3::X, DVec3::NAN]).unwrap();

@@ -9,7 +9,7 @@ use presight_testkit as common;
 use common::hard::{Case, case, grazing};
 use common::oracle::Oracle;
 use common::{engines, plan, reference};
-use presight::compare::{Precision, Values, compare, compare_values};
+use presight::compare::{Precision, Values, compare_values};
 use presight::{FramePlan, Images};
 use proptest::prelude::*;
 use proptest::test_runner::{RngSeed, TestRunner};

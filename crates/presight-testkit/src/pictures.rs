@@ -40,8 +40,7 @@ pub fn leave(
     let shown = expected.outputs().iter().next().unwrap_or(Output::Range);
     png::write_preview(&folder.join("expected.png"), expected, &plan.sensor, shown)?;
     png::write_preview(&folder.join("actual.png"), actual, &plan.sensor, shown)?;
-    let mut mask =
-        Mask { width: expected.width, height: expected.height, pixels: vec![false; expected.pixels()] };
+    let mut mask = Mask { width: expected.width, height: expected.height, pixels: vec![false; expected.pixels()] };
     mark(expected, actual, plan, precision, 0, &mut mask.pixels);
     png::write_mask(&folder.join("difference.png"), &mask)
 }
@@ -66,10 +65,8 @@ fn mark(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precisi
 
 /// A folder of its own for the test that runs and this sensor.
 fn folder_of_test(sensor: &str) -> PathBuf {
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"),
-        PathBuf::from,
-    );
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);
     let thread = std::thread::current();
     let plain = |text: &str| text.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "-");
     let name = format!("{}-{}", plain(thread.name().unwrap_or("test")), plain(sensor));
