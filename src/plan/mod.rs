@@ -14,14 +14,14 @@ pub use names::{CountName, Part, StageName};
 pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
 pub use request::{IdScheme, ImageRequest};
-pub use stats::{LeftOut, StageRow, Stats, Taken, Work};
+pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
 
 use crate::deadline::Watch;
 use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::index::{Found, ObjectRun};
+use crate::index::{ObjectRun, QueryResult};
 use crate::sensor::{PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
@@ -140,7 +140,7 @@ pub struct FramePlan {
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
     pub(crate) radius: Option<f32>,
     /// Scratch memory, kept from frame to frame.
-    found: Found,
+    found: QueryResult,
     selected: Vec<ObjectRun>,
 }
 
@@ -150,7 +150,7 @@ pub(crate) struct PlanBuffers {
     instances: Vec<Instance>,
     runs: Vec<Run>,
     facings: Vec<Facing>,
-    found: Found,
+    found: QueryResult,
     selected: Vec<ObjectRun>,
 }
 
@@ -302,9 +302,9 @@ impl FramePlan {
     }
 
     /// What this prediction does not need, and why.
-    pub fn left_out(&self) -> Vec<LeftOut> {
+    pub fn left_out(&self) -> Vec<Omission> {
         let mut all = Vec::new();
-        let mut add = |what: Part, why: Cow<'static, str>| all.push(LeftOut { what, why });
+        let mut add = |what: Part, why: Cow<'static, str>| all.push(Omission { what, why });
         if self.objects_out_of_view > 0 {
             add(Part::Objects(self.objects_out_of_view), "out of view or reach".into());
         }

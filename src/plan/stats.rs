@@ -1,7 +1,7 @@
 //! Statistics: what a prediction did and what it cost.
 
 use super::names::{CountName, Part, StageName};
-use crate::deadline::{GivenUp, Kept};
+use crate::deadline::{DeadlineOutcome, Degradation};
 use serde::Serialize;
 use std::borrow::Cow;
 use std::time::Instant;
@@ -24,14 +24,14 @@ pub struct Stats {
     /// The work done, in counts that do not depend on other work on the machine.
     pub work: Work,
     /// Variants of stages that this prediction needed, and why. Their times are part of those stages' times.
-    pub taken: Vec<Taken>,
+    pub taken: Vec<StageVariant>,
     /// Stages and images that were not needed, and why.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<Omission>,
     /// Notices for the caller, such as a fallback to the CPU.
     pub notices: Vec<String>,
     /// How the deadline was kept, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub deadline: Option<Kept>,
+    pub deadline: Option<DeadlineOutcome>,
 }
 
 /// The work of a prediction, counted.
@@ -89,7 +89,7 @@ impl Work {
 
 /// A variant of a stage that was needed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Taken {
+pub struct StageVariant {
     /// Its name.
     pub what: StageName,
     /// Why it could not be left out.
@@ -98,7 +98,7 @@ pub struct Taken {
 
 /// A stage or image that this prediction does not need, and why.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct LeftOut {
+pub struct Omission {
     /// What is left out.
     pub what: Part,
     /// Why it is not needed.
@@ -123,7 +123,7 @@ const AFTER: [StageName; 2] = [StageName::Features, StageName::RegionsOfInterest
 
 impl Stats {
     /// What was given up for the deadline; `None` if everything is there.
-    pub fn given_up(&self) -> Option<&GivenUp> {
+    pub fn degradation(&self) -> Option<&Degradation> {
         self.deadline.as_ref()?.given_up.as_ref()
     }
 
@@ -159,12 +159,12 @@ impl Stats {
 
     /// Records a variant that was needed.
     pub fn take(&mut self, what: StageName, why: &'static str) {
-        self.taken.push(Taken { what, why });
+        self.taken.push(StageVariant { what, why });
     }
 
     /// Records a stage or image that was not needed.
     pub fn leave_out(&mut self, what: impl Into<Part>, why: impl Into<Cow<'static, str>>) {
-        self.left_out.push(LeftOut { what: what.into(), why: why.into() });
+        self.left_out.push(Omission { what: what.into(), why: why.into() });
     }
 
     /// Every stage, variant and image of this prediction: first the stages that ran, with their times, then the variants that

@@ -1,10 +1,10 @@
 //! What takes seconds: poses, lenses and reasons worked out by hand, the comparison, and the rules of this repository.
 
 mod architecture;
-mod compare;
 mod feature_reasons;
 mod lens_opencv;
 mod outputs;
 mod pictures;
 mod poses;
 mod skipped;
+mod verify;

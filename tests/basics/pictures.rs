@@ -5,7 +5,7 @@ use presight_testkit as common;
 use common::{plan, reference, scenes};
 use glam::DVec3;
 use presight::Pose;
-use presight::compare::Precision;
+use presight::verify::Precision;
 
 #[test]
 fn the_difference_shows_the_wrong_pixels_and_no_others() {

@@ -10,7 +10,7 @@ use presight_testkit as common;
 
 use common::{compare_or_show, data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
-use presight::compare::{Precision, Report};
+use presight::verify::{Precision, Report};
 use presight::{FramePlan, Images, Pose};
 use std::time::Instant;
 

@@ -4,7 +4,7 @@ use presight_testkit as common;
 
 use common::{engines, reference, scenes};
 use glam::{DVec3, Vec3};
-use presight::compare::compare;
+use presight::verify::compare;
 use presight::{
     Environment, FramePlan, Geometry, IdScheme, Images, Mesh, NewObject, Output, Outputs, Polygon, PolygonOrder, Pose,
     Request, Sensor, World,

@@ -1,7 +1,7 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
-use presight::deadline::Kept;
-use presight::plan::{CountName, StageName, StageRow, Stats, Taken, Work};
+use presight::deadline::DeadlineOutcome;
+use presight::plan::{CountName, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -53,12 +53,12 @@ pub struct Statistics {
     counts: OrderedMap<CountName, u64>,
     /// Of the last prediction.
     work: Work,
-    taken: Vec<Taken>,
+    taken: Vec<StageVariant>,
     left_out: Vec<LeftOutRow>,
     notices: Vec<String>,
     /// How the last prediction's deadline was kept.
     #[serde(skip_serializing_if = "Option::is_none")]
-    deadline: Option<Kept>,
+    deadline: Option<DeadlineOutcome>,
     #[serde(skip)]
     rows: Vec<StageRow>,
 }
@@ -165,7 +165,7 @@ impl Statistics {
             n => format!("time      {:.2} ms median, {:.2} p95, {:.2} min of {n}", ms.median, ms.p95, ms.min),
         });
         if let Some(kept) = &self.deadline {
-            let Kept { deadline_ms, time_ms, estimate_ms, .. } = kept;
+            let DeadlineOutcome { deadline_ms, time_ms, estimate_ms, .. } = kept;
             lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
             lines.extend(kept.given_up.iter().map(|given_up| format!("given up  {}", given_up.summary())));
         }

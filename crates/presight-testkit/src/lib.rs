@@ -51,7 +51,7 @@ pub fn env_number(name: &str, default: u64) -> u64 {
 }
 
 /// One line on a comparison.
-pub fn summary(report: &presight::compare::Report) -> String {
+pub fn summary(report: &presight::verify::Report) -> String {
     format!(
         "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: {}",
         report.pixels, report.same, report.edge, report.coincident, report.fault, report.worst

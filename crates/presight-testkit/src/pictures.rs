@@ -1,7 +1,7 @@
 //! Pictures of what failed: expected, actual and wrong pixels, as PNG files below `target/failed-images`.
 
-use presight::compare::{Precision, Report, Values, compare, compare_values};
 use presight::io::png;
+use presight::verify::{PixelValues, Precision, Report, compare, compare_values};
 use presight::virtual_sensors::Mask;
 use presight::{FramePlan, Images, Output};
 use std::path::{Path, PathBuf};
@@ -50,7 +50,7 @@ fn mark(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precisi
     let width = expected.width as usize;
     let pixels = (first..first + wrong.len()).map(|at| {
         let place = ((at % width) as u32, (at / width) as u32);
-        (place, Values::of(expected, at), Values::of(actual, at))
+        (place, PixelValues::of(expected, at), PixelValues::of(actual, at))
     });
     let fault = compare_values(pixels, plan, precision).fault;
     if fault == 0 || fault == wrong.len() {

@@ -2,7 +2,7 @@
 
 use super::{PathNotes, Row};
 use crate::page::Table;
-use presight::plan::LeftOut;
+use presight::plan::Omission;
 
 /// Kinds of errors in one table: caption, kinds, and whether cells tell bounds, of which images have too many columns.
 const FAMILIES: [(&str, &[&str], bool); 3] = [
@@ -116,7 +116,7 @@ pub(super) fn stages(notes: &[PathNotes]) -> Table {
 pub(super) fn left_out(notes: &[PathNotes]) -> Table {
     let leaving: Vec<&PathNotes> = notes.iter().filter(|n| !n.left_out.is_empty()).collect();
     let all: Vec<String> = leaving.iter().map(|n| of_notes(n)).collect();
-    let mut rows: Vec<(&LeftOut, Vec<String>)> = Vec::new();
+    let mut rows: Vec<(&Omission, Vec<String>)> = Vec::new();
     for (n, path) in leaving.iter().zip(&all) {
         for left in &n.left_out {
             match rows.iter_mut().find(|(row, _)| *row == left) {
@@ -126,7 +126,7 @@ pub(super) fn left_out(notes: &[PathNotes]) -> Table {
         }
     }
     let row =
-        |(left, by): (&LeftOut, Vec<String>)| vec![left.what.to_string(), left.why.to_string(), in_short(&by, &all)];
+        |(left, by): (&Omission, Vec<String>)| vec![left.what.to_string(), left.why.to_string(), in_short(&by, &all)];
     Table {
         caption: "What the predictions did not need, and why nothing is lost by that (last pose); all: of the paths that leave \
                   something out"
@@ -156,7 +156,7 @@ mod tests {
     #[test]
     fn what_nearly_all_leave_out_is_said_in_short() {
         let [all_do, many_do, few_do] = [StageName::Hidden, StageName::RayTable, StageName::SecondRasterPass];
-        let left = |what: StageName| LeftOut { what: what.into(), why: "not needed".into() };
+        let left = |what: StageName| Omission { what: what.into(), why: "not needed".into() };
         let notes: Vec<PathNotes> = (0..5)
             .map(|i| PathNotes {
                 engine: "cpu".into(),
