@@ -318,7 +318,7 @@ impl Predictor {
         let rendered = self.render(&plan, images, &mut stats);
         let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
         stats.left_out.extend(by_engine);
-        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
+        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
         stats.notices.extend(self.notice.clone());
         self.buffers = plan.into_buffers();
         rendered?;

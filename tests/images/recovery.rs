@@ -103,7 +103,7 @@ fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
     for gone in [true, false] {
         switches.set_gone(gone);
         let after = task.predict(&mut predictor).unwrap();
-        assert_eq!((after.stats.engine.as_str(), predictor.engine_name().as_str()), ("cpu", "cpu"));
+        assert_eq!((after.stats.engine, predictor.engine_name().as_str()), ("cpu", "cpu"));
         assert!(after.stats.adapter.is_none());
         assert_eq!(bits(&after.images), bits(&expected.images));
         let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };

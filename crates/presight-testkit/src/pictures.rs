@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Panics
 /// If the images are not of one shape.
+#[expect(clippy::print_stderr, reason = "where a failing test left its pictures is worth reading")]
 pub fn compare_or_show(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precision) -> Report {
     let report = compare(expected, actual, plan, precision).expect("images of one shape");
     if report.fault > 0 {

@@ -174,6 +174,6 @@ mod tests {
             |ms: f64| Stats { stages_ms: vec![(StageName::Setup, ms), (StageName::Setup, 1.0)], ..Stats::default() };
         let timing = Timing { stats: [1.0, 2.0, 9.0].map(run).to_vec(), ..Timing::default() };
         let told = timing.notes(&PathName::default()).stages;
-        assert_eq!(told, [StageTime { stage: "a".into(), median_ms: 3.0, p95_ms: 10.0 }]);
+        assert_eq!(told, [StageTime { stage: StageName::Setup, median_ms: 3.0, p95_ms: 10.0 }]);
     }
 }
