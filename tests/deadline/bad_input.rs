@@ -2,6 +2,7 @@
 
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::{Jumping, Ticks, Untouchable};
+use presight::deadline::Priority;
 use presight::engine::EngineKind;
 use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request};
 use std::sync::Arc;
@@ -82,4 +83,26 @@ fn an_engine_that_cannot_stop_says_so() {
     let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1))).unwrap_err();
     assert_eq!(refused.kind(), ErrorKind::Usage);
     assert!(refused.to_string().contains("--backend cpu"), "{refused}");
+    // Where the engine was not named the CPU engine takes over, and says so.
+    let engine = EngineKind::Reference.open(&1.into()).unwrap();
+    let mut predictor = Predictor::with_engine(Options::new(Backend::Auto).with_threads(1), engine);
+    for _ in 0..2 {
+        let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10))).unwrap();
+        assert_eq!((seen.stats.engine.as_str(), seen.given_up()), ("cpu", None));
+        assert_eq!(seen.stats.notices, ["the CPU engine kept the deadline: reference cannot stop"]);
+    }
+    let without = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
+    assert_eq!((without.stats.engine.as_str(), without.stats.notices.len()), ("reference", 0));
+}
+
+#[test]
+fn priorities_without_sense_are_wrong_usage() {
+    let (world, sensor, mut predictor) = (room_world(1, 10), camera(32, 24), predictor());
+    let radii = [0.0, -1.0, f64::NAN, f64::INFINITY].map(|metres| Priority::default().with_least_radius(metres));
+    let headings = [f64::NAN, f64::NEG_INFINITY].map(|heading| Priority::default().with_heading(heading));
+    for priority in radii.into_iter().chain(headings) {
+        let request = within(Duration::from_secs(1)).with_priority(priority);
+        let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &request).unwrap_err();
+        assert_eq!(refused.kind(), ErrorKind::Usage, "{refused}");
+    }
 }

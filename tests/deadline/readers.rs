@@ -47,7 +47,7 @@ fn given_up_beyond(mut prediction: Prediction, complete_to: f64) -> Prediction {
             samples += 1;
         }
     }
-    let given_up = Some(GivenUp { complete_to, samples, means: Vec::new() });
+    let given_up = Some(GivenUp { complete_to, samples, ..GivenUp::default() });
     prediction.stats.deadline = Some(Kept { given_up, ..Kept::default() });
     prediction
 }

@@ -37,7 +37,8 @@ fn attributes() -> Attributes {
         given_up: Some(GivenUp {
             complete_to: 3.25,
             samples: 7,
-            means: vec![MeansTaken { means: Means::Clock, at_ms: 1.5, metres: 3.25 }],
+            means: vec![MeansTaken { means: Means::Clock, at_ms: 1.5, metres: Some(3.25) }],
+            ..GivenUp::default()
         }),
         objects: (1..=12).map(|i| (i, format!("Tür \"{i}\""))).collect(),
     }
