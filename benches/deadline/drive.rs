@@ -39,8 +39,9 @@ pub fn draw(args: &[String]) -> Outcome {
         (frame.with, frame.radius, frame.complete_to, frame.stride) = (took, f64::INFINITY, f64::INFINITY, 1);
         match answer {
             Ok(stats) => {
-                if let Some(given_up) = stats.given_up() {
-                    let cut = given_up.means.iter().find(|taken| taken.means == presight::deadline::Means::Radius);
+                if let Some(given_up) = stats.degradation() {
+                    let cut =
+                        given_up.means.iter().find(|taken| taken.means == presight::deadline::DegradationKind::Radius);
                     frame.radius = cut.and_then(|taken| taken.metres).unwrap_or(f64::INFINITY);
                     (frame.complete_to, frame.stride) = (given_up.complete_to, given_up.stride);
                 }

@@ -116,7 +116,7 @@ fn given_up(bench: &mut Bench, poses: &[Pose], full: &[f64]) {
         for _ in 0..5 {
             for (pose, full) in poses.iter().zip(full) {
                 let stats = bench.frame(pose, Some(share * full)).1.ok();
-                let given_up = stats.as_ref().map(|stats| stats.given_up());
+                let given_up = stats.as_ref().map(|stats| stats.degradation());
                 let lost = given_up.map_or(bench.pixels(), |g| g.map_or(0.0, |g| g.samples as f64));
                 there.push(1.0 - lost / bench.pixels());
                 complete.push(given_up.map_or(0.0, |g| g.map_or(f64::INFINITY, |g| g.complete_to)));

@@ -6,7 +6,7 @@
 
 use super::batch::Batch;
 use super::{FIRST_WAVE, thinning};
-use crate::deadline::{GivenUp, Kept, Means, MeansTaken, Opening, Watch, Wave};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Watch, Wave};
 use crate::plan::{FramePlan, Stats};
 use crate::sensor::Part;
 use std::time::Duration;
@@ -32,7 +32,7 @@ pub(super) struct Band {
 }
 
 /// How far a frame has come.
-pub(super) struct Progress<'a> {
+pub(super) struct FrameProgress<'a> {
     plan: &'a FramePlan,
     pub bands: Vec<Band>,
     /// Drawing began so long after the call.
@@ -44,7 +44,7 @@ pub(super) struct Progress<'a> {
     wave: Option<(Duration, Wave)>,
 }
 
-impl<'a> Progress<'a> {
+impl<'a> FrameProgress<'a> {
     pub fn new(plan: &'a FramePlan, bands: usize) -> Self {
         let begun = plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
         Self { plan, bands: vec![Band::default(); bands], begun, stopped_at: None, has_stopped: false, wave: None }
@@ -114,12 +114,12 @@ impl<'a> Progress<'a> {
         let drawn_ms = drawn.as_secs_f64() * 1e3;
         let complete_to = f64::from(self.bands.iter().map(|band| band.complete_to).fold(f32::INFINITY, f32::min));
         let samples = sum(|band| band.given_up);
-        let stopped = MeansTaken { means: Means::Clock, at_ms: drawn_ms, metres: Some(complete_to) };
+        let stopped = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: Some(complete_to) };
         let by_clock = self.plan.radius.is_none_or(|radius| complete_to < f64::from(radius));
         let means = by_clock.then_some(stopped).into_iter().collect();
-        let given_up = (samples > 0).then_some(GivenUp { complete_to, samples, means, ..GivenUp::default() });
+        let given_up = (samples > 0).then_some(Degradation { complete_to, samples, means, ..Degradation::default() });
         let wave = self.wave.as_ref().map(|(_, wave)| *wave);
-        stats.deadline = Some(Kept { drawn_ms, given_up, wave, ..Kept::default() });
+        stats.deadline = Some(DeadlineOutcome { drawn_ms, given_up, wave, ..DeadlineOutcome::default() });
     }
 }
 
@@ -139,7 +139,7 @@ pub(super) fn tell_part(plan: &FramePlan, (part, since): (&Part, Duration), left
     if part.stride > 1 {
         given_up.stride = part.stride;
         let at_ms = since.as_secs_f64() * 1e3;
-        given_up.means.insert(0, MeansTaken { means: Means::Stride, at_ms, metres: None });
+        given_up.means.insert(0, DegradationStep { means: DegradationKind::Stride, at_ms, metres: None });
     }
 }
 

@@ -2,7 +2,7 @@
 //! cover. If they take longer than there is time, more samples may come of every k-th column and row than of all of them up to where
 //! the drawing stops.
 
-use super::batch::{Batch, SetUp};
+use super::batch::{Batch, PolygonSetup};
 use crate::plan::Pace;
 use crate::sensor::{PixelGrid, STRIDES};
 
@@ -20,7 +20,7 @@ pub(super) struct Frame<'a> {
 }
 
 /// Pixels of the box around a polygon's image.
-pub(super) fn pixels(polygon: &SetUp) -> u64 {
+pub(super) fn pixels(polygon: &PolygonSetup) -> u64 {
     u64::from(polygon.end_line - polygon.first_line) * u64::from(polygon.end_sample - polygon.first_sample)
 }
 
@@ -45,7 +45,7 @@ pub(super) fn stride(frame: &Frame<'_>) -> u32 {
 
 /// Pixels of the boxes of polygons, and the distance in the middle of each, metres.
 fn ranges(batch: &Batch, grid: &PixelGrid) -> Vec<(u64, f64)> {
-    let of_polygon = |polygon: &SetUp| {
+    let of_polygon = |polygon: &PolygonSetup| {
         let line = polygon.first_line.midpoint(polygon.end_line - 1);
         let sample = polygon.first_sample.midpoint(polygon.end_sample - 1);
         let (ray, length) = match grid {
@@ -87,7 +87,7 @@ mod tests {
 
     /// A batch of one polygon over 100 x 100 pixels of a plane so many metres ahead.
     fn batch(nearest: f32, depth: f64) -> Batch {
-        let polygon = SetUp {
+        let polygon = PolygonSetup {
             m: DVec3::Y / depth,
             first_line: 200,
             end_line: 300,

@@ -6,13 +6,13 @@
 //!
 //! | means | when | what it gives up |
 //! |---|---|---|
-//! | [`Means::Radius`] | after selection, when even a low estimate of the time is too long | what is farther away than a radius |
-//! | [`Means::Angle`] | then, when even the least radius is too much | what is off a heading |
-//! | [`Means::Stride`] | after the setup of the first wave, when thinning leaves more samples than stopping in time | all but every k-th column and row |
-//! | [`Means::Clock`] | between batches of polygons, when what is left of the time is needed for what follows | what was not drawn |
-//! | [`Means::Features`] | between features, when the next ones do not fit | features with the least image length |
+//! | [`DegradationKind::Radius`] | after selection, when even a low estimate of the time is too long | what is farther away than a radius |
+//! | [`DegradationKind::Angle`] | then, when even the least radius is too much | what is off a heading |
+//! | [`DegradationKind::Stride`] | after the setup of the first wave, when thinning leaves more samples than stopping in time | all but every k-th column and row |
+//! | [`DegradationKind::Clock`] | between batches of polygons, when what is left of the time is needed for what follows | what was not drawn |
+//! | [`DegradationKind::Features`] | between features, when the next ones do not fit | features with the least image length |
 //!
-//! A sample that was given up is NaN with id 0, never `+inf`. [`GivenUp`] says what was given up; without it NaN means that there
+//! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] says what was given up; without it NaN means that there
 //! is no ray. [`crate::ErrorKind::Deadline`] is the answer where not even an image of nothing can be made in time. `docs/deadline.md`
 //! has the details and what was measured.
 //!
@@ -24,7 +24,7 @@
 //! let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
 //! let within = |time| Request::default().with_deadline(time);
 //! let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10)))?;
-//! assert_eq!(seen.given_up(), None);
+//! assert_eq!(seen.degradation(), None);
 //! let impossible = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1)));
 //! assert_eq!(impossible.unwrap_err().kind(), ErrorKind::Deadline);
 //! # Ok::<(), presight::Error>(())
@@ -41,7 +41,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 /// How time was saved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Means {
+pub enum DegradationKind {
     /// What is farther away than a radius was not asked for.
     Radius,
     /// What is off a heading was not asked for.
@@ -56,9 +56,9 @@ pub enum Means {
 
 /// A means that was taken.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MeansTaken {
+pub struct DegradationStep {
     /// Which.
-    pub means: Means,
+    pub means: DegradationKind,
     /// Milliseconds after the call.
     pub at_ms: f64,
     /// Metres: what is farther away was not asked for or, where the drawing stopped, is not known in some part of the image.
@@ -77,7 +77,7 @@ pub struct Opening {
 
 /// What a prediction gave up to be there in time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct GivenUp {
+pub struct Degradation {
     /// Metres: every sample nearer than this is there, of the columns and rows that `stride` and `opening` leave. Beyond it some
     /// are not. Infinite, which files show as null, if all of those are there.
     #[serde(deserialize_with = "infinite_if_null")]
@@ -94,7 +94,7 @@ pub struct GivenUp {
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub features: Vec<u32>,
     /// The means that were taken, in order.
-    pub means: Vec<MeansTaken>,
+    pub means: Vec<DegradationStep>,
 }
 
 fn every() -> u32 {
@@ -106,7 +106,7 @@ fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D
 }
 
 /// Nothing given up yet: complete to infinity.
-impl Default for GivenUp {
+impl Default for Degradation {
     fn default() -> Self {
         Self {
             complete_to: f64::INFINITY,
@@ -119,7 +119,7 @@ impl Default for GivenUp {
     }
 }
 
-impl GivenUp {
+impl Degradation {
     /// Metres: every sample of the whole image nearer than this is there. That is 0 where columns and rows were left out.
     pub fn complete_everywhere_to(&self) -> f64 {
         if self.stride > 1 || self.opening.is_some() { 0.0 } else { self.complete_to }
@@ -137,16 +137,18 @@ impl GivenUp {
     }
 
     /// A means that was taken.
-    fn in_words(&self, taken: &MeansTaken) -> String {
+    fn in_words(&self, taken: &DegradationStep) -> String {
         let done = match (taken.means, self.opening) {
-            (Means::Radius, _) => format!("the radius was cut to {:.2} m", taken.metres.unwrap_or(f64::NAN)),
-            (Means::Angle, Some(Opening { heading_deg, opening_deg })) => {
+            (DegradationKind::Radius, _) => format!("the radius was cut to {:.2} m", taken.metres.unwrap_or(f64::NAN)),
+            (DegradationKind::Angle, Some(Opening { heading_deg, opening_deg })) => {
                 format!("the image was narrowed to {opening_deg:.1} degrees around {heading_deg:.1}")
             }
-            (Means::Angle, None) => "the image was narrowed".to_owned(),
-            (Means::Stride, _) => format!("only one in {} columns and rows was drawn from then on", self.stride),
-            (Means::Clock, _) => "the drawing stopped".to_owned(),
-            (Means::Features, _) => format!("{} features were left out", self.features.len()),
+            (DegradationKind::Angle, None) => "the image was narrowed".to_owned(),
+            (DegradationKind::Stride, _) => {
+                format!("only one in {} columns and rows was drawn from then on", self.stride)
+            }
+            (DegradationKind::Clock, _) => "the drawing stopped".to_owned(),
+            (DegradationKind::Features, _) => format!("{} features were left out", self.features.len()),
         };
         format!("after {:.2} ms {done}", taken.at_ms)
     }
@@ -164,11 +166,11 @@ impl GivenUp {
         }
         lines.extend(self.means.iter().map(|taken| {
             let why = match taken.means {
-                Means::Radius => "the costs learnt say that what is farther cannot be drawn in time",
-                Means::Angle => "even the least radius takes too long",
-                Means::Stride => "that leaves more samples than stopping in time",
-                Means::Clock => "the time left was needed for what follows the drawing",
-                Means::Features => "the time was up",
+                DegradationKind::Radius => "the costs learnt say that what is farther cannot be drawn in time",
+                DegradationKind::Angle => "even the least radius takes too long",
+                DegradationKind::Stride => "that leaves more samples than stopping in time",
+                DegradationKind::Clock => "the time left was needed for what follows the drawing",
+                DegradationKind::Features => "the time was up",
             };
             format!("{}: {why}", self.in_words(taken))
         }));
@@ -184,7 +186,7 @@ impl GivenUp {
 
 /// A deadline and how it was kept.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Kept {
+pub struct DeadlineOutcome {
     /// What was allowed, milliseconds from the call on.
     pub deadline_ms: f64,
     /// What it took.
@@ -200,7 +202,7 @@ pub struct Kept {
     /// The first wave of polygons, if it was drawn to its end.
     pub wave: Option<Wave>,
     /// What was given up; `None` if everything is there.
-    pub given_up: Option<GivenUp>,
+    pub given_up: Option<Degradation>,
 }
 
 /// The first wave of polygons: what its drawing should take by its setup, and what it took.

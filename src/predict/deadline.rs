@@ -2,13 +2,13 @@
 
 use super::{Prediction, Predictor};
 use crate::cost::CostModel;
-use crate::deadline::{Clock, GivenUp};
+use crate::deadline::{Clock, Degradation};
 use std::sync::Arc;
 
 impl Prediction {
     /// What was given up for the deadline; `None` if everything is there.
-    pub fn given_up(&self) -> Option<&GivenUp> {
-        self.stats.given_up()
+    pub fn degradation(&self) -> Option<&Degradation> {
+        self.stats.degradation()
     }
 
     /// [`Prediction::is_not_predicted`] of all pixels, row-major; empty if nothing was given up.
@@ -29,7 +29,7 @@ impl Prediction {
 
     /// True if samples were given up, not only features.
     fn misses_samples(&self) -> bool {
-        self.given_up().is_some_and(|given_up| given_up.samples > 0)
+        self.degradation().is_some_and(|given_up| given_up.samples > 0)
     }
 }
 

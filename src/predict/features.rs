@@ -2,17 +2,18 @@
 
 use super::{Prediction, Predictor, faulty};
 use crate::Backend;
-use crate::cost::Timed;
+use crate::cost::DeadlineFrame;
 use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, OcclusionHint,
-    PlacedFeature, PlacedFeatures, Prepared, SeenFeature, Visibility, add_boxes, predict_features, sides_seen_in_part,
+    PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, predict_features,
+    sides_seen_in_part,
 };
 use crate::geometry::Pose;
 use crate::placement;
 use crate::plan::{Images, Output, Stats};
-use crate::probe::{Probe, Task};
+use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
@@ -22,7 +23,7 @@ use std::time::Instant;
 pub(super) type SeenFrom<'a> = (&'a World, &'a Sensor, &'a Pose);
 
 /// The features of a world's own layer, placed in one version of it.
-pub(super) struct OwnFeatures {
+pub(super) struct WorldFeatures {
     /// [`World::stamp`].
     world: u64,
     class: String,
@@ -44,7 +45,7 @@ impl Predictor {
                     return Err(Error::usage(what, "generate a layer (presight features), or give placed features"));
                 };
                 let placed = self.on_threads(|| placement::place_layer(world, layer))??;
-                self.own = Some(OwnFeatures { world: world.stamp(), class: class.clone(), placed: placed.clone() });
+                self.own = Some(WorldFeatures { world: world.stamp(), class: class.clone(), placed: placed.clone() });
                 Ok(placed)
             }
         }
@@ -58,7 +59,7 @@ impl Predictor {
         placed: &PlacedFeatures,
         images: &mut Images,
         stats: &mut Stats,
-        timed: Option<&mut Timed>,
+        timed: Option<&mut DeadlineFrame>,
     ) -> Result<FeaturePrediction> {
         let seen_from = (world, sensor, world_from_sensor);
         let regions = request.regions.as_ref().map(|options| {
@@ -99,7 +100,7 @@ impl Predictor {
             stats.leave_out("features", "there is none for this class");
         }
         let mut start = Instant::now();
-        let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, settings)?;
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
@@ -183,7 +184,7 @@ impl Predictor {
     /// not there.
     fn query_occlusion(
         &mut self,
-        prepared: &Prepared<'_>,
+        prepared: &PreparedFeatures<'_>,
         sensor: &Sensor,
         placed: &[PlacedFeature],
         stats: &mut Stats,
@@ -191,7 +192,7 @@ impl Predictor {
         if !self.engine.device().is_some_and(|device| device.takes_features() && device.holds_images()) {
             return Ok(None);
         }
-        let samples = self.on_threads(|| prepared.asking())?;
+        let samples = self.on_threads(|| prepared.query_samples())?;
         if samples.iter().all(Vec::is_empty) {
             stats.leave_out("features on the device", "no sample is where only what is in between decides");
             return Ok(None);
@@ -218,7 +219,7 @@ impl Predictor {
     /// visibility needs no such proof: each answer is tested on the CPU.
     fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
         let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
-        let task = Task::of(sensor);
+        let task = SensorKind::of(sensor);
         let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
         let told = match known {
             Some(told) => told,
@@ -248,7 +249,7 @@ impl Predictor {
             return Err(Error::usage(what, "predict again"));
         }
         let placed = self.place(world, sensor, options)?;
-        let left_out = prediction.given_up().map_or(&[][..], |given_up| &given_up.features);
+        let left_out = prediction.degradation().map_or(&[][..], |given_up| &given_up.features);
         let is_there = |placed: &&PlacedFeature| left_out.binary_search(&placed.feature.id).is_err();
         let sides = match left_out {
             [] => sides_seen_in_part(&placed.features, seen),

@@ -2,11 +2,11 @@
 
 use super::Predictor;
 use super::features::{SeenFrom, settings};
-use crate::cost::Timed;
+use crate::cost::DeadlineFrame;
 use crate::deadline::Priority;
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeaturePrediction, FeatureSettings, PlacedFeature, PlacedFeatures, Prepared, add_boxes,
+    BoxOptions, FeaturePrediction, FeatureSettings, PlacedFeature, PlacedFeatures, PreparedFeatures, add_boxes,
 };
 use crate::plan::{Images, Stats};
 use crate::request::Request;
@@ -22,13 +22,13 @@ impl Predictor {
         (placed, regions): (&PlacedFeatures, Option<&BoxOptions>),
         images: &mut Images,
         stats: &mut Stats,
-        timed: &mut Timed,
+        timed: &mut DeadlineFrame,
     ) -> Result<FeaturePrediction> {
         let start = Instant::now();
-        let is_partial = stats.given_up().is_some_and(|given_up| given_up.samples > 0);
+        let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
         let settings = FeatureSettings { is_partial, ..settings(request) };
         let all = &placed.features;
-        let prepared = Prepared::new(world, sensor, world_from_sensor, images, all, &settings)?;
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, all, &settings)?;
         let lengths = self.on_threads(|| prepared.image_lengths())?;
         let order = rank(all, &request.priority, &lengths);
         let (mut found, mut marks) = (FeaturePrediction::default(), prepared.marks());

@@ -22,7 +22,7 @@ pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use noise::{Mixture, Noise};
 pub(crate) use part::{Part, STRIDES};
 pub use presets::{PRESETS, Preset};
-pub(crate) use ray_grid::{Ahead, Cones, Sides, TILE_SIDE, TileRays, View};
+pub(crate) use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
@@ -95,10 +95,10 @@ impl SensorSpec {
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct Sensor(Arc<Checked>);
+pub struct Sensor(Arc<SensorData>);
 
 #[derive(Debug)]
-struct Checked {
+struct SensorData {
     spec: SensorSpec,
     grid: PixelGrid,
     projector: Projector,
@@ -129,7 +129,7 @@ impl Sensor {
         let (width, height) = spec.geometry.size();
         let projector = Projector::new(&spec);
         let (part, thinned) = (None, Thinned::default());
-        Ok(Self(Arc::new(Checked { spec, grid, projector, width, height, part, thinned })))
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned })))
     }
 
     /// The specification from which the sensor was made.

@@ -1,6 +1,6 @@
 //! Parts of a sensor's image: some of its columns, and of these and of the rows only every k-th.
 
-use super::{Angles, Checked, Geometry, PixelGrid, Projector, RayGrid, Sensor};
+use super::{Angles, Geometry, PixelGrid, Projector, RayGrid, Sensor, SensorData};
 use crate::error::Result;
 use std::sync::{Arc, OnceLock};
 
@@ -74,7 +74,7 @@ impl Sensor {
         };
         let spec = self.spec().clone();
         let projector = Projector::new(&spec);
-        Ok(Self(Arc::new(Checked {
+        Ok(Self(Arc::new(SensorData {
             spec,
             grid,
             projector,

@@ -31,7 +31,7 @@ fn no_time_is_wrong_usage_and_too_little_is_an_error_in_time() {
     assert!(said.starts_with("nothing can be predicted within 0.000 ms; give ") && !said.contains('\n'), "{said}");
     // After it all is as before.
     let all = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::MAX)).unwrap();
-    assert_eq!(all.given_up(), None);
+    assert_eq!(all.degradation(), None);
     assert!(all.stats.deadline.is_some());
 }
 
@@ -88,7 +88,7 @@ fn an_engine_that_cannot_stop_says_so() {
     let mut predictor = Predictor::with_engine(Options::new(Backend::Auto).with_threads(1), engine);
     for _ in 0..2 {
         let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10))).unwrap();
-        assert_eq!((seen.stats.engine.as_str(), seen.given_up()), ("cpu", None));
+        assert_eq!((seen.stats.engine.as_str(), seen.degradation()), ("cpu", None));
         assert_eq!(seen.stats.notices, ["the CPU engine kept the deadline: reference cannot stop"]);
     }
     let without = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();

@@ -3,7 +3,7 @@
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::Sudden;
 use glam::{DMat3, DVec3};
-use presight::deadline::{Means, Priority};
+use presight::deadline::{DegradationKind, Priority};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{BoxOptions, FeatureOptions, PlacedFeature, SeenFeature};
 use presight::{Backend, ErrorKind, Options, Output, Outputs, Pose, Prediction, Predictor, Request, World};
@@ -60,7 +60,7 @@ fn the_longest_features_go_first_and_the_rest_are_named() {
                 }
             };
             let found = seen.features.as_ref().unwrap();
-            let left_out = seen.given_up().map_or(&[][..], |given_up| &given_up.features);
+            let left_out = seen.degradation().map_or(&[][..], |given_up| &given_up.features);
             let mut order: Vec<u32> = first.to_vec();
             order.extend((1..=FEATURES).rev().filter(|id| !first.contains(id)));
             let (mut expected, mut rest) =
@@ -73,7 +73,8 @@ fn the_longest_features_go_first_and_the_rest_are_named() {
                 let same = full.features.iter().find(|f| f.feature.id == seen.feature.id).unwrap();
                 assert_eq!(format!("{seen:?}"), format!("{same:?}"), "look {look}");
             }
-            let is_told = seen.given_up().is_some_and(|g| g.means.iter().any(|m| m.means == Means::Features));
+            let is_told =
+                seen.degradation().is_some_and(|g| g.means.iter().any(|m| m.means == DegradationKind::Features));
             assert_eq!(is_told, !rest.is_empty());
             let marked = |id: &u32| *id == 0 || found.features.iter().any(|f| f.feature.id == *id);
             assert!(seen.images.feature_id.iter().all(marked));
@@ -91,9 +92,9 @@ fn features_left_out_leave_images_whole() {
     let full = predict(&world, &request(), 0).unwrap().images;
     let in_time = request().with_deadline(Duration::from_secs(1));
     let seen = (1..80).filter_map(|look| predict(&world, &in_time, look).ok());
-    let mut seen = seen.filter(|seen| seen.given_up().is_some_and(|g| g.samples == 0 && !g.features.is_empty()));
+    let mut seen = seen.filter(|seen| seen.degradation().is_some_and(|g| g.samples == 0 && !g.features.is_empty()));
     let seen = seen.next().expect("some clock stops between images and features");
     assert_eq!(seen.images.range, full.range);
     assert!(seen.not_predicted().is_empty() && !seen.is_not_predicted(3, 3));
-    assert_eq!(seen.given_up().unwrap().complete_to, f64::INFINITY);
+    assert_eq!(seen.degradation().unwrap().complete_to, f64::INFINITY);
 }

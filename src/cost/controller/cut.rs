@@ -1,8 +1,8 @@
 //! The first estimate (paper, section 3.3): the query region shrinks, first its radius, then its angle.
 
-use super::{Controller, Timed, counts_of, milliseconds};
+use super::{Controller, DeadlineFrame, counts_of, milliseconds};
 use crate::cost::Forecast;
-use crate::deadline::{Means, MeansTaken};
+use crate::deadline::{DegradationKind, DegradationStep};
 use crate::error::Result;
 use crate::plan::{FramePlan, Run};
 
@@ -15,7 +15,7 @@ const WORTH_NARROWING: f64 = 0.8;
 impl Controller {
     /// Leaves out what surely cannot be drawn: runs are sorted by distance, so that a radius is a prefix of them. What is left of the
     /// least radius is narrowed to columns around the heading.
-    pub(super) fn cut(&self, timed: &mut Timed, plan: &mut FramePlan) -> Result<()> {
+    pub(super) fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         let left = timed.watch.left().as_secs_f64();
         let low = |runs: &[Run]| {
             let estimate = self.costs.estimate(&timed.key_of(Forecast::Selection), &counts_of(runs));
@@ -34,15 +34,15 @@ impl Controller {
         }
         plan.cut(fits);
         let needed = low(&plan.runs);
-        let taken = |means, metres| MeansTaken { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
+        let taken = |means, metres| DegradationStep { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
         let mut cut = Vec::new();
-        cut.extend(plan.radius.map(|radius| taken(Means::Radius, Some(f64::from(radius)))));
+        cut.extend(plan.radius.map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
         let share = left / needed;
         if share < WORTH_NARROWING {
             let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
                 plan.narrow(part)?;
-                cut.push(taken(Means::Angle, None));
+                cut.push(taken(DegradationKind::Angle, None));
             }
         }
         timed.cut = cut;

@@ -1,6 +1,6 @@
 //! Features within a deadline, in groups: the next one only if it fits.
 
-use super::{Controller, Timed};
+use super::{Controller, DeadlineFrame};
 use crate::cost::Forecast;
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ pub(crate) struct FeatureGroups {
 
 impl Controller {
     /// Time to be kept for features, of what images leave: no more than half of it.
-    pub(super) fn reserve(&self, timed: &Timed, left: Duration) -> Duration {
+    pub(super) fn reserve(&self, timed: &DeadlineFrame, left: Duration) -> Duration {
         if timed.features.features == 0 {
             return Duration::ZERO;
         }
@@ -30,7 +30,7 @@ impl Controller {
     }
 
     /// Begins to find features.
-    pub fn feature_groups(&self, timed: &Timed) -> FeatureGroups {
+    pub fn feature_groups(&self, timed: &DeadlineFrame) -> FeatureGroups {
         let estimate = self.costs.estimate(&timed.key_of(Forecast::Features), &timed.features);
         let pace = estimate.upper / timed.features.features.max(1) as f64;
         let most = if estimate.frames == 0 { FIRST_GROUP } else { usize::MAX };
@@ -41,7 +41,7 @@ impl Controller {
 impl FeatureGroups {
     /// How many of the rest to find next; 0 if the time is up. As long as more are to come, a group takes half of the time left at
     /// most: what is found out by then corrects the pace.
-    pub fn next(&mut self, timed: &Timed, rest: usize) -> usize {
+    pub fn next(&mut self, timed: &DeadlineFrame, rest: usize) -> usize {
         self.since = timed.watch.elapsed();
         let all = (timed.left().as_secs_f64() / self.pace) as usize;
         let rest = rest.min(self.most);
@@ -54,7 +54,7 @@ impl FeatureGroups {
     }
 
     /// So many were found.
-    pub fn took(&mut self, timed: &Timed, features: usize) {
+    pub fn took(&mut self, timed: &DeadlineFrame, features: usize) {
         let took = timed.watch.elapsed().saturating_sub(self.since).as_secs_f64();
         // A little more than it was: groups are not alike.
         self.pace = (1.25 * took / features.max(1) as f64).max(1e-9);
