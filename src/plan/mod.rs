@@ -22,6 +22,7 @@ use crate::sensor::{Part, PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
 /// frame. Subtracting first keeps the precision of near points, also in f32.
@@ -159,6 +160,15 @@ pub(crate) struct Pace {
     pub polygon: f64,
     /// For each pixel of the boxes around the images of polygons.
     pub sample: f64,
+    /// What is kept free for making images when drawing has ended.
+    pub images: f64,
+}
+
+impl Pace {
+    /// Seconds of those kept for images that a thinned image does not need: half of its share, for all of it is still written once.
+    pub fn saved(&self, stride: u32) -> f64 {
+        0.5 * self.images * (1.0 - 1.0 / f64::from(stride * stride))
+    }
 }
 
 /// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
@@ -247,6 +257,10 @@ impl FramePlan {
 
     /// The same of a part of the image.
     pub(crate) fn of_part(&self, part: Part) -> Result<Self> {
+        let mut watch = self.watch.clone();
+        if let (Some(watch), Some(pace)) = (&mut watch, &self.pace) {
+            watch.stop_later(Duration::from_secs_f64(pace.saved(part.stride)));
+        }
         Ok(Self {
             world: self.world.clone(),
             sensor: self.sensor.part(part)?,
@@ -259,7 +273,7 @@ impl FramePlan {
             objects_out_of_view: self.objects_out_of_view,
             polygons_out_of_view: self.polygons_out_of_view,
             objects_not_opaque: self.objects_not_opaque,
-            watch: self.watch.clone(),
+            watch,
             radius: self.radius,
             part: None,
             pace: self.pace.filter(|_| part.stride == 1),

@@ -132,12 +132,12 @@ impl Controller {
         timed.first_estimate = (drawing.frames > 0 && images.frames > 0).then_some(first_estimate);
         self.cut(timed, plan)?;
         plan.watch = Some(timed.watch.clone());
-        plan.pace = self.pace(timed);
+        plan.pace = self.pace(timed, after);
         Ok(())
     }
 
-    /// What drawing takes, by what was learnt.
-    fn pace(&self, timed: &DeadlineFrame) -> Option<Pace> {
+    /// What drawing takes, by what was learnt, where so much is kept for the images.
+    fn pace(&self, timed: &DeadlineFrame, images: Duration) -> Option<Pace> {
         let key = timed.key_of(Forecast::Wave);
         let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
         let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
