@@ -3,7 +3,7 @@
 use super::output::{Maker, Output, Outputs};
 use crate::error::Result;
 use crate::memory;
-use crate::sensor::PixelGrid;
+use crate::sensor::{Part, PixelGrid, Sensor};
 
 /// The images of one prediction, row-major, row 0 on top. An image that was not requested is empty.
 ///
@@ -213,6 +213,36 @@ impl Images {
     /// ray): its floats are NaN and its ids 0.
     pub(crate) fn is_open(&self, at: usize) -> bool {
         Output::WITH_FEATURES.into_iter().filter_map(|o| self.samples(o)).all(|samples| samples.is_open(at))
+    }
+
+    /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is.
+    pub(crate) fn spread(&mut self, part: &Self, which: &Part, sensor: &Sensor) -> Result<u64> {
+        let (width, height) = (sensor.width(), sensor.height());
+        self.try_prepare(width, height, part.outputs())?;
+        fn spread<T: Copy>(to: &mut [T], from: &[T], nothing: T, width: u32, which: &Part) {
+            to.fill(nothing);
+            let rows = to.chunks_mut(width as usize).step_by(which.stride as usize);
+            for (to, from) in rows.zip(from.chunks(which.width() as usize)) {
+                let columns = to[which.first_column as usize..].iter_mut().step_by(which.stride as usize);
+                columns.zip(from).for_each(|(to, from)| *to = *from);
+            }
+        }
+        let floats = [
+            (&mut self.range, &part.range),
+            (&mut self.depth_z, &part.depth_z),
+            (&mut self.cos_incidence, &part.cos_incidence),
+            (&mut self.echo, &part.echo),
+        ];
+        floats.into_iter().for_each(|(to, from)| spread(to, from, f32::NAN, width, which));
+        for (to, from) in [(&mut self.polygon_id, &part.polygon_id), (&mut self.object_id, &part.object_id)] {
+            spread(to, from, 0, width, which);
+        }
+        let rays = |grid: &PixelGrid, pixels: u64| match grid {
+            PixelGrid::Lines(_) => pixels,
+            PixelGrid::Rays(rays) => rays.directions().filter(|ray| !ray.is_nan()).count() as u64,
+        };
+        let all = rays(sensor.grid(), u64::from(width) * u64::from(height));
+        Ok(all - rays(sensor.part(*which)?.grid(), part.pixels() as u64))
     }
 
     /// Takes one pixel over from images of the same size and outputs.

@@ -21,12 +21,13 @@ use crate::deadline::Watch;
 use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::index::{ObjectRun, QueryResult};
-use crate::sensor::{PixelGrid, Sensor};
+use crate::index::{ObjectRun, QueryResult, Region};
+use crate::sensor::{Part, PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
 use std::borrow::Cow;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
 /// frame. Subtracting first keeps the precision of near points, also in f32.
@@ -139,9 +140,31 @@ pub struct FramePlan {
     pub(crate) watch: Option<Watch>,
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
     pub(crate) radius: Option<f32>,
+    /// The part of the image that is drawn, if it is not all of it.
+    pub(crate) part: Option<Part>,
+    /// What drawing takes, if that is known: the image may be thinned by it.
+    pub(crate) pace: Option<Pace>,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
+}
+
+/// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pace {
+    pub wave: f64,
+    pub polygon: f64,
+    /// For each pixel of the boxes around the images of polygons.
+    pub sample: f64,
+    /// What is kept free for making images when drawing has ended.
+    pub images: f64,
+}
+
+impl Pace {
+    /// Seconds of those kept for images that a thinned image does not need: half of its share, for all of it is still written once.
+    pub fn saved(&self, stride: u32) -> f64 {
+        0.5 * self.images * (1.0 - 1.0 / f64::from(stride * stride))
+    }
 }
 
 /// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
@@ -191,10 +214,12 @@ impl FramePlan {
             objects_not_opaque: 0,
             watch: None,
             radius: None,
+            part: None,
+            pace: None,
             found,
             selected,
         };
-        plan.fill()?;
+        plan.fill(&region_of(sensor, world_from_sensor)?);
         Ok(plan)
     }
 
@@ -210,6 +235,62 @@ impl FramePlan {
         self.radius = Some(first_out.nearest_below());
         self.runs.truncate(runs);
         self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
+    }
+
+    /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
+    pub(crate) fn narrow(&mut self, part: Part) -> Result<()> {
+        let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
+        let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
+        self.fill(&region);
+        if let Some(radius) = radius {
+            let within = self.runs.partition_point(|run| run.nearest_below() < radius);
+            self.cut(within);
+        }
+        // What is left out stays left out, also where nothing that was selected now lies beyond.
+        (self.watch, self.radius, self.pace, self.part) = (watch, radius, pace, Some(part));
+        Ok(())
+    }
+
+    /// The same of a part of the image.
+    pub(crate) fn of_part(&self, part: Part) -> Result<Self> {
+        let mut watch = self.watch.clone();
+        if let (Some(watch), Some(pace)) = (&mut watch, &self.pace) {
+            watch.stop_later(Duration::from_secs_f64(pace.saved(part.stride)));
+        }
+        Ok(Self {
+            world: self.world.clone(),
+            sensor: self.sensor.part(part)?,
+            world_from_sensor: self.world_from_sensor,
+            request: self.request,
+            instances: self.instances.clone(),
+            runs: self.runs.clone(),
+            facings: self.facings.clone(),
+            polygon_count: self.polygon_count,
+            objects_out_of_view: self.objects_out_of_view,
+            polygons_out_of_view: self.polygons_out_of_view,
+            objects_not_opaque: self.objects_not_opaque,
+            watch,
+            radius: self.radius,
+            part: None,
+            pace: self.pace.filter(|_| part.stride == 1),
+            found: QueryResult::default(),
+            selected: Vec::new(),
+        })
+    }
+
+    /// Draws only every k-th column and row (2, 4 or 8), of columns around a heading (radians, counter-clockwise) if so many are
+    /// given: for tests.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
+    #[doc(hidden)]
+    pub fn set_part(&mut self, stride: u32, around: Option<(f64, u32)>) -> Result<()> {
+        let narrow = around.and_then(|(heading, columns)| self.sensor.columns_around(heading, columns));
+        if let Some(part) = narrow {
+            self.narrow(part)?;
+        }
+        self.part = Some(Part { stride, ..self.part.unwrap_or(self.sensor.whole()) });
+        Ok(())
     }
 
     /// Gives up the plan for its memory.
@@ -234,7 +315,9 @@ impl FramePlan {
         self.sensor = sensor.clone();
         self.world_from_sensor = *world_from_sensor;
         self.request = request.into();
-        self.fill()
+        let region = region_of(sensor, world_from_sensor)?;
+        self.fill(&region);
+        Ok(())
     }
 
     /// The environment that it reads.
@@ -252,8 +335,7 @@ impl FramePlan {
         self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    fn fill(&mut self) -> Result<()> {
-        let region = region_of(&self.sensor, &self.world_from_sensor)?;
+    fn fill(&mut self, region: &Region) {
         // Made of features afterwards.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
@@ -263,7 +345,7 @@ impl FramePlan {
         self.instances.clear();
         self.runs.clear();
         self.facings.clear();
-        (self.watch, self.radius) = (None, None);
+        (self.watch, self.radius, self.part, self.pace) = (None, None, None, None);
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
         let world = self.world.clone();
@@ -272,7 +354,7 @@ impl FramePlan {
         self.facings.extend(facings(environment, &class));
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();
-        world.index().select(environment, &region, &mut self.found, &mut selected);
+        world.index().select(environment, region, &mut self.found, &mut selected);
         for runs in selected.chunk_by(|a, b| a.object == b.object) {
             self.take(runs);
         }
@@ -280,7 +362,6 @@ impl FramePlan {
         let live = environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0).count();
         self.objects_out_of_view = live - self.instances.len() - self.objects_not_opaque;
         self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
-        Ok(())
     }
 
     /// Adds the runs of one object.

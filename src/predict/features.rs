@@ -2,6 +2,7 @@
 
 use super::{Prediction, Predictor, faulty};
 use crate::Backend;
+use crate::cost::DeadlineFrame;
 use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
@@ -17,6 +18,9 @@ use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
 use std::time::Instant;
+
+/// A world, a sensor and its pose.
+pub(super) type SeenFrom<'a> = (&'a World, &'a Sensor, &'a Pose);
 
 /// The features of a world's own layer, placed in one version of it.
 pub(super) struct WorldFeatures {
@@ -48,32 +52,37 @@ impl Predictor {
     }
 
     /// Features and their regions from images just made, with `feature_id` among the images.
-    #[expect(clippy::too_many_arguments, reason = "the parts of one prediction, borrowed apart")]
     pub(super) fn features(
         &mut self,
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
+        (world, sensor, world_from_sensor): SeenFrom<'_>,
         request: &Request,
         placed: &PlacedFeatures,
         images: &mut Images,
         stats: &mut Stats,
+        timed: Option<&mut DeadlineFrame>,
     ) -> Result<FeaturePrediction> {
         let seen_from = (world, sensor, world_from_sensor);
-        let settings = FeatureSettings { is_partial: stats.degradation().is_some(), ..settings(request) };
-        let mut features = self.see(seen_from, images, &placed.features, &settings, stats)?;
-        images.feature_id = std::mem::take(&mut features.feature_id);
+        let regions = request.regions.as_ref().map(|options| {
+            let mut options = options.clone();
+            options.objects.extend(placed.objects.iter().copied());
+            options
+        });
+        let features = match timed {
+            Some(timed) => {
+                self.features_in_time(seen_from, request, (placed, regions.as_ref()), images, stats, timed)?
+            }
+            None => {
+                let mut features = self.see(seen_from, images, &placed.features, &settings(request), stats)?;
+                images.feature_id = std::mem::take(&mut features.feature_id);
+                if let Some(options) = &regions {
+                    self.add_regions(&mut features, &placed.features, seen_from, options, stats)?;
+                }
+                features
+            }
+        };
         tell_lost(&placed.lost, &sensor.spec().class, stats);
-        match &request.regions {
-            Some(options) if placed.objects.is_empty() => {
-                self.add_regions(&mut features, &placed.features, seen_from, options, stats)?;
-            }
-            Some(options) => {
-                let mut options = options.clone();
-                options.objects.extend(placed.objects.iter().copied());
-                self.add_regions(&mut features, &placed.features, seen_from, &options, stats)?;
-            }
-            None => stats.leave_out(StageName::RegionsOfInterest, "nothing that is asked for shows them"),
+        if regions.is_none() {
+            stats.leave_out(StageName::RegionsOfInterest, "nothing that is asked for shows them");
         }
         Ok(features)
     }
@@ -240,14 +249,19 @@ impl Predictor {
             return Err(Error::usage(what, "predict again"));
         }
         let placed = self.place(world, sensor, options)?;
-        let sides = sides_seen_in_part(&placed.features, seen);
+        let left_out = prediction.degradation().map_or(&[][..], |given_up| &given_up.features);
+        let is_there = |placed: &&PlacedFeature| left_out.binary_search(&placed.feature.id).is_err();
+        let sides = match left_out {
+            [] => sides_seen_in_part(&placed.features, seen),
+            _ => sides_seen_in_part(&placed.features.iter().filter(is_there).cloned().collect::<Vec<_>>(), seen),
+        };
         let settings = FeatureSettings { feature_id: false, ..settings(request) };
         let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &settings);
         Ok(self.on_threads(predict)??.features)
     }
 }
 
-fn settings(request: &Request) -> FeatureSettings {
+pub(super) fn settings(request: &Request) -> FeatureSettings {
     let FeatureOptions { time, visibility, step, .. } = request.features.clone().unwrap_or_default();
     let feature_id = request.outputs.has(Output::FeatureId);
     FeatureSettings { time, ids: request.ids, feature_id, visibility, step, is_partial: false }

@@ -5,6 +5,7 @@ mod cone_tree;
 mod distortion;
 mod grid;
 mod noise;
+mod part;
 mod polynomial;
 mod presets;
 mod project;
@@ -19,6 +20,7 @@ pub use distortion::Distortion;
 pub(crate) use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use noise::{Mixture, Noise};
+pub(crate) use part::{Part, STRIDES};
 pub use presets::{PRESETS, Preset};
 pub(crate) use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
@@ -31,6 +33,8 @@ use crate::geometry::Pose;
 use crate::limits;
 use crate::memory;
 use glam::{DMat3, DQuat, DVec3};
+use part::Thinned;
+use project::Projector;
 use std::sync::Arc;
 
 /// The image geometry of a sensor.
@@ -150,9 +154,12 @@ pub struct Sensor(Arc<SensorData>);
 struct SensorData {
     spec: SensorSpec,
     grid: PixelGrid,
-    projector: project::Projector,
+    projector: Projector,
     width: u32,
     height: u32,
+    /// The part of another sensor that this is.
+    part: Option<Part>,
+    thinned: Thinned,
 }
 
 impl Sensor {
@@ -173,8 +180,9 @@ impl Sensor {
         });
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
         let (width, height) = spec.geometry.size();
-        let projector = project::Projector::new(&spec);
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height })))
+        let projector = Projector::new(&spec);
+        let (part, thinned) = (None, Thinned::default());
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned })))
     }
 
     /// The specification from which the sensor was made.
@@ -182,7 +190,7 @@ impl Sensor {
         &self.0.spec
     }
 
-    pub(self) fn projector(&self) -> &project::Projector {
+    pub(self) fn projector(&self) -> &Projector {
         &self.0.projector
     }
 

@@ -245,12 +245,8 @@ impl Args {
     }
 
     fn check_series(&self) -> Result<()> {
-        let of_one = [
-            ("--repeat", self.repeat.is_some()),
-            ("--stats", self.stats.is_some()),
-            ("--explain", self.explain),
-            ("--costs", self.deadline.costs.is_some()),
-        ];
+        let of_one =
+            [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
         match of_one.iter().find(|(_, given)| *given && self.is_series()) {
             None => Ok(()),
             Some((flag, _)) => {
@@ -309,6 +305,11 @@ impl Args {
     /// The virtual sensor, its reading included.
     pub fn virtual_sensor(&self) -> &VirtualArgs {
         &self.virtual_sensor
+    }
+
+    /// The deadline.
+    pub fn deadline(&self) -> &DeadlineArgs {
+        &self.deadline
     }
 
     /// Which features are asked for.
@@ -376,7 +377,7 @@ impl Args {
             wanted.push(png::depth_output(sensor));
         }
         let request = Request::of(Outputs::of(&wanted)).with_ids(self.scheme());
-        Ok(self.deadline.limit().into_iter().fold(request, Request::with_deadline))
+        Ok(self.deadline.add_to(request))
     }
 
     /// What the prediction and its files take of memory.

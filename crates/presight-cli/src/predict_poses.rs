@@ -26,6 +26,7 @@ use std::time::Instant;
 pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;
+    args.deadline().read_costs(&mut predictor)?;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor).bytes());
     let largest = frames.max().unwrap_or(0);
     memory::require(largest)?;
@@ -51,12 +52,16 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         Ok(())
     };
     match progress {
-        None => (0..job.poses.len()).try_for_each(work)?,
+        None => {
+            (0..job.poses.len()).try_for_each(work)?;
+            args.deadline().write_costs(&predictor)?;
+        }
         Some(mut progress) => {
             for index in progress.next()..job.poses.len() {
                 work(index)?;
                 progress.append(index, &format!("{index}\n"))?;
             }
+            args.deadline().write_costs(&predictor)?;
             setups.into_iter().flat_map(|setup| setup.stacks).try_for_each(|(_, stack)| stack.finish())?;
             progress.remove()?;
         }

@@ -167,7 +167,10 @@ impl Statistics {
         if let Some(kept) = &self.deadline {
             let DeadlineOutcome { deadline_ms, time_ms, estimate_ms, .. } = kept;
             lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
-            lines.extend(kept.given_up.iter().map(|given_up| format!("given up  {}", given_up.summary())));
+            let given_up = kept.given_up.as_ref();
+            let told = given_up.map(|given_up| given_up.explanation(u64::from(self.width) * u64::from(self.height)));
+            lines.extend(told.iter().flatten().map(|line| format!("given up  {line}")));
+            lines.extend(given_up.is_none().then(|| "given up  nothing".to_owned()));
         }
         let counts = || {
             let of_work = self.work.counts().into_iter().filter(|(_, n)| *n > 0);

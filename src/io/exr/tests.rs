@@ -40,7 +40,8 @@ fn attributes() -> Attributes {
         given_up: Some(Degradation {
             complete_to: 3.25,
             samples: 7,
-            means: vec![DegradationStep { means: DegradationKind::Clock, at_ms: 1.5, metres: 3.25 }],
+            means: vec![DegradationStep { means: DegradationKind::Clock, at_ms: 1.5, metres: Some(3.25) }],
+            ..Degradation::default()
         }),
         objects: (1..=12).map(|i| (i, format!("Tür \"{i}\""))).collect(),
     }
