@@ -265,6 +265,17 @@ fn draw_waves(
             break;
         }
     }
+    tell_stages(times, waves, stats);
+    stats.count("polygons selected", plan.polygon_count);
+    stats.count("runs selected", plan.runs.len());
+    stats.count("runs hidden", hidden);
+    stats.count("waves", waves);
+    progress.tell(stats);
+    Drawn::All(used)
+}
+
+/// Tells the times of dropping what is hidden, of setup and of drawing.
+fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
         stats.stages_ms.push(("hidden".to_owned(), hiding));
@@ -273,12 +284,6 @@ fn draw_waves(
     }
     stats.stages_ms.push(("setup".to_owned(), if waves > 1 { setting_up } else { hiding + setting_up }));
     stats.stages_ms.push(("rasterization".to_owned(), drawing));
-    stats.count("polygons selected", plan.polygon_count);
-    stats.count("runs selected", plan.runs.len());
-    stats.count("runs hidden", hidden);
-    stats.count("waves", waves);
-    progress.tell(stats);
-    Drawn::All(used)
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
