@@ -24,7 +24,7 @@ use crate::deadline::{DeadlineOutcome, Watch};
 use crate::error::{Error, Result};
 use crate::memory::{self, FrameMemory};
 use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats};
-use crate::sensor::{LineAxis, Part, PixelGrid};
+use crate::sensor::{ImagePart, LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
@@ -100,17 +100,17 @@ impl CpuEngine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let thinned = match plan.part {
             Some(part) => Some(part),
-            None => self.draw(plan, images, stats)?.map(|stride| Part { stride, ..plan.sensor.whole() }),
+            None => self.draw(plan, images, stats)?.map(|stride| ImagePart { stride, ..plan.sensor.whole() }),
         };
         thinned.map_or(Ok(()), |part| self.draw_part(plan, part, images, stats))
     }
 
     /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
-    fn draw_part(&mut self, plan: &FramePlan, part: Part, images: &mut Images, stats: &mut Stats) -> Result<()> {
+    fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let elapsed = || plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
         let (mut of_part, mut since) = (std::mem::take(&mut self.part), elapsed());
         let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
-        let part = Part { stride: stride.unwrap_or(part.stride), ..part };
+        let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
         if stride.is_some() {
             since = elapsed();
             self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
@@ -243,7 +243,7 @@ fn draw_waves(
         if waves == 0 {
             let stride = progress.begin_wave(batches, beyond, times[0] + times[1]);
             if stride > 1 {
-                stats.stages_ms.push(("setup".to_owned(), (times[0] + times[1]).as_secs_f64() * 1e3));
+                stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
                 return Drawn::Thinned(stride);
             }
         }
@@ -265,6 +265,17 @@ fn draw_waves(
             break;
         }
     }
+    tell_stages(times, waves, stats);
+    stats.count(CountName::PolygonsSelected, plan.polygon_count);
+    stats.count(CountName::RunsSelected, plan.runs.len());
+    stats.count(CountName::RunsHidden, hidden);
+    stats.count(CountName::Waves, waves);
+    progress.tell(stats);
+    Drawn::All(used)
+}
+
+/// Tells the times of dropping what is hidden, of setup and of drawing.
+fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
         stats.stages_ms.push((StageName::Hidden, hiding));
@@ -273,12 +284,6 @@ fn draw_waves(
     }
     stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
     stats.stages_ms.push((StageName::Rasterization, drawing));
-    stats.count(CountName::PolygonsSelected, plan.polygon_count);
-    stats.count(CountName::RunsSelected, plan.runs.len());
-    stats.count(CountName::RunsHidden, hidden);
-    stats.count(CountName::Waves, waves);
-    progress.tell(stats);
-    Drawn::All(used)
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time

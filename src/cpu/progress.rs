@@ -8,7 +8,7 @@ use super::batch::Batch;
 use super::{FIRST_WAVE, thinning};
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Watch, Wave};
 use crate::plan::{CountName, FramePlan, Stats};
-use crate::sensor::Part;
+use crate::sensor::ImagePart;
 use std::time::Duration;
 
 /// Least size of a wave, which the time left may ask for.
@@ -124,7 +124,7 @@ impl<'a> FrameProgress<'a> {
 }
 
 /// Tells that a part of the image was drawn since some time after the call, and that so many rays were not.
-pub(super) fn tell_part(plan: &FramePlan, (part, since): (&Part, Duration), left_out: u64, stats: &mut Stats) {
+pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration), left_out: u64, stats: &mut Stats) {
     let kept = stats.deadline.get_or_insert_default();
     if left_out == 0 {
         return;

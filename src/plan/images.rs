@@ -3,7 +3,7 @@
 use super::output::{Maker, Output, Outputs};
 use crate::error::Result;
 use crate::memory;
-use crate::sensor::{Part, PixelGrid, Sensor};
+use crate::sensor::{ImagePart, PixelGrid, Sensor};
 
 /// The images of one prediction, row-major, row 0 on top. An image that was not requested is empty.
 ///
@@ -216,10 +216,10 @@ impl Images {
     }
 
     /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is.
-    pub(crate) fn spread(&mut self, part: &Self, which: &Part, sensor: &Sensor) -> Result<u64> {
+    pub(crate) fn spread(&mut self, part: &Self, which: &ImagePart, sensor: &Sensor) -> Result<u64> {
         let (width, height) = (sensor.width(), sensor.height());
         self.try_prepare(width, height, part.outputs())?;
-        fn spread<T: Copy>(to: &mut [T], from: &[T], nothing: T, width: u32, which: &Part) {
+        fn spread<T: Copy>(to: &mut [T], from: &[T], nothing: T, width: u32, which: &ImagePart) {
             to.fill(nothing);
             let rows = to.chunks_mut(width as usize).step_by(which.stride as usize);
             for (to, from) in rows.zip(from.chunks(which.width() as usize)) {

@@ -22,7 +22,7 @@ use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::{ObjectRun, QueryResult, Region};
-use crate::sensor::{Part, PixelGrid, Sensor};
+use crate::sensor::{ImagePart, PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
 use std::borrow::Cow;
@@ -141,7 +141,7 @@ pub struct FramePlan {
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
     pub(crate) radius: Option<f32>,
     /// The part of the image that is drawn, if it is not all of it.
-    pub(crate) part: Option<Part>,
+    pub(crate) part: Option<ImagePart>,
     /// What drawing takes, if that is known: the image may be thinned by it.
     pub(crate) pace: Option<Pace>,
     /// Scratch memory, kept from frame to frame.
@@ -238,7 +238,7 @@ impl FramePlan {
     }
 
     /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
-    pub(crate) fn narrow(&mut self, part: Part) -> Result<()> {
+    pub(crate) fn narrow(&mut self, part: ImagePart) -> Result<()> {
         let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
         let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
         self.fill(&region);
@@ -252,7 +252,7 @@ impl FramePlan {
     }
 
     /// The same of a part of the image.
-    pub(crate) fn of_part(&self, part: Part) -> Result<Self> {
+    pub(crate) fn of_part(&self, part: ImagePart) -> Result<Self> {
         let mut watch = self.watch.clone();
         if let (Some(watch), Some(pace)) = (&mut watch, &self.pace) {
             watch.stop_later(Duration::from_secs_f64(pace.saved(part.stride)));
@@ -289,7 +289,7 @@ impl FramePlan {
         if let Some(part) = narrow {
             self.narrow(part)?;
         }
-        self.part = Some(Part { stride, ..self.part.unwrap_or(self.sensor.whole()) });
+        self.part = Some(ImagePart { stride, ..self.part.unwrap_or(self.sensor.whole()) });
         Ok(())
     }
 

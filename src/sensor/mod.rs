@@ -20,7 +20,7 @@ pub use distortion::Distortion;
 pub(crate) use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use noise::{Mixture, Noise};
-pub(crate) use part::{Part, STRIDES};
+pub(crate) use part::{ImagePart, STRIDES};
 pub use presets::{PRESETS, Preset};
 pub(crate) use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
@@ -158,7 +158,7 @@ struct SensorData {
     width: u32,
     height: u32,
     /// The part of another sensor that this is.
-    part: Option<Part>,
+    part: Option<ImagePart>,
     thinned: Thinned,
 }
 

@@ -146,6 +146,7 @@ impl Controller {
             wave: none.mean,
             polygon: each(WorkCounts { polygons: most, ..WorkCounts::default() }),
             sample: each(WorkCounts { samples_tested: most, ..WorkCounts::default() }),
+            images: images.as_secs_f64(),
         })
     }
 
