@@ -25,6 +25,25 @@ pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
     [t.x, t.y, t.z, r.x, r.y, r.z]
 }
 
+/// The normalized estimation error squared (NEES): e' C^-1 e, e the motion from a pose to where it truly was, C its covariance (as
+/// in [`moved`]), and how many numbers e has. Numbers without a variance were not looked for and do not count.
+///
+/// # Examples
+/// ```
+/// use presight::estimate::{moved, nees};
+/// let there = moved(&presight::Pose::IDENTITY, &[0.02, 0.0, 0.0, 0.0, 0.0, 0.03]);
+/// // x is known to 1 cm, y to 1 cm, yaw to 0.01: (2 + 0 + 3 deviations) squared each.
+/// let mut covariance = [[0.0; 6]; 6];
+/// [(0, 1e-4), (1, 1e-4), (5, 1e-4)].map(|(i, variance)| covariance[i][i] = variance);
+/// let (squared, numbers) = nees(&presight::Pose::IDENTITY, &covariance, &there);
+/// assert!((squared - 13.0).abs() < 1e-9 && numbers == 3);
+/// ```
+pub fn nees(pose: &Pose, covariance: &Matrix, truth: &Pose) -> (f64, usize) {
+    let axes: Vec<usize> = (0..6).filter(|i| covariance[*i][*i] > 0.0).collect();
+    let error = motion_between(pose, truth);
+    (quadratic(&inverse(covariance, &axes), &error), axes.len())
+}
+
 /// The matrix that turns the motions of one frame into those of another with other axes.
 pub fn turn(rotation: DQuat) -> Matrix {
     let m = DMat3::from_quat(rotation);

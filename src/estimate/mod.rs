@@ -39,7 +39,7 @@ mod normal;
 mod range;
 mod solve;
 
-pub use crate::motion::{Vector, motion_between, moved};
+pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, Hypothesis, State, WeakDirection};
 pub use normal::{Freedom, GroupSum, Normal, Shared};
 pub use range::{MeasuredPoint, RangeSource, measured_points};
