@@ -2,7 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
-use super::{Verdict, open_scene, print};
+use super::{CommandOutcome, open_scene, print};
 use presight::estimate::{EstimateOptions, Estimator, Prior};
 use presight::frame::Frame;
 use presight::index::Scheme;
@@ -10,7 +10,7 @@ use presight::io::atomic::write_atomically;
 use presight::io::depth_folder::DepthFolder;
 use presight::io::gltf::ImportOptions;
 use presight::io::load_sensor;
-use presight::io::tum::Stamped;
+use presight::io::tum::StampedPose;
 use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight::verdict::{Verdict as Judged, Verdicts};
 use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Threads};
@@ -82,7 +82,7 @@ pub struct Followed {
     /// Pixels of each verdict, by frame.
     pub counts: Vec<[usize; 7]>,
     /// world_from_sensor by the log itself.
-    pub reference: Vec<Stamped>,
+    pub reference: Vec<StampedPose>,
     /// robot_from_sensor.
     pub mount: Pose,
 }
@@ -142,7 +142,7 @@ impl Drive {
 ///
 /// # Errors
 /// Those of [`Drive::follow`], and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
@@ -151,7 +151,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     write(&args.out, &followed.steps)?;
     write_details(&details, &followed)?;
     print::data(&summary(&followed))?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// True if the frame's pose is one to go by.

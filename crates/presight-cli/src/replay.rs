@@ -2,7 +2,7 @@
 
 use super::localize::{Drive, Followed, is_known, summary};
 use super::outputs::OutputFiles;
-use super::{Verdict, folder, print};
+use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
 use presight::estimate::nees;
 use presight::features::{BoxOptions, FeatureOptions, sensor_covariance};
@@ -66,7 +66,7 @@ const LEGEND: [(&str, [u8; 3]); 7] = [
 ///
 /// # Errors
 /// Those of following the log, of layers, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     for (flag, sigma) in
         [("--reference-sigma", args.reference_sigma), ("--reference-sigma-deg", args.reference_sigma_deg)]
     {
@@ -103,7 +103,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let html = page(&title, &told.trim_end().replace('\n', "; "), &leaves);
     write_atomically(&args.out.join("index.html"), |file| file.write_all(html.as_bytes()))?;
     print::data(&told)?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Predicts once more where the robot was found to be, and draws.

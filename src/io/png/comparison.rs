@@ -1,11 +1,11 @@
 //! What was predicted beside what was sensed, and what each pixel says of it.
 
-use super::above::draw_from_above;
-use super::canvas::{Canvas, FAINT, Frame, INK, Rgb, TEXT_HEIGHT, text_width};
+use super::canvas::{Canvas, FAINT, INK, PageRect, Rgb, TEXT_HEIGHT, text_width};
 use super::color::{MISS, Palette};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::polar::{self, Map};
 use super::scale::Scale;
+use super::top_view::draw_from_above;
 use super::view::{self, FOOTER, HEADER, MARGIN};
 use super::{encode, is_one_row_scan};
 use crate::error::{Error, Result};
@@ -90,7 +90,7 @@ fn panels(c: &Comparison<'_>) -> Canvas {
         let (column, row) = if stacked { (0, k) } else { (k, 0) };
         let (left, top) = (MARGIN + column * (width + MARGIN), MARGIN + row * (HEADER + height + MARGIN));
         canvas.text(left, top, name, INK);
-        let frame = Frame { left, top: top + HEADER, width, height };
+        let frame = PageRect { left, top: top + HEADER, width, height };
         view::draw_image(&mut canvas, frame, images, c.sensor, palette, c.features);
     }
     let mut colors = palette(&both);
@@ -134,7 +134,7 @@ fn from_above(c: &Comparison<'_>) -> Canvas {
         }
     }
     if let Some(overlay) = c.features {
-        let frame = Frame { left: MARGIN, top, width: map.size[0], height: map.size[1] };
+        let frame = PageRect { left: MARGIN, top, width: map.size[0], height: map.size[1] };
         draw_from_above(overlay, &mut canvas, frame, &c.predicted.range, &|p| map.page(p));
     }
     polar::marker(&mut canvas, &map);

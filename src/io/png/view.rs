@@ -1,6 +1,6 @@
 //! The image as the sensor sees it, with title and scale bar.
 
-use super::canvas::{Canvas, FAINT, Frame, INK, PAGE, Rgb, TEXT_HEIGHT, mix, text_width};
+use super::canvas::{Canvas, FAINT, INK, PAGE, PageRect, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{Palette, by_distance, grey};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::scale::Scale;
@@ -39,7 +39,7 @@ pub fn draw(
     let mut canvas = page(page_width, height, overlay);
     title(&mut canvas, sensor, output);
     let top = MARGIN + HEADER;
-    draw_image(&mut canvas, Frame { left, top, width, height }, images, sensor, palette, overlay);
+    draw_image(&mut canvas, PageRect { left, top, width, height }, images, sensor, palette, overlay);
     footer(&mut canvas, top + height + MARGIN, output, palette, scale);
     canvas
 }
@@ -47,13 +47,13 @@ pub fn draw(
 /// Draws the pixels, the borders of polygons and features into a frame.
 pub fn draw_image(
     canvas: &mut Canvas,
-    frame: Frame,
+    frame: PageRect,
     images: &Images,
     sensor: &Sensor,
     palette: &Palette,
     overlay: Option<&Overlay<'_>>,
 ) {
-    let Frame { left, top, width, height } = frame;
+    let PageRect { left, top, width, height } = frame;
     let borders = Borders::of(images);
     let mirrored = is_mirrored(sensor);
     let column_of = |x: u32| {
