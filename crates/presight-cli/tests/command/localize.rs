@@ -91,8 +91,9 @@ fn a_drive_is_shown() {
     assert_eq!(done.status, Some(0), "{}", done.stderr);
     let bytes = |folder: &str| fs::read(place.path(folder).join("frames/000007.png")).unwrap();
     assert_ne!(bytes("shown"), bytes("with"));
+    let late = place.run("replay log --map room.glb --init 0.3,0.35,1.35,0,0,38 --from 99 --out x");
+    assert!(late.status == Some(1) && late.stderr.contains("no frame"), "{late:?}");
     for (args, told) in [
-        ("--from 99 --out x", "no frame"),
         ("--own-features --out x", "has none for class"),
         ("--reference-sigma nan --out x", "--reference-sigma"),
         ("--layer x/index.html --out x", "overwrite"),
