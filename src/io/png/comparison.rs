@@ -9,6 +9,7 @@ use super::top_view::draw_from_above;
 use super::view::{self, FOOTER, HEADER, MARGIN};
 use super::{encode, is_one_row_scan};
 use crate::error::{Error, Result};
+use crate::features::FeaturePrediction;
 use crate::io::atomic::write_atomically;
 use crate::plan::{Images, Output};
 use crate::sensor::Sensor;
@@ -76,9 +77,15 @@ fn panels(c: &Comparison<'_>) -> Canvas {
     let both = Images { range: [&c.predicted.range[..], c.sensed].concat(), ..Images::default() };
     let scale = Scale::of(&both, Output::Range);
     let palette = |images: &Images| Palette::new(images, Output::Range, &scale);
-    let mut drawn = vec![("predicted", c.predicted, palette(c.predicted)), ("sensed", &sensed, palette(&sensed))];
+    // Over what was sensed stand the regions of interest alone: what is to be found in them must be seen.
+    let bare = c.features.map(|overlay| without_lines(overlay.features));
+    let regions = c.features.zip(bare.as_ref()).map(|(overlay, features)| Overlay { features, sides: &[], ..*overlay });
+    let mut drawn = vec![
+        ("predicted", c.predicted, palette(c.predicted), c.features),
+        ("sensed", &sensed, palette(&sensed), regions.as_ref()),
+    ];
     if !c.verdicts.is_empty() {
-        drawn.push(("verdicts", c.predicted, Palette::of_classes(c.verdicts, c.legend)));
+        drawn.push(("verdicts", &sensed, Palette::of_classes(c.verdicts, c.legend), None));
     }
     let n = drawn.len() as u32;
     let (across, down) = if stacked { (1, n) } else { (n, 1) };
@@ -86,12 +93,12 @@ fn panels(c: &Comparison<'_>) -> Canvas {
     let below = MARGIN + down * (HEADER + height + MARGIN);
     let lines = legend_lines(c.legend, page_width);
     let mut canvas = Canvas::new(page_width, below + FOOTER + legend_height(c, &lines) + MARGIN);
-    for (k, (name, images, palette)) in (0..).zip(&drawn) {
+    for (k, (name, images, palette, overlay)) in (0..).zip(&drawn) {
         let (column, row) = if stacked { (0, k) } else { (k, 0) };
         let (left, top) = (MARGIN + column * (width + MARGIN), MARGIN + row * (HEADER + height + MARGIN));
         canvas.text(left, top, name, INK);
         let frame = PageRect { left, top: top + HEADER, width, height };
-        view::draw_image(&mut canvas, frame, images, c.sensor, palette, c.features);
+        view::draw_image(&mut canvas, frame, images, c.sensor, palette, *overlay);
     }
     let mut colors = palette(&both);
     // Where something was sensed, NaN is no measurement.
@@ -99,6 +106,16 @@ fn panels(c: &Comparison<'_>) -> Canvas {
     view::footer(&mut canvas, below, Output::Range, &colors, &scale);
     draw_legends(&mut canvas, c, &lines, below + FOOTER);
     canvas
+}
+
+/// The features with their regions of interest, and nothing of them seen or hidden.
+fn without_lines(features: &FeaturePrediction) -> FeaturePrediction {
+    let mut bare = features.clone();
+    for feature in &mut bare.features {
+        feature.visible.clear();
+        feature.hidden.clear();
+    }
+    bare
 }
 
 fn from_above(c: &Comparison<'_>) -> Canvas {
