@@ -2,9 +2,10 @@
 
 use super::normal::{CommonError, Freedom, Normal};
 use crate::geometry::Pose;
-use crate::motion::{add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed};
+use crate::matrix::{
+    Matrix, add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed,
+};
 use crate::verdict::Verdicts;
-use crate::virtual_sensors::symmetric::Matrix;
 
 /// Names of the six numbers of a motion.
 const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];

@@ -8,12 +8,12 @@ use super::normal::{CommonError, GroupSum, Normal};
 use super::{Gate, Kernel, Residuals};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::motion::{add_to, apply, product, sandwich, turn};
-use crate::verdict::{ExpectedImage, body_from_image};
-use crate::virtual_sensors::symmetric::Matrix;
+use crate::matrix::{Matrix, add_to, apply, product, sandwich};
+use crate::motion::turn;
+use crate::verdict::{ExpectedImage, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Surfaces that a ray meets flatter than this say too little along the ray, cosine.
 const FLATTEST: f64 = 0.1;
@@ -237,9 +237,22 @@ impl<'a> RangeSource<'a> {
                     sum.noise[a][b] += w * weight * j[a] * j[b];
                 }
             }
-            // An offset of the plane takes e down by as much.
-            let group = sum.groups.entry(CommonError::Offset(pixel.group)).or_default();
-            (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
+            // An offset of the plane takes e down by as much, and so does an error of its object's pose.
+            let group = match moved.origins.get(&pixel.object).filter(|_| self.only.is_none()) {
+                Some(origin) => {
+                    let group = sum.groups.entry(CommonError::Object(pixel.object)).or_default();
+                    let g = ObjectError::gradient(*origin, q, normal);
+                    for a in 0..6 {
+                        (0..6).for_each(|b| group.pull[a][b] -= w * j[a] * g[b]);
+                    }
+                    group
+                }
+                None => {
+                    let group = sum.groups.entry(CommonError::Offset(pixel.group)).or_default();
+                    (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
+                    group
+                }
+            };
             group.weight += w;
             group.residual += w * e;
             group.variance += w * weight;
@@ -252,13 +265,17 @@ struct FramePoses {
     expected_from_now: DAffine3,
     centre: DVec3,
     robot: DVec3,
+    /// Of the objects whose errors are stored; only where they are asked for.
+    origins: BTreeMap<u32, DVec3>,
 }
 
 impl Residuals for RangeSource<'_> {
     fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
         let expected_from_world = self.expected.world_from_image.inverse();
         let now = expected_from_world * *world_from_robot * self.robot_from_image;
+        let asked = self.expected.errors.iter().filter(|_| gate.finally);
         let moved = FramePoses {
+            origins: asked.map(|(object, e)| (*object, expected_from_world.transform_point(e.origin))).collect(),
             expected_from_now: now.to_affine(),
             centre: now.translation,
             robot: expected_from_world.transform_point(world_from_robot.translation),
@@ -306,8 +323,13 @@ impl RangeSource<'_> {
             *m = sandwich(&t, m);
         }
         total.gradient = apply(&t, &total.gradient);
-        // The column of an offset is a number along the normal: it has no axes to turn.
-        total.groups.values_mut().for_each(|g| g.pull = product(&t, &g.pull));
+        for (shared, group) in &mut total.groups {
+            // The column of an offset is a number along the normal: it has no axes to turn.
+            group.pull = match shared {
+                CommonError::Offset(_) => product(&t, &group.pull),
+                CommonError::Object(_) => sandwich(&t, &group.pull),
+            };
+        }
         total
     }
 }

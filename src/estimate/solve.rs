@@ -7,11 +7,11 @@ use super::{Gate, Kernel, Residuals};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, scaled};
+use crate::matrix::{Matrix, add_to, apply, eigen, inverse, restricted, scaled};
+use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
-use crate::virtual_sensors::symmetric::{Matrix, eigen};
 use crate::world::World;
 use std::sync::Arc;
 
@@ -298,10 +298,14 @@ impl Estimator {
         let freedom = self.options.freedom;
         self.learn_offsets(&best.normal);
         let offset = self.offset_sigma * self.offset_sigma;
-        let shared = |_: CommonError| {
-            let mut m = [[0.0; 6]; 6];
-            m[0][0] = offset;
-            m
+        let stored = |object: u32| best.expected.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
+        let shared = |error: CommonError| match error {
+            CommonError::Object(object) => stored(object).unwrap_or_default(),
+            CommonError::Offset(_) => {
+                let mut m = [[0.0; 6]; 6];
+                m[0][0] = offset;
+                m
+            }
         };
         let reach = reach_of(&run.measured);
         let prior = Some(&run.prior_information);
@@ -341,19 +345,22 @@ impl Estimator {
         })
     }
 
-    fn verdicts(&self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
+    fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
         let polygons = self.options.model_sigma.hypot(self.offset_sigma);
         let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
             let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
             judge(m.frame, expected, &best.pose, &known)
         };
-        run.measured.iter().zip(&*best.expected).map(one).collect()
+        let all = || run.measured.iter().zip(&*best.expected).map(one).collect();
+        self.predictor.on_threads(all)?
     }
 
     /// Offsets of groups show as their mean residuals, less what noise makes of these.
     fn learn_offsets(&mut self, normal: &Normal) {
         let (mut sum, mut count) = (0.0, 0.0);
-        for group in normal.groups.values().filter(|g| g.weight > 0.0) {
+        let offsets =
+            normal.groups.iter().filter(|(error, g)| matches!(error, CommonError::Offset(_)) && g.weight > 0.0);
+        for (_, group) in offsets {
             let mean = group.residual / group.weight;
             let own = group.variance / (group.weight * group.weight);
             // A group counts as far as its mean is known better than the offsets are wide.
