@@ -281,16 +281,16 @@ impl Residuals for RangeSource<'_> {
             robot: expected_from_world.transform_point(world_from_robot.translation),
         };
         let step = self.points.len().div_ceil(gate.points).max(1);
-        let picked: Vec<MeasuredPoint> = self.points.iter().copied().step_by(step).collect();
-        let sums: Vec<Sum> = picked
-            .par_chunks(CHUNK)
+        let sums: Vec<Sum> = self
+            .points
+            .par_chunks(CHUNK * step)
             .map(|chunk| {
                 let mut sum = Sum::default();
-                chunk.iter().for_each(|p| self.add_point(&mut sum, *p, &moved, gate));
+                chunk.iter().step_by(step).for_each(|p| self.add_point(&mut sum, *p, &moved, gate));
                 sum
             })
             .collect();
-        self.put_together(sums, picked.len())
+        self.put_together(sums, self.points.len().div_ceil(step))
     }
 }
 

@@ -106,6 +106,10 @@ const SEARCH_POINTS: usize = 2000;
 /// Starts that are drawn from the prior in one go.
 const DRAWS: usize = 16;
 
+/// Points that the first steps after a prediction look at: they need not be exact.
+const APPROACH_POINTS: usize = 5000;
+/// Steps that are smaller change nothing any more, metres and radians.
+const AT_REST: f64 = 2e-6;
 /// Points that a search from a far end looks at.
 const FAR_POINTS: usize = 500;
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
@@ -156,12 +160,14 @@ struct Schedule {
     steps: usize,
     /// From this step on the kernel redescends.
     settle: usize,
-    points: usize,
+    /// Most points that steps before that look at, and those from there on.
+    points: (usize, usize),
 }
 
 const SEARCH: Schedule =
-    Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: SEARCH_POINTS };
-const SETTLE: Schedule = Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: usize::MAX };
+    Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
+const SETTLE: Schedule =
+    Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
 
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
@@ -215,7 +221,7 @@ impl Estimator {
         }
         let mut others: Vec<Minimum> = Vec::new();
         for start in far_ends(run, best, self.options.freedom) {
-            let search = Schedule { points: FAR_POINTS, ..SEARCH };
+            let search = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
             let there = self.descend(run, &best.expected, start, &search);
             // Not worth a prediction unless it is elsewhere and explains something.
             let near = |m: &Minimum| self.is_same(run, m, &there);
@@ -426,15 +432,16 @@ fn descend(
     let sources: Vec<RangeSource<'_>> =
         expected.iter().zip(&run.measured).map(|(e, m)| RangeSource::new(e, &m.points, m.noise)).collect();
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
-    let mut factor = schedule.first;
+    let (mut factor, mut rests) = (schedule.first, false);
     for k in 0..schedule.steps {
-        let last = k + 1 == schedule.steps;
-        let kernel = if k >= schedule.settle { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
+        let settled = k >= schedule.settle;
+        let last = k + 1 == schedule.steps || rests;
+        let kernel = if settled { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
         let gate = Gate {
             translation: factor * run.extent.0,
             rotation: factor * run.extent.1,
             kernel,
-            points: schedule.points,
+            points: if settled { schedule.points.1 } else { schedule.points.0 },
             finally: last && schedule.settle < schedule.steps,
         };
         let mut normal = Normal::default();
@@ -446,6 +453,8 @@ fn descend(
         }
         let step = step(&end.normal, run, &end.pose, freedom);
         end.pose = moved(&end.pose, &step);
+        // With the least gate every further step is like this one.
+        rests = settled && factor <= schedule.least && step.iter().all(|x| x.abs() < AT_REST);
         factor = (factor * schedule.shrink).max(schedule.least);
     }
     end
