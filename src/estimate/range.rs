@@ -93,6 +93,8 @@ struct Sum {
     gradient: [f64; 6],
     cost: f64,
     explained: usize,
+    /// Points of other objects than the one that counts.
+    others: usize,
     normalized: Vec<f32>,
     groups: HashMap<CommonError, GroupSum>,
 }
@@ -106,6 +108,7 @@ impl Default for Sum {
             gradient: [0.0; 6],
             cost: 0.0,
             explained: 0,
+            others: 0,
             normalized: Vec::new(),
             groups: HashMap::new(),
         }
@@ -195,7 +198,13 @@ impl<'a> RangeSource<'a> {
         let constant = gate.kernel.most();
         let lambda = (reach) as f32;
         let m = moved.expected_from_now.transform_vector3(m.as_dvec3()).as_vec3();
-        let Some((at, _)) = self.nearest(q.as_vec3(), m, lambda * lambda, half) else {
+        let found = self.nearest(q.as_vec3(), m, lambda * lambda, half);
+        let object = found.map(|(at, _)| self.expected.pixels[at].object);
+        if self.only.is_some_and(|only| object != Some(only)) {
+            sum.others += 1;
+            return;
+        }
+        let Some((at, _)) = found else {
             sum.cost += constant;
             return;
         };
@@ -208,8 +217,7 @@ impl<'a> RangeSource<'a> {
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
         let sigma = self.noise.variance_along_normal(range, cos).max(1e-12).sqrt();
         let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
-        let counts = self.only.is_none_or(|o| o == pixel.object);
-        if !(f64::from(apart) <= within * within) || cos < FLATTEST || !counts {
+        if !(f64::from(apart) <= within * within) || cos < FLATTEST {
             sum.cost += constant;
             return;
         }
@@ -305,6 +313,7 @@ impl RangeSource<'_> {
             (0..6).for_each(|i| total.gradient[i] += sum.gradient[i]);
             total.chi2 += sum.cost;
             total.explained += sum.explained;
+            total.measured -= sum.others;
             normalized.extend(sum.normalized);
             for (shared, m) in sum.groups {
                 total.groups.entry(shared).or_default().add(&m);

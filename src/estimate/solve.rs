@@ -75,6 +75,9 @@ pub struct EstimateOptions {
     pub offset_sigma: f64,
     /// A direction is weak where the measurement alone is looser, metres.
     pub loosest: f64,
+    /// Only the surfaces of this object count, by its index: the pose is then told as if the object stood where the model has it, and
+    /// [`Estimate::relative_to`] tells it in the object's own frame, for docking.
+    pub only: Option<u32>,
 }
 
 impl Default for EstimateOptions {
@@ -86,6 +89,7 @@ impl Default for EstimateOptions {
             model_sigma: 0.0,
             offset_sigma: 0.003,
             loosest: 0.5,
+            only: None,
         }
     }
 }
@@ -149,6 +153,8 @@ struct Run<'a> {
     prior_information: Matrix,
     /// Metres and radians that the pose may be off.
     extent: (f64, f64),
+    /// The object whose surfaces count.
+    only: Option<u32>,
     predictions: usize,
 }
 
@@ -198,6 +204,7 @@ impl Estimator {
             prior: *prior,
             prior_information: inverse(&prior.covariance, axes),
             extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
+            only: self.options.only,
             predictions: 0,
         };
         if run.measured.iter().all(|m| m.points.is_empty()) {
@@ -429,8 +436,14 @@ fn descend(
     schedule: &Schedule,
     freedom: Freedom,
 ) -> Minimum {
-    let sources: Vec<RangeSource<'_>> =
-        expected.iter().zip(&run.measured).map(|(e, m)| RangeSource::new(e, &m.points, m.noise)).collect();
+    let mut sources = Vec::with_capacity(run.measured.len());
+    for (e, m) in expected.iter().zip(&run.measured) {
+        let source = RangeSource::new(e, &m.points, m.noise);
+        sources.push(match run.only {
+            Some(object) => source.only(object),
+            None => source,
+        });
+    }
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
     let (mut factor, mut rests) = (schedule.first, false);
     for k in 0..schedule.steps {

@@ -4,6 +4,7 @@ use super::*;
 use presight::environment::FeatureLayer;
 use presight::estimate::{Freedom, Prior};
 use presight::frame::RangeNoise;
+use presight::simulate::{Disturbances, Simulator};
 use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
 
 fn diagonal(d: [f64; 6]) -> [[f64; 6]; 6] {
@@ -72,4 +73,32 @@ fn walls_that_may_be_off_are_not_contradicted() {
     assert_eq!(verdict(Some([0.0, 4e-4, 0.0, 0.0, 0.0, 0.0])), Verdict::Confirmed);
     // Along itself a wall may be anywhere.
     assert_eq!(verdict(Some([0.04, 0.0, 0.04, 0.0, 0.0, 0.0])), Verdict::Nearer);
+}
+
+/// The shelf stands 4 cm from where the map has it. Relative to it the robot is found to millimetres if the shelf alone counts; with the
+/// whole room the walls say where the robot is, and the pose relative to the shelf is as wrong as the map.
+#[test]
+fn docking_is_relative() {
+    let map = room(Vec3::ZERO);
+    let moved_by = DVec3::new(-0.04, 0.0, 0.0);
+    let mut real = map.clone();
+    let shelf = Pose { translation: moved_by, ..Pose::IDENTITY };
+    real.apply(presight::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
+    let truth = Pose::from_xyz_rpy(DVec3::new(3.9, 2.2, 2.3), 0.0, 0.45, 0.95);
+    let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
+    let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
+    let prior = Prior::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
+    let index = map.environment().index_of("shelf").unwrap();
+    let off = |only: Option<u32>| {
+        let options = EstimateOptions { only, ..EstimateOptions::default() };
+        let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
+        assert!(found.is_determined(), "{only:?}: {:?}", found.state);
+        let (relative, covariance) = found.relative_to(&map.environment().objects()[index as usize].world_from_object);
+        let error = presight::estimate::motion_between(&relative, &(shelf.inverse() * truth));
+        (error[0].abs(), covariance[0][0].sqrt())
+    };
+    let (by_shelf, sigma) = off(Some(index));
+    assert!(by_shelf < 0.005 && by_shelf < 4.0 * sigma && sigma < 0.01, "{by_shelf} {sigma}");
+    let (by_room, _) = off(None);
+    assert!(by_room > 0.03, "{by_room}");
 }
