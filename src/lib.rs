@@ -104,6 +104,7 @@ pub mod io;
 pub mod limits;
 pub mod localize;
 pub mod matching;
+mod matrix;
 pub mod memory;
 mod motion;
 pub mod placement;

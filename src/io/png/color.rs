@@ -1,6 +1,6 @@
 //! Colours of values.
 
-use super::canvas::{Rgb, mix};
+use super::canvas::{PAGE, Rgb, mix};
 use super::scale::Scale;
 use crate::plan::{Images, Output, SampleKind, Samples};
 
@@ -95,6 +95,12 @@ impl Palette {
             specials.retain(|_| colors.contains(&nothing));
         }
         Self { colors, specials }
+    }
+
+    /// Of classes, by index into a list of names and colours; pixels of no class are left as the page is.
+    pub fn of_classes(classes: &[u8], legend: &[(&str, Rgb)]) -> Self {
+        let color = |class: &u8| legend.get(usize::from(*class)).map_or(PAGE, |(_, color)| *color);
+        Self { colors: classes.iter().map(color).collect(), specials: Vec::new() }
     }
 
     /// Tints some pixels.

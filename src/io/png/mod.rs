@@ -2,6 +2,7 @@
 
 mod canvas;
 mod color;
+mod comparison;
 mod font;
 mod overlay;
 mod pen;
@@ -17,6 +18,7 @@ use crate::sensor::{Geometry, Sensor};
 use crate::virtual_sensors::Mask;
 use canvas::Canvas;
 use color::Palette;
+pub use comparison::{Comparison, write_comparison};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use overlay::Overlay;
