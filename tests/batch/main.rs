@@ -9,7 +9,7 @@ mod row;
 
 use presight_testkit as common;
 
-use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
+use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World};
 
 /// A predictor on the CPU engine.
 fn predictor(threads: usize) -> Predictor {

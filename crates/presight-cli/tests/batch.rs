@@ -2,7 +2,7 @@
 
 use assert_cmd::cargo::cargo_bin;
 use presight::io::{exr, gltf, log, sensor_toml};
-use presight::{Noise, Pose, Sensor, SensorSpec};
+use presight::{Noise, Pose, Sensor};
 use presight_testkit::scenes;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
