@@ -21,9 +21,11 @@ pub(super) struct Footprint {
     pub lines: Cover,
     /// Samples on each of them.
     pub samples: Range<u32>,
+    /// No point is nearer in depth, metres; 0 if nothing is known of it.
+    pub nearest: f64,
 }
 
-pub(super) const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0 };
+pub(super) const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0, nearest: 0.0 };
 
 /// Bounds for one sensor.
 pub(super) struct Bounds<'a> {
@@ -178,13 +180,14 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [F
             continue;
         }
         if e.least[1][l] <= 0.0 {
-            footprints[l] = Footprint { lines: [0..lines.len() as u32, 0..0], samples: 0..samples.len() as u32 };
+            let (lines, samples) = ([0..lines.len() as u32, 0..0], 0..samples.len() as u32);
+            footprints[l] = Footprint { lines, samples, nearest: 0.0 };
             continue;
         }
         let rows = pixels_between(e.low[0][l], e.high[0][l], lines[0][0], lines.len());
         let columns = pixels_between(e.low[1][l], e.high[1][l], samples[0], samples.len());
         if !columns.is_empty() {
-            footprints[l] = Footprint { lines: [rows, 0..0], samples: columns };
+            footprints[l] = Footprint { lines: [rows, 0..0], samples: columns, nearest: e.least[1][l] };
         }
     }
     footprints
@@ -250,7 +253,8 @@ impl ScannerBounds<'_> {
             let first = first + u32::from(t[first as usize] < from[l]);
             let end = end - u32::from(t[end as usize - 1] > to[l]);
             if first < end {
-                footprints[l] = Footprint { lines: self.columns(&e, columns.as_ref(), l), samples: first..end };
+                let (lines, nearest) = (self.columns(&e, columns.as_ref(), l), distance_squared[l].sqrt());
+                footprints[l] = Footprint { lines, samples: first..end, nearest };
             }
         }
         footprints

@@ -27,6 +27,7 @@ use crate::sensor::{LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
+use hidden::Drawn;
 use progress::Progress;
 use rayon::prelude::*;
 use spans::Buffer;
@@ -117,6 +118,7 @@ impl Engine {
         pool.install(|| {
             let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
             stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count("polygons hidden", batches[..used].iter().map(|b| b.hidden).sum());
             stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
         });
         plan.finish_noting(images, stats);
@@ -174,7 +176,8 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let left_out = set_up(plan, bands, least, &runs, batches, &mut used);
+        let drawn = (waves > 0).then_some(Drawn { canvas, bands });
+        let left_out = set_up(plan, bands, drawn, least, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -220,6 +223,7 @@ fn draw_waves(
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
+    drawn: Option<Drawn<'_>>,
     least: usize,
     runs: &[Run],
     batches: &mut Vec<Batch>,
@@ -236,7 +240,7 @@ fn set_up(
         batch.nearest = runs[group.start].nearest_below();
         batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
         if batch.is_set_up {
-            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
+            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, drawn });
         }
     });
     let left_out = new.iter().position(|batch| !batch.is_set_up);
@@ -281,6 +285,8 @@ struct SetUp<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
     bands: &'a Bands,
+    /// After the first wave.
+    drawn: Option<Drawn<'a>>,
 }
 
 impl pulp::WithSimd for SetUp<'_> {
@@ -288,7 +294,7 @@ impl pulp::WithSimd for SetUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        setup::fill(simd, self.batch, self.plan, self.runs, self.bands);
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands, self.drawn);
     }
 }
 

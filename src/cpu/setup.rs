@@ -3,6 +3,7 @@
 use super::Bands;
 use super::batch::{Batch, SetUp, Shade};
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::hidden::Drawn;
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
@@ -59,6 +60,21 @@ impl<'a> Placed<'a> {
     }
 }
 
+/// A polygon whose plane passes the sensor this near, relative to its distance, may be drawn nearer than it is by rounding.
+const GRAZING: f64 = 1e-5;
+
+impl Placed<'_> {
+    /// True if the sensor is so far off a polygon's plane that the depths drawn of it are right to far less than
+    /// what [`Drawn::hides`] allows for.
+    #[inline(always)]
+    fn is_well_off(&self, polygon: u32) -> bool {
+        let corner = corner_indices(self, &self.mesh.polygons()[polygon as usize])[0];
+        let from_center = self.mesh.vertices()[corner as usize].as_dvec3() - self.center;
+        let off = self.mesh.planes()[polygon as usize].normal.dot(from_center);
+        off.abs() > GRAZING * from_center.abs().element_sum()
+    }
+}
+
 /// The length of every turned unit vector, if it is the same for all to rounding: most instances are at most scaled.
 fn uniform_scale(m: &DMat3) -> Option<f64> {
     let squares = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length_squared());
@@ -68,9 +84,16 @@ fn uniform_scale(m: &DMat3) -> Option<f64> {
     (alike && skew.iter().all(|s| s.abs() <= rounding)).then(|| squares[0].sqrt())
 }
 
-/// Sets up the polygons of some runs.
+/// Sets up the polygons of some runs, but for those behind what is drawn.
 #[inline(always)]
-pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
+pub(super) fn fill<S: Simd>(
+    simd: S,
+    batch: &mut Batch,
+    plan: &FramePlan,
+    runs: &[Run],
+    bands: &Bands,
+    drawn: Option<Drawn<'_>>,
+) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
     let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
@@ -85,9 +108,15 @@ pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: 
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
             let footprints = cover_lanes(simd, &bounds, at, records, &mut corners);
             for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
-                if !footprint.lines[0].is_empty() {
+                if footprint.lines[0].is_empty() {
+                    continue;
+                }
+                let polygon = first + i as u32;
+                if drawn.is_some_and(|drawn| drawn.hides(&footprint)) && at.is_well_off(polygon) {
+                    batch.hidden += 1;
+                } else {
                     let corners = |k: usize| DVec3::from(corners[k].map(|lanes| lanes[i]));
-                    set_up(batch, plan, at, first + i as u32, footprint, corners, &mut outline);
+                    set_up(batch, plan, at, polygon, footprint, corners, &mut outline);
                 }
             }
         }
