@@ -1,9 +1,9 @@
 //! Setup: from runs of mesh polygons to planes and edges in the frame of the rays, dropping early what covers none.
 
 use super::Bands;
-use super::batch::{Batch, SetUp, Shade};
+use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
-use super::hidden::Drawn;
+use super::hidden::Occlusion;
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
@@ -13,13 +13,13 @@ use pulp::Simd;
 use std::ops::Range;
 
 /// One instance in the frame of the rays.
-pub(super) struct Placed<'a> {
+pub(super) struct RayInstance<'a> {
     pub mesh: &'a Mesh,
     pub ray_from_mesh: DMat3,
     /// Turns a mesh normal over its plane distance into m.
     m_from_normal: DMat3,
     normal_from_mesh: DMat3,
-    /// What [`Placed::length_per_distance`] is for every normal, if it is.
+    /// What [`RayInstance::length_per_distance`] is for every normal, if it is.
     uniform: Option<f64>,
     pub center: DVec3,
     mirrored: bool,
@@ -28,7 +28,7 @@ pub(super) struct Placed<'a> {
     first_slot: u32,
 }
 
-impl<'a> Placed<'a> {
+impl<'a> RayInstance<'a> {
     pub fn new(plan: &'a FramePlan, instance: &Instance) -> Self {
         let (ray_from_image, image_from_ray) = match plan.sensor.grid() {
             PixelGrid::Lines(grid) => (grid.line_from_image(), grid.image_from_line()),
@@ -65,9 +65,9 @@ const GRAZING: f64 = 1e-5;
 
 impl Placed<'_> {
     /// True if the sensor is so far off a polygon's plane that the depths drawn of it are right to far less than
-    /// what [`Drawn::hides`] allows for.
+    /// what [`Occlusion::hides`] allows for.
     #[inline(always)]
-    fn is_well_off(&self, polygon: u32) -> bool {
+    fn is_clear_of_plane(&self, polygon: u32) -> bool {
         let corner = corner_indices(self, &self.mesh.polygons()[polygon as usize])[0];
         let from_center = self.mesh.vertices()[corner as usize].as_dvec3() - self.center;
         let off = self.mesh.planes()[polygon as usize].normal.dot(from_center);
@@ -92,17 +92,18 @@ pub(super) fn fill<S: Simd>(
     plan: &FramePlan,
     runs: &[Run],
     bands: &Bands,
-    drawn: Option<Drawn<'_>>,
+    drawn: Option<Occlusion<'_>>,
 ) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
     let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
     let mut outline = Outline::new();
-    let mut placed: Option<(u32, Placed<'_>)> = None;
+    let mut placed: Option<(u32, RayInstance<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
-        let (_, at) = placed
-            .insert(known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))));
+        let (_, at) = placed.insert(
+            known.unwrap_or_else(|| (run.instance, RayInstance::new(plan, &plan.instances[run.instance as usize]))),
+        );
         let end = run.first + run.count;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
@@ -112,7 +113,7 @@ pub(super) fn fill<S: Simd>(
                     continue;
                 }
                 let polygon = first + i as u32;
-                if drawn.is_some_and(|drawn| drawn.hides(&footprint)) && at.is_well_off(polygon) {
+                if drawn.is_some_and(|drawn| drawn.hides(&footprint)) && at.is_clear_of_plane(polygon) {
                     batch.hidden += 1;
                 } else {
                     let corners = |k: usize| DVec3::from(corners[k].map(|lanes| lanes[i]));
@@ -148,7 +149,7 @@ type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
 fn cover_lanes<S: Simd>(
     simd: S,
     bounds: &Bounds<'_>,
-    at: &Placed<'_>,
+    at: &RayInstance<'_>,
     records: &[PolygonRecord],
     corners: &mut CornerLanes,
 ) -> [Footprint; LANES] {
@@ -178,7 +179,7 @@ fn cover_lanes<S: Simd>(
 fn set_up(
     batch: &mut Batch,
     plan: &FramePlan,
-    at: &Placed<'_>,
+    at: &RayInstance<'_>,
     polygon: u32,
     footprint: Footprint,
     corner_in_ray_frame: impl Fn(usize) -> DVec3,
@@ -230,7 +231,7 @@ fn set_up(
     let Range { start: first_sample, end: end_sample } = footprint.samples;
     for lines in footprint.lines.into_iter().filter(|lines| !lines.is_empty()) {
         let Range { start: first_line, end: end_line } = lines;
-        batch.polygons.push(SetUp {
+        batch.polygons.push(PolygonSetup {
             m,
             first_line,
             end_line,
@@ -247,7 +248,7 @@ fn set_up(
 }
 
 #[inline(always)]
-fn corner_indices<'a>(at: &Placed<'a>, record: &PolygonRecord) -> &'a [u32] {
+fn corner_indices<'a>(at: &RayInstance<'a>, record: &PolygonRecord) -> &'a [u32] {
     let first = record.first_corner as usize;
     &at.mesh.all_corners()[first..first + usize::from(record.corner_count)]
 }

@@ -3,14 +3,14 @@
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::predict::BackendArg;
-use super::{Verdict, bar, folder, open_scene, print};
-use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, Sensed};
-use presight::frames::GivenPose;
+use super::{CommandOutcome, bar, folder, open_scene, print};
+use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight::frames::ExternalPose;
 use presight::index::Scheme;
 use presight::internal::{inputs, text};
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
-use presight::io::rows::Rows;
+use presight::io::series::SeriesProgress;
 use presight::io::{exr, load_sensor, log, sensor_toml, tum};
 use presight::{
     Error, IdScheme, ImageRequest, Options, Output, Outputs, Pose, Predictor, Result, Scene, Sensor, Threads, blake3_of,
@@ -118,7 +118,7 @@ fn parse_shard(text: &str) -> Result<(u32, u32)> {
 /// # Errors
 /// Those of scene, sensor, poses and sensed image, of the engine, and of writing; a folder that holds another batch. What was
 /// written before stays, and the same command goes on.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     check_no_dash(&args.out)?;
     inputs::record();
     let threads = Threads::from(args.threads).started()?;
@@ -139,22 +139,21 @@ pub fn run(args: &Args) -> Result<Verdict> {
     folder::ready(&args.out)?;
     check_job(&args.out, &args.job(&scene, &sensor, &poses)?)?;
     let mut job = Job::new(args, scene, sensor, request)?;
-    let Some(mut rows) = job.rows(items.clone())? else {
-        print::message(&format!("note: {} is finished already", args.table().display()));
-        return Ok(Verdict::Done);
-    };
-    if rows.next() > items.start {
-        let (done, all) = (rows.next() - items.start, items.len());
-        print::message(&format!("note: {done} of {all} poses are finished already; this goes on with the others"));
+    let table = args.table();
+    if table.exists() {
+        print::message(&format!("note: {} is finished already", table.display()));
+        return Ok(CommandOutcome::Done);
     }
+    let mut progress = job.progress(&table, items.clone())?;
+    print::finished_before(&progress, items.len());
     let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
-    job.write(&mut predictor, &threads, &mut rows, items)?;
-    rows.finish()?;
-    Ok(Verdict::Done)
+    job.write(&mut predictor, &threads, &mut progress, items)?;
+    progress.rename(&table)?;
+    Ok(CommandOutcome::Done)
 }
 
 impl Args {
-    fn given(&self, pose: Pose) -> Result<GivenPose> {
+    fn given(&self, pose: Pose) -> Result<ExternalPose> {
         given_pose(pose, self.pose_frame, self.pose_of, self.world_frame)
     }
 
@@ -289,7 +288,7 @@ fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
     numbered.map_or_else(|| (frame.into(), None), |(file, index)| (file.into(), Some(index)))
 }
 
-fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<Sensed> {
+fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLikelihood> {
     let (path, index) = frame_of(frame);
     let range = match index {
         Some(index) => {
@@ -309,7 +308,7 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<Sensed> {
             range
         }
     };
-    Sensed::new(sensor, range, cell).map_err(|e| e.in_file(&path))
+    RangeLikelihood::new(sensor, range, cell).map_err(|e| e.in_file(&path))
 }
 
 /// A file of poses that was read once: whatever is wrong with it is known before anything is done.
@@ -325,7 +324,7 @@ impl PoseFile {
         let mut hasher = blake3::Hasher::new();
         let (mut count, mut first) = (0, None);
         for stamped in tum::stream(path)? {
-            let tum::Stamped { time, pose } = stamped?;
+            let tum::StampedPose { time, pose } = stamped?;
             let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             first.get_or_insert(placed);
             count += 1;
@@ -369,10 +368,13 @@ impl<'a> Job<'a> {
     }
 
     /// The table, with what an earlier run left.
-    fn rows(&self, items: Range<usize>) -> Result<Option<Rows>> {
+    fn progress(&self, table: &Path, items: Range<usize>) -> Result<SeriesProgress> {
         let per_item = self.request.headings.as_ref().map_or(1, |h| h.count() as usize);
-        let is_there = |index| self.request.images.is_none() || self.args.out.join(image_name(index)).is_file();
-        Rows::open(&self.args.table(), HEADER, items, per_item, is_there)
+        let mut progress = SeriesProgress::open(&table.with_added_extension("part"), HEADER, items, per_item)?;
+        if self.request.images.is_some() {
+            progress.keep_while(|index| self.args.out.join(image_name(index)).is_file())?;
+        }
+        Ok(progress)
     }
 
     /// Everything that is missing, from the table's next row on.
@@ -380,10 +382,10 @@ impl<'a> Job<'a> {
         &mut self,
         predictor: &mut Predictor,
         threads: &Threads,
-        rows: &mut Rows,
+        progress: &mut SeriesProgress,
         items: Range<usize>,
     ) -> Result<()> {
-        let first = rows.next();
+        let first = progress.next();
         let stream = || Ok::<_, Error>(tum::stream(&self.args.poses)?.skip(first).take(items.end - first));
         let mut times = stream()?.map(|stamped| stamped.map(|s| s.time));
         // Checked before; what changed since ends the batch.
@@ -411,7 +413,7 @@ impl<'a> Job<'a> {
                 self.tell(&mut lines, first + item.index, times.next().transpose()?.unwrap_or(f64::NAN), item);
             }
             if let Some(last) = last {
-                rows.append(last, &lines)?;
+                progress.append(last, &lines)?;
                 bar.set_position((last + 1 - items.start) as u64);
             }
             match failed {
@@ -424,7 +426,7 @@ impl<'a> Job<'a> {
         bar.finish_and_clear();
         match fault {
             Some(e) => Err(e),
-            None if rows.next() < items.end => {
+            None if progress.next() < items.end => {
                 let what = "the file has lost poses since this batch began";
                 Err(Error::invalid(what, "give another --out").in_file(&self.args.poses))
             }

@@ -4,10 +4,10 @@ use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
 use super::predict::{self, Args, Job};
 use super::summary::Summary;
-use super::{Verdict, bar, open_scene, print};
-use presight::frames::GivenPose;
+use super::{CommandOutcome, bar, open_scene, print};
+use presight::frames::ExternalPose;
 use presight::io::npy::{self, Stack, Values};
-use presight::io::series::Progress;
+use presight::io::series::SeriesProgress;
 use presight::io::templates::Names;
 use presight::io::{exr, sensor_toml};
 use presight::memory;
@@ -23,7 +23,7 @@ use std::time::Instant;
 ///
 /// # Errors
 /// Those of scene and sensors, of the engine, and of writing. What was written before stays, and the same command goes on.
-pub fn run(args: &Args, mut job: Job) -> Result<Verdict> {
+pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor).bytes());
@@ -53,13 +53,16 @@ pub fn run(args: &Args, mut job: Job) -> Result<Verdict> {
     match progress {
         None => (0..job.poses.len()).try_for_each(work)?,
         Some(mut progress) => {
-            progress.run(|_, index| work(index))?;
+            for index in progress.next()..job.poses.len() {
+                work(index)?;
+                progress.append(index, &format!("{index}\n"))?;
+            }
             setups.into_iter().flat_map(|setup| setup.stacks).try_for_each(|(_, stack)| stack.finish())?;
-            progress.complete()?;
+            progress.remove()?;
         }
     }
     bar.finish_and_clear();
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// A sensor with what its predictions need.
@@ -91,7 +94,7 @@ struct Series<'a> {
     args: &'a Args,
     scene: &'a Scene,
     names: &'a FileNames,
-    poses: &'a [(String, GivenPose)],
+    poses: &'a [(String, ExternalPose)],
     /// Notices that were printed.
     told: HashSet<String>,
 }
@@ -103,11 +106,12 @@ impl Series<'_> {
     }
 
     /// What an interrupted series left, with the arrays that it was filling; `None` if nothing is written.
-    fn progress(&self, setups: &mut [Setup]) -> Result<Option<Progress>> {
+    fn progress(&self, setups: &mut [Setup]) -> Result<Option<SeriesProgress>> {
         if !self.names.write_predictions() {
             return Ok(None);
         }
-        let mut progress = Progress::open(&self.record(setups)?, &self.job(setups)?, self.poses.len())?;
+        let head = format!("presight series 1 {}", self.job(setups)?);
+        let mut progress = SeriesProgress::open(&self.record(setups)?, &head, 0..self.poses.len(), 1)?;
         let until = progress.written().filter(|_| progress.finished() > 0);
         let mut kept = true;
         for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {
@@ -124,13 +128,8 @@ impl Series<'_> {
         let are_there = |setup: &Setup, i| {
             until.is_some_and(|until| self.paths(&setup.sensor, i).is_ok_and(|paths| paths.are_there(stacked, until)))
         };
-        progress.keep_if(|i| kept && setups.iter().all(|setup| are_there(setup, i)));
-        if progress.finished() > 0 {
-            let (finished, all) = (progress.finished(), self.poses.len());
-            print::message(&format!(
-                "note: {finished} of {all} poses are finished already; this goes on with the others"
-            ));
-        }
+        progress.keep_while(|i| kept && setups.iter().all(|setup| are_there(setup, i)))?;
+        print::finished_before(&progress, self.poses.len());
         if progress.replaced() {
             print::message("note: another series was left unfinished here; all files are written anew");
         }
