@@ -153,7 +153,7 @@ impl<'a> Bounds<'a> {
     }
 
     /// The footprints of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
-    /// repeating their last one.
+    /// repeating one of their own.
     #[inline(always)]
     pub fn cover<S: Simd>(&self, simd: S, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         match &self.kind {
@@ -218,15 +218,13 @@ impl ScannerBounds<'_> {
     #[inline(always)]
     fn cover<S: Simd>(&self, simd: S, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         let mut e = Extent::new();
-        for (i, corner) in corners.iter().enumerate() {
+        for corner in corners {
             e.hold(corner);
             let [x, y, _] = corner;
             for l in 0..LANES {
                 e.axis_distance_squared[l] = e.axis_distance_squared[l].max(x[l] * x[l] + y[l] * y[l]);
             }
-            unwrap_azimuth(&mut e, i, x, y);
         }
-        unwrap_azimuth(&mut e, corners.len(), &corners[0][0], &corners[0][1]);
         let (distance_squared, axis_squared) = e.box_distances_squared();
         let (mut from, mut to) = ([0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
@@ -242,19 +240,36 @@ impl ScannerBounds<'_> {
         }
         let t = self.grid.positions();
         let samples = self.grid.samples_around(simd, &from, &to);
-        let columns = self.uniform.map(|(start, step)| columns_of(&e, start, step));
-        let mut footprints = [const { NOTHING }; LANES];
+        let (mut first, mut end) = (samples[0], samples[1]);
+        let mut any = false;
         for l in 0..LANES {
-            let (first, end) = (samples[0][l], samples[1][l]);
-            if distance_squared[l] > range_max_squared || first >= end {
+            if distance_squared[l] > range_max_squared || first[l] >= end[l] {
+                end[l] = first[l];
                 continue;
             }
             // One more at either side is possible, and most polygons that cover no ray end here.
-            let first = first + u32::from(t[first as usize] < from[l]);
-            let end = end - u32::from(t[end as usize - 1] > to[l]);
-            if first < end {
+            (first[l], end[l]) = (
+                first[l] + u32::from(t[first[l] as usize] < from[l]),
+                end[l] - u32::from(t[end[l] as usize - 1] > to[l]),
+            );
+            any |= first[l] < end[l];
+        }
+        let mut footprints = [const { NOTHING }; LANES];
+        if !any {
+            return footprints;
+        }
+        let mut columns = None;
+        if let Some((start, step)) = self.uniform {
+            for (i, [x, y, _]) in corners.iter().enumerate() {
+                unwrap_azimuth(&mut e, i, x, y);
+            }
+            unwrap_azimuth(&mut e, corners.len(), &corners[0][0], &corners[0][1]);
+            columns = Some(columns_of(&e, start, step));
+        }
+        for l in 0..LANES {
+            if first[l] < end[l] {
                 let (lines, nearest) = (self.columns(&e, columns.as_ref(), l), distance_squared[l].sqrt());
-                footprints[l] = Footprint { lines, samples: first..end, nearest };
+                footprints[l] = Footprint { lines, samples: first[l]..end[l], nearest };
             }
         }
         footprints

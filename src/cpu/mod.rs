@@ -12,6 +12,7 @@
 mod batch;
 mod bounds;
 mod hidden;
+mod lanes;
 mod progress;
 mod ray_bounds;
 mod rays;
@@ -176,8 +177,8 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let drawn = (waves > 0).then_some(Occlusion { canvas, bands });
-        let left_out = set_up(plan, bands, drawn, least, &runs, batches, &mut used);
+        let occlusion = (waves > 0).then_some(Occlusion { canvas, bands });
+        let left_out = set_up(plan, bands, occlusion, least, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -223,7 +224,7 @@ fn draw_waves(
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
-    drawn: Option<Occlusion<'_>>,
+    occlusion: Option<Occlusion<'_>>,
     least: usize,
     runs: &[Run],
     batches: &mut Vec<Batch>,
@@ -240,7 +241,7 @@ fn set_up(
         batch.nearest = runs[group.start].nearest_below();
         batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
         if batch.is_set_up {
-            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, drawn });
+            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, occlusion });
         }
     });
     let left_out = new.iter().position(|batch| !batch.is_set_up);
@@ -286,7 +287,7 @@ struct SetUp<'a> {
     runs: &'a [Run],
     bands: &'a Bands,
     /// After the first wave.
-    drawn: Option<Occlusion<'a>>,
+    occlusion: Option<Occlusion<'a>>,
 }
 
 impl pulp::WithSimd for SetUp<'_> {
@@ -294,7 +295,7 @@ impl pulp::WithSimd for SetUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        setup::fill(simd, self.batch, self.plan, self.runs, self.bands, self.drawn);
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands, self.occlusion);
     }
 }
 

@@ -215,7 +215,8 @@ fn around<S: Simd>(
         let (axis, cosine) = (caps.axis(l), caps.cosine[l]);
         if cosine > WIDEST {
             let [rows, columns] = tree.tiles_met(simd, axis, cosine);
-            let found = of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end], distance_squared[l].sqrt());
+            let found =
+                of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end], distance_squared[l].sqrt());
             if !found.samples.is_empty() {
                 footprints[l] = narrowed(simd, grid, found, axis, cosine);
             }

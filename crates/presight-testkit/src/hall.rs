@@ -24,7 +24,8 @@ pub fn open_hall(seed: u64, triangles: usize) -> Environment {
     }
     let side = side_of(parts.len());
     let half = 0.5 * SPACING * (side as f64 + 1.0);
-    let tile = [(-half, -half), (half, -half), (half, half), (-half, half)].map(|(x, y)| Vec3::new(x as f32, y as f32, 0.0));
+    let tile =
+        [(-half, -half), (half, -half), (half, half), (-half, half)].map(|(x, y)| Vec3::new(x as f32, y as f32, 0.0));
     let floor = Mesh::new("floor", tile.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Given);
     let floor = NewObject::new("floor", Pose::IDENTITY, Arc::new(floor.expect("a sound floor")));
     environment.insert(floor).expect("a sound object");
