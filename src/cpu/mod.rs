@@ -120,6 +120,7 @@ impl CpuEngine {
             let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
             stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count("polygons hidden", batches[..used].iter().map(|b| b.hidden).sum());
+            stats.count("polygons between samples", batches[..used].iter().map(|b| b.between).sum());
             stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
         });
         plan.finish_noting(images, stats);

@@ -183,6 +183,7 @@ fn push(
             let counts = push_bounds(batch, lanes, i, room);
             if lanes.clear[i] && covers_nothing(grid, footprint, &batch.bounds[first..], counts) {
                 batch.bounds.truncate(first);
+                batch.between += 1;
                 return;
             }
             (first as u32, counts)

@@ -11,3 +11,4 @@ mod merged;
 mod oracle;
 mod ray_tables;
 mod recovery;
+mod small_polygons;
