@@ -131,7 +131,7 @@ struct Row {
     near: Vec<u32>,
 }
 
-/// A row of the panorama, as factors of the density of anything, once and a sensed row more round.
+/// A row of the panorama, once and a sensed row more round. Peaks and densities are in units of the density of anything.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Panorama {
     range: Vec<f32>,
@@ -166,43 +166,94 @@ impl Weigher {
 
     /// Log-likelihoods by heading, from the images of the panorama.
     pub fn weigh(&self, range: &[f32], cos_incidence: &[f32], panorama: &mut Panorama) -> Vec<f32> {
+        let arch = pulp::Arch::new();
         let count = self.headings.count as usize;
-        let mut sums = vec![self.ranged as f64 * self.model.beam(f32::INFINITY, 1.0).any.ln(); count];
+        let mut sums = vec![self.ranged as f64 * self.model.any.ln(); count];
         for (r, row) in self.rows.iter().enumerate() {
             let part = r * self.headings.beams..(r + 1) * self.headings.beams;
-            panorama.fill(&self.model, &range[part.clone()], &cos_incidence[part], row.sensed.len());
-            pulp::Arch::new().dispatch(Shift { weigher: self, row, panorama, sums: &mut sums });
+            let (range, cos_incidence) = (&range[part.clone()], &cos_incidence[part]);
+            arch.dispatch(Fill { weigher: self, row, range, cos_incidence, panorama });
+            arch.dispatch(Shift { weigher: self, row, panorama, sums: &mut sums });
         }
         sums.iter().map(|sum| (sum / self.model.mixture.beam_dependence) as f32).collect()
     }
 }
 
-impl Panorama {
-    fn fill(&mut self, model: &BeamModel, range: &[f32], cos_incidence: &[f32], more: usize) {
+/// Makes a row of the panorama. A type, so that it is compiled for each vector width.
+struct Fill<'a> {
+    weigher: &'a Weigher,
+    row: &'a Row,
+    range: &'a [f32],
+    cos_incidence: &'a [f32],
+    panorama: &'a mut Panorama,
+}
+
+impl pulp::WithSimd for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { weigher, row, range, cos_incidence, panorama } = self;
+        let model = &weigher.model;
         let n = range.len();
-        for part in [&mut self.range, &mut self.peak, &mut self.sharpness, &mut self.short] {
-            part.clear();
+        for part in panorama.parts() {
+            part.resize(n, 0.0);
         }
-        self.none.clear();
-        self.near.clear();
-        let mut most: f64 = 2.0;
-        for (range, cos) in range.iter().zip(cos_incidence) {
-            let beam = model.beam(*range, *cos);
-            most = most.max(1.0 + (beam.peak + beam.short) / beam.any);
-            self.range.push(beam.range as f32);
-            self.peak.push((beam.peak / beam.any) as f32);
-            // For powers of two.
-            self.sharpness.push((-beam.sharpness * std::f64::consts::LOG2_E) as f32);
-            self.short.push((beam.short / beam.any) as f32);
-            self.none.push(beam.none.ln() as f32);
-            self.near.push(beam.near.ln() as f32);
+        panorama.fill_surfaces(model, range, cos_incidence);
+        let none = [model.mixture.none, model.mixture.none + model.mixture.hit].map(|p| p.ln() as f32);
+        for (none_at, range) in panorama.none.iter_mut().zip(range) {
+            *none_at = if *range == f32::INFINITY { none[1] } else { none[0] };
         }
-        for part in [&mut self.range, &mut self.peak, &mut self.sharpness, &mut self.short] {
-            for i in 0..more {
+        // Scanners see nothing too near without a range_min, and logarithms take long.
+        if !row.near.is_empty() {
+            for (near, (range, short)) in panorama.near.iter_mut().zip(range.iter().zip(&panorama.short)) {
+                *near = model.near(f64::from(*range), f64::from(*short) * model.any).ln() as f32;
+            }
+        }
+        let mut most = [1f32; LANES];
+        for (peak, short) in panorama.peak.as_chunks::<LANES>().0.iter().zip(panorama.short.as_chunks::<LANES>().0) {
+            for l in 0..LANES {
+                let factor = 1.0 + peak[l] + short[l];
+                most[l] = if factor > most[l] { factor } else { most[l] };
+            }
+        }
+        for part in panorama.parts() {
+            for i in 0..row.sensed.len() {
                 part.push(part[i % n]);
             }
         }
-        self.steps = (125.0 / most.log2()).max(1.0) as usize;
+        let tail = n - n % LANES..n;
+        let last = tail.map(|i| 1.0 + panorama.peak[i] + panorama.short[i]);
+        let most = most.into_iter().chain(last).fold(2.0, f32::max);
+        panorama.steps = (125.0 / most.log2()).max(1.0) as usize;
+    }
+}
+
+impl Panorama {
+    fn parts(&mut self) -> [&mut Vec<f32>; 6] {
+        let Self { range, peak, sharpness, short, none, near, .. } = self;
+        [range, peak, sharpness, short, none, near]
+    }
+
+    #[inline(always)]
+    fn fill_surfaces(&mut self, model: &BeamModel, range: &[f32], cos_incidence: &[f32]) {
+        let per_any = 1.0 / model.any;
+        let beyond = (2.0 * model.range_max) as f32;
+        let (ranges, peaks) = (self.range.iter_mut(), self.peak.iter_mut());
+        let (sharpnesses, shorts) = (self.sharpness.iter_mut(), self.short.iter_mut());
+        let ours = ranges.zip(peaks).zip(sharpnesses).zip(shorts);
+        for ((((range_at, peak), sharpness), short), (&range, &cos)) in ours.zip(range.iter().zip(cos_incidence)) {
+            let surface = model.surface(f64::from(range), f64::from(cos));
+            let is_there = range.abs() < f32::INFINITY;
+            // Nothing predicted: whatever is sensed is nearer. Something too near: nothing is.
+            let nowhere = if range > 0.0 { beyond } else { 0.0 };
+            *range_at = if is_there { range } else { nowhere };
+            *peak = if is_there { (surface.peak * per_any) as f32 } else { 0.0 };
+            // For powers of two.
+            let sharp = (-surface.sharpness * std::f64::consts::LOG2_E) as f32;
+            *sharpness = if is_there { sharp } else { 0.0 };
+            *short = (surface.short * per_any) as f32;
+        }
     }
 }
 
@@ -223,7 +274,7 @@ impl pulp::WithSimd for Shift<'_> {
         let (beams, stride) = (weigher.headings.beams, weigher.headings.stride);
         for (k, sum) in sums.iter_mut().enumerate() {
             let first = k * stride % beams;
-            let table = |table: &[f32], i: &u32| f64::from(table[(first + *i as usize) % beams]);
+            let table = |table: &[f32], i: &u32| f64::from(table[first + *i as usize]);
             *sum += ranges(row, panorama, first);
             *sum += row.none.iter().map(|i| table(&panorama.none, i)).sum::<f64>();
             *sum += row.near.iter().map(|i| table(&panorama.near, i)).sum::<f64>();

@@ -6,6 +6,7 @@
 
 mod headings;
 mod likelihood;
+mod weigh;
 
 pub use headings::Headings;
 pub use likelihood::Sensed;
