@@ -8,6 +8,7 @@ use crate::geometry::{Pose, sin_cos_deg};
 use crate::row::is_level;
 use crate::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use glam::{DQuat, DVec3};
+use std::array;
 
 /// The headings of a scanner and the panorama that shows them all.
 #[derive(Clone, Debug)]
@@ -192,29 +193,25 @@ impl pulp::WithSimd for Fill<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
         let Self { weigher, row, range, cos_incidence, panorama } = self;
         let model = &weigher.model;
         let n = range.len();
         for part in panorama.parts() {
-            part.resize(n, 0.0);
+            part.clear();
         }
-        panorama.fill_surfaces(model, range, cos_incidence);
-        let none = [model.mixture.none, model.mixture.none + model.mixture.hit].map(|p| p.ln() as f32);
-        for (none_at, range) in panorama.none.iter_mut().zip(range) {
-            *none_at = if *range == f32::INFINITY { none[1] } else { none[0] };
-        }
-        // Scanners see nothing too near without a range_min, and logarithms take long.
-        if !row.near.is_empty() {
-            for (near, (range, short)) in panorama.near.iter_mut().zip(range.iter().zip(&panorama.short)) {
-                *near = model.near(f64::from(*range), f64::from(*short) * model.any).ln() as f32;
-            }
-        }
-        let mut most = [1f32; LANES];
-        for (peak, short) in panorama.peak.as_chunks::<LANES>().0.iter().zip(panorama.short.as_chunks::<LANES>().0) {
-            for l in 0..LANES {
-                let factor = 1.0 + peak[l] + short[l];
-                most[l] = if factor > most[l] { factor } else { most[l] };
+        let mut most = 2f32;
+        let (near, none) =
+            (!row.near.is_empty(), [0.0, model.mixture.hit].map(|p| (model.mixture.none + p).ln() as f32));
+        for at in (0..n).step_by(LANES) {
+            let lanes = |image: &[f32]| array::from_fn(|l| image.get(at + l).copied().unwrap_or(f32::INFINITY).into());
+            let (range, cos) = (lanes(range), lanes(cos_incidence));
+            let beams = Beams::of(simd, model, &range, &cos);
+            for l in 0..LANES.min(n - at) {
+                most = most.max(panorama.push(model, range[l], &beams, l));
+                panorama.none.push(if range[l] == f64::INFINITY { none[1] } else { none[0] });
+                // Logarithms take long, and scanners without a range_min sense nothing too near.
+                panorama.near.push(if near { beams.near[l].ln() as f32 } else { 0.0 });
             }
         }
         for part in panorama.parts() {
@@ -222,10 +219,35 @@ impl pulp::WithSimd for Fill<'_> {
                 part.push(part[i % n]);
             }
         }
-        let tail = n - n % LANES..n;
-        let last = tail.map(|i| 1.0 + panorama.peak[i] + panorama.short[i]);
-        let most = most.into_iter().chain(last).fold(2.0, f32::max);
         panorama.steps = (125.0 / most.log2()).max(1.0) as usize;
+    }
+}
+
+/// What some beams may sense.
+struct Beams {
+    peak: [f64; LANES],
+    sharpness: [f64; LANES],
+    short: [f64; LANES],
+    near: [f64; LANES],
+}
+
+impl Beams {
+    #[inline(always)]
+    fn of<S: pulp::Simd>(simd: S, model: &BeamModel, range: &[f64; LANES], cos_incidence: &[f64; LANES]) -> Self {
+        let none = [0.0; LANES];
+        let mut ours = Self { peak: none, sharpness: none, short: none, near: none };
+        {
+            let [range, cos] = [range, cos_incidence].map(|lanes| S::as_simd_f64s(lanes).0);
+            let Self { peak, sharpness, short, near } = &mut ours;
+            let [peak, sharpness, short, near] =
+                [peak, sharpness, short, near].map(|lanes| S::as_mut_simd_f64s(lanes).0);
+            for i in 0..LANES / S::F64_LANES {
+                let surface = model.surface(simd, range[i], cos[i]);
+                (peak[i], sharpness[i], short[i]) = (surface.peak, surface.sharpness, surface.short);
+                near[i] = model.near(simd, range[i], surface.short);
+            }
+        }
+        ours
     }
 }
 
@@ -235,25 +257,24 @@ impl Panorama {
         [range, peak, sharpness, short, none, near]
     }
 
+    /// Takes a beam; the largest factor that it may have.
     #[inline(always)]
-    fn fill_surfaces(&mut self, model: &BeamModel, range: &[f32], cos_incidence: &[f32]) {
-        let per_any = 1.0 / model.any;
-        let beyond = (2.0 * model.range_max) as f32;
-        let (ranges, peaks) = (self.range.iter_mut(), self.peak.iter_mut());
-        let (sharpnesses, shorts) = (self.sharpness.iter_mut(), self.short.iter_mut());
-        let ours = ranges.zip(peaks).zip(sharpnesses).zip(shorts);
-        for ((((range_at, peak), sharpness), short), (&range, &cos)) in ours.zip(range.iter().zip(cos_incidence)) {
-            let surface = model.surface(f64::from(range), f64::from(cos));
-            let is_there = range.abs() < f32::INFINITY;
-            // Nothing predicted: whatever is sensed is nearer. Something too near: nothing is.
-            let nowhere = if range > 0.0 { beyond } else { 0.0 };
-            *range_at = if is_there { range } else { nowhere };
-            *peak = if is_there { (surface.peak * per_any) as f32 } else { 0.0 };
-            // For powers of two.
-            let sharp = (-surface.sharpness * std::f64::consts::LOG2_E) as f32;
-            *sharpness = if is_there { sharp } else { 0.0 };
-            *short = (surface.short * per_any) as f32;
-        }
+    fn push(&mut self, model: &BeamModel, range: f64, beams: &Beams, l: usize) -> f32 {
+        let peak = (beams.peak[l] / model.any) as f32;
+        let short = (beams.short[l] / model.any) as f32;
+        // For powers of two.
+        let sharpness = (-beams.sharpness[l] * std::f64::consts::LOG2_E) as f32;
+        let [range, peak, sharpness, short] = match range {
+            // Whatever is sensed is nearer than nothing, and nothing is nearer than what is too near.
+            f64::INFINITY => [(2.0 * model.range_max) as f32, 0.0, 0.0, short],
+            f64::NEG_INFINITY => [0.0; 4],
+            range => [range as f32, peak, sharpness, short],
+        };
+        self.range.push(range);
+        self.peak.push(peak);
+        self.sharpness.push(sharpness);
+        self.short.push(short);
+        1.0 + peak + short
     }
 }
 

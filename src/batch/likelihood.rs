@@ -109,15 +109,15 @@ pub(super) struct BeamModel {
     below: f64,
 }
 
-/// What a beam may sense of the surface predicted, as densities, 1 / metre.
+/// What beams may sense of the surfaces predicted, as densities, 1 / metre.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Surface {
+pub(super) struct Surface<V> {
     /// Density of a hit at the predicted range, and what its distance squared is multiplied by in the exponent. Without a meaning
     /// where no range is predicted.
-    pub peak: f64,
-    pub sharpness: f64,
-    /// Density nearer than predicted, of something that the model does not have.
-    pub short: f64,
+    pub peak: V,
+    pub sharpness: V,
+    /// Density nearer than predicted, of something that the model does not have. Without a meaning where that is predicted.
+    pub short: V,
 }
 
 impl BeamModel {
@@ -154,32 +154,33 @@ impl BeamModel {
         })
     }
 
-    /// The surface at a predicted range. Without branches, for vectors.
+    /// The surfaces at predicted ranges.
     #[inline(always)]
-    pub fn surface(&self, range: f64, cos_incidence: f64) -> Surface {
-        const TWO_PI: f64 = 2.0 * std::f64::consts::PI;
-        let cos = if cos_incidence > LEAST_COS { cos_incidence } else { LEAST_COS };
-        let cos_squared = cos * cos;
-        let squared = range * range;
-        let own = self.range_sigma + self.quadratic * squared;
+    pub fn surface<S: pulp::Simd>(&self, simd: S, range: S::f64s, cos_incidence: S::f64s) -> Surface<S::f64s> {
+        const PER_TWO_PI: f64 = 0.5 / std::f64::consts::PI;
+        let (of, add, mul) = (|v| simd.splat_f64s(v), |a, b| simd.add_f64s(a, b), |a, b| simd.mul_f64s(a, b));
+        let cos = simd.max_f64s(cos_incidence, of(LEAST_COS));
+        let cos_squared = mul(cos, cos);
+        let squared = mul(range, range);
+        let own = add(of(self.range_sigma), mul(of(self.quadratic), squared));
+        let turned = mul(mul(squared, of(self.turn)), simd.sub_f64s(of(1.0), cos_squared));
         // The variance times the square of the cosine: one division makes its inverse.
-        let spread = own * own * cos_squared + squared * self.turn * (1.0 - cos_squared) + self.place;
-        let inverse = cos_squared / spread;
-        let far = if range < self.range_max { range } else { self.range_max };
-        let far = if far > LEAST_RANGE { far } else { LEAST_RANGE };
-        let short = self.mixture.short / far;
+        let spread = add(add(mul(mul(own, own), cos_squared), turned), of(self.place));
+        let inverse = simd.div_f64s(cos_squared, spread);
+        let far = simd.max_f64s(simd.min_f64s(range, of(self.range_max)), of(LEAST_RANGE));
         Surface {
-            peak: self.mixture.hit * (inverse * (1.0 / TWO_PI)).sqrt(),
-            sharpness: 0.5 * inverse,
-            short: if range > 0.0 { short } else { 0.0 },
+            peak: mul(of(self.mixture.hit), simd.sqrt_f64s(mul(inverse, of(PER_TWO_PI)))),
+            sharpness: mul(of(0.5), inverse),
+            short: simd.div_f64s(of(self.mixture.short), far),
         }
     }
 
-    /// Probability of something nearer than `range_min`. Without branches.
+    /// Probabilities of something nearer than `range_min`.
     #[inline(always)]
-    pub fn near(&self, range: f64, short: f64) -> f64 {
-        let near = self.below + short * self.range_min;
-        let near = if range == f64::NEG_INFINITY { self.below + self.mixture.short + self.mixture.hit } else { near };
-        if near > LEAST { near } else { LEAST }
+    pub fn near<S: pulp::Simd>(&self, simd: S, range: S::f64s, short: S::f64s) -> S::f64s {
+        let near = simd.add_f64s(simd.splat_f64s(self.below), simd.mul_f64s(short, simd.splat_f64s(self.range_min)));
+        let is_near = simd.equal_f64s(range, simd.splat_f64s(f64::NEG_INFINITY));
+        let near_there = simd.splat_f64s(self.below + self.mixture.short + self.mixture.hit);
+        simd.max_f64s(simd.select_f64s(is_near, near_there, near), simd.splat_f64s(LEAST))
     }
 }
