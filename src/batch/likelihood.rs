@@ -1,7 +1,7 @@
 //! How likely a sensed range image is at a pose, given the image predicted there (the formula: `docs/batches.md`).
 
 use super::PoseCell;
-use super::weigh::Weigh;
+use super::weigh::HeadingModel;
 use crate::error::{Error, Result};
 use crate::sensor::{Mixture, Sensor, SensorSpec};
 
@@ -19,23 +19,23 @@ const ANY_TURN: f64 = 1e12;
 
 /// A sensed range image of a sensor, ready to be compared with predictions.
 #[derive(Clone, Debug)]
-pub struct Sensed {
+pub struct RangeLikelihood {
     sensor: Sensor,
     range: Vec<f32>,
     pub(super) model: BeamModel,
 }
 
-impl Sensed {
+impl RangeLikelihood {
     /// A range image of the sensor, row-major: metres, `+inf` where nothing was sensed, `-inf` where something was nearer than
-    /// `range_min`, NaN where there is no reading ([`crate::io::log::Frame::range`]).
+    /// `range_min`, NaN where there is no reading ([`crate::io::log::LogFrame::range`]).
     ///
     /// ```
-    /// use presight::batch::{PoseCell, Sensed};
+    /// use presight::batch::{PoseCell, RangeLikelihood};
     /// use presight::{Noise, Sensor, SensorSpec};
     /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
-    /// let sensed = Sensed::new(&sensor, vec![2.0; 361], PoseCell::default())?;
+    /// let sensed = RangeLikelihood::new(&sensor, vec![2.0; 361], PoseCell::default())?;
     /// let at = |range: f32| sensed.log_likelihood(&[range; 361], &[1.0; 361]);
     /// assert!(at(2.0) > at(2.05) && at(2.05) > at(1.0));
     /// # Ok::<(), presight::Error>(())
@@ -86,7 +86,7 @@ impl Sensed {
     /// If the images are not of the sensor's size.
     pub fn log_likelihood(&self, range: &[f32], cos_incidence: &[f32]) -> f64 {
         assert!(range.len() == self.range.len() && cos_incidence.len() == range.len(), "the sensor's images");
-        let weigh = Weigh { model: &self.model, sensed: &self.range, range, cos_incidence };
+        let weigh = HeadingModel { model: &self.model, sensed: &self.range, range, cos_incidence };
         pulp::Arch::new().dispatch(weigh) / self.model.mixture.beam_dependence
     }
 }

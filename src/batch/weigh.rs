@@ -8,7 +8,7 @@ const LANES: usize = 8;
 
 /// Adds up the logarithms of the densities of all beams. A type, so that it is compiled for each vector width; none of them
 /// changes a bit, for sums and products have the same order and are not fused.
-pub(super) struct Weigh<'a> {
+pub(super) struct HeadingModel<'a> {
     pub model: &'a BeamModel,
     /// Three images of one size.
     pub sensed: &'a [f32],
@@ -16,7 +16,7 @@ pub(super) struct Weigh<'a> {
     pub cos_incidence: &'a [f32],
 }
 
-impl pulp::WithSimd for Weigh<'_> {
+impl pulp::WithSimd for HeadingModel<'_> {
     type Output = f64;
 
     #[inline(always)]

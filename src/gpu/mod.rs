@@ -5,7 +5,7 @@
 
 mod buffers;
 mod device;
-mod frame;
+mod frame_buffers;
 mod geometry;
 mod grid;
 mod layout;
@@ -15,13 +15,13 @@ mod roi;
 mod shaders;
 mod stage;
 mod stages;
-mod store;
 #[doc(hidden)]
 pub mod testing;
 mod together;
+mod uploads;
 mod visible;
 
-pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters, preferred};
+pub use device::{Abilities, Adapter, DeviceAllocations, DeviceOptions, adapters, preferred};
 pub use visible::OcclusionQuery;
 
 use crate::error::{ErrorKind, Result};
@@ -30,13 +30,13 @@ use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Wo
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use device::Gpu;
-use frame::Frame;
+use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
 use layout::Counters;
 use stages::{Stages, Variants};
 use std::time::Instant;
-use store::{Readback, Store};
+use uploads::FrameUploads;
 use visible::Visible;
 
 /// Most sensors whose tables are kept.
@@ -45,23 +45,23 @@ const MOST_SENSORS: usize = 8;
 /// The GPU engine with its device and buffers.
 ///
 /// ```no_run
-/// use presight::gpu::{DeviceOptions, Engine};
-/// let engine = Engine::new(DeviceOptions { hardware_only: true, ..Default::default() })?;
+/// use presight::gpu::{DeviceOptions, GpuEngine};
+/// let engine = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() })?;
 /// println!("predicting on {}", engine.adapter());
 /// # Ok::<(), presight::Error>(())
 /// ```
-pub struct Engine {
+pub struct GpuEngine {
     gpu: Gpu,
     stages: Stages,
     /// Made when samples of features are first asked about.
     visible: Option<Visible>,
     /// The buffers hold what the last prediction drew.
     drawn: bool,
-    store: Store,
+    store: FrameBuffers,
     arena: Arena,
-    frame: Frame,
+    frame: FrameUploads,
     /// Those of a submission of several.
-    frames: Vec<Frame>,
+    frames: Vec<FrameUploads>,
     /// The sensors of late, the first the one whose tables are on the device; held, so that its address is its identity.
     sensors: Vec<(Sensor, Tables)>,
     /// The tables of the first sensor are on the device.
@@ -78,7 +78,7 @@ pub struct Engine {
     opened: (DeviceOptions, testing::Setup),
 }
 
-impl Engine {
+impl GpuEngine {
     /// Opens the most capable adapter.
     ///
     /// # Errors
@@ -89,7 +89,7 @@ impl Engine {
 
     fn open(options: DeviceOptions, setup: testing::Setup) -> Result<Self> {
         let gpu = Gpu::open(options, setup.largest_binding)?;
-        let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
+        let (stages, store, arena) = (Stages::new(&gpu), FrameBuffers::new(&gpu), Arena::new(&gpu));
         gpu.check()?;
         let software = !gpu.adapter.hardware && !setup.all_on_device;
         Ok(Self {
@@ -99,7 +99,7 @@ impl Engine {
             drawn: false,
             store,
             arena,
-            frame: Frame::default(),
+            frame: FrameUploads::default(),
             frames: Vec::new(),
             sensors: Vec::new(),
             placed: false,
@@ -114,7 +114,7 @@ impl Engine {
     /// Opens the device again, as it was opened first; nothing of the old one is used any more.
     ///
     /// # Errors
-    /// As [`Engine::new`]; the engine is then as it was.
+    /// As [`GpuEngine::new`]; the engine is then as it was.
     pub fn reopen(&mut self) -> Result<()> {
         let (options, setup) = self.opened;
         *self = Self::open(options, setup)?.with_threads(self.threads.clone());
@@ -142,7 +142,7 @@ impl Engine {
     }
 
     /// What it has made on the device so far.
-    pub fn made(&self) -> Made {
+    pub fn allocations(&self) -> DeviceAllocations {
         self.gpu.made.so_far()
     }
 
@@ -206,7 +206,7 @@ impl Engine {
     /// What the pixels of the last frame that was rendered say of samples of features, in the order they were pushed.
     ///
     /// # Errors
-    /// As [`Engine::render`].
+    /// As [`GpuEngine::render`].
     pub fn query_occlusion(&mut self, query: &OcclusionQuery) -> Result<Vec<OcclusionHint>> {
         let Some((_, tables)) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;
@@ -308,7 +308,13 @@ impl Engine {
     }
 
     /// A frame's images from its answer.
-    fn take_answer(&self, frame: &Frame, view: &[u8], plan: &FramePlan, images: &mut Images) -> Result<Counters> {
+    fn take_answer(
+        &self,
+        frame: &FrameUploads,
+        view: &[u8],
+        plan: &FramePlan,
+        images: &mut Images,
+    ) -> Result<Counters> {
         let at = Readback::of(frame);
         let mut counters = counters_of(view, at);
         if frame.on_host {
@@ -333,7 +339,7 @@ impl Engine {
         }
     }
 
-    fn report(&self, frame: &Frame, counters: &Counters, reruns: usize, stats: &mut Stats) {
+    fn report(&self, frame: &FrameUploads, counters: &Counters, reruns: usize, stats: &mut Stats) {
         self.report_variants(frame, stats);
         let near = &frame.near;
         stats.count("polygons selected", frame.params.polygon_count as usize);
@@ -349,7 +355,7 @@ impl Engine {
     }
 
     /// Which variants of stages were taken, and which were not.
-    fn report_variants(&self, frame: &Frame, stats: &mut Stats) {
+    fn report_variants(&self, frame: &FrameUploads, stats: &mut Stats) {
         if self.store.times.is_none() {
             frame.stages().iter().for_each(|name| stats.take(*name, "within device, which tells no times of stages"));
         }
@@ -388,7 +394,7 @@ fn counters_of(view: &[u8], at: Readback) -> Counters {
 }
 
 /// The images that the device resolved.
-fn copy_images(frame: &Frame, bytes: &[u8], images: &mut Images) {
+fn copy_images(frame: &FrameUploads, bytes: &[u8], images: &mut Images) {
     let pixels = images.pixels() * 4;
     for (i, output) in frame.outputs.iter().enumerate() {
         let from = &bytes[i * pixels..][..pixels];

@@ -1,11 +1,11 @@
 //! Several frames of one sensor in one submission: they share buffers on the device, one after the other, and each has its own
 //! place in the answer. For batches: what a submission costs besides is paid once.
 
-use super::frame::Frame;
+use super::frame_buffers::Readback;
 use super::layout::Counters;
 use super::stages::Variants;
-use super::store::Readback;
-use super::{Engine, counters_of};
+use super::uploads::FrameUploads;
+use super::{GpuEngine, counters_of};
 use crate::error::{ErrorKind, Result};
 use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, Stats, Work};
 use std::time::Instant;
@@ -15,12 +15,12 @@ const MOST_BYTES: u64 = 64 << 20;
 /// Most frames of a submission.
 const MOST_FRAMES: u64 = 64;
 
-impl Engine {
+impl GpuEngine {
     /// Draws plans of one sensor, and hands over each one's images in their order. After an error those that were handed over are
     /// right. The times and the work of a submission are told of its first frame.
     ///
     /// # Errors
-    /// As [`Engine::render`].
+    /// As [`GpuEngine::render`].
     pub fn render_many(
         &mut self,
         plans: &[FramePlan],
@@ -119,7 +119,7 @@ impl Engine {
         });
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
         if self.frames.len() < plans.len() {
-            self.frames.resize_with(plans.len(), Frame::default);
+            self.frames.resize_with(plans.len(), FrameUploads::default);
         }
         for (frame, plan) in self.frames.iter_mut().zip(plans) {
             // What earlier frames left in the slots must not carry this frame's stamp.
