@@ -94,6 +94,24 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
     assert_eq!(predictor.batch(&world, &sensor, [], &BatchRequest::default()).unwrap().count(), 0);
 }
 
+/// Ten million poses are no list: no more than a chunk of them is asked for before its items are.
+#[test]
+fn poses_are_taken_a_chunk_at_a_time() {
+    let world = World::new(scenes::room(2, 10));
+    let sensor = presight::preset("laser-scanner").unwrap();
+    let taken = std::cell::Cell::new(0);
+    let turned = |i: u32| {
+        taken.set(taken.get() + 1);
+        Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 0.0, f64::from(i))
+    };
+    let mut predictor = predictor(2);
+    let request = BatchRequest { statistics: true, ..BatchRequest::default() };
+    let items = predictor.batch(&world, &sensor, (0..10_000_000).map(turned), &request).unwrap().take(600);
+    assert_eq!(items.map(|item| item.unwrap().index).max(), Some(599));
+    // Two chunks, and a look at what comes after.
+    assert!((600..=2 * 512 + 1).contains(&taken.get()), "{}", taken.get());
+}
+
 /// The GPU engine draws the poses of a chunk in one submission.
 #[test]
 fn the_gpu_engine_makes_its_single_predictions() {
