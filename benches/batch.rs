@@ -5,7 +5,7 @@
 //! - A sensed image weighed at free poses of two scenes (`PRESIGHT_POSES`, default 1000), by the batch and by single predictions
 //!   of range and cos_incidence with the weighing after each.
 //!
-//! Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`, default 2. With a FOLDER the poses are written there as
+//! `PRESIGHT_GPU=1` takes the GPU engine. Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`, default 2. With a FOLDER the poses are written there as
 //! SCENE.tum, for `benches/peers/batch.py`.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
@@ -35,7 +35,8 @@ fn world(name: &str) -> World {
 
 fn predictor() -> Predictor {
     let threads = number("PRESIGHT_THREADS", 2);
-    Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
+    let backend = if std::env::var_os("PRESIGHT_GPU").is_some() { Backend::Gpu } else { Backend::Cpu };
+    Predictor::new(Options::new(backend).with_threads(threads)).expect("an engine")
 }
 
 fn noisy(spec: &SensorSpec) -> Sensor {

@@ -131,7 +131,7 @@ impl Predictor {
     /// them in memory. Images are those of [`Predictor::predict`], bit for bit. Results do not depend on chunks or threads.
     ///
     /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height
-    /// ([`BatchRequest::height`]), which is kept for the version of the world. The GPU engine makes single predictions, one after the other.
+    /// ([`BatchRequest::height`]), which is kept for the version of the world. On the GPU many poses go out in one submission.
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};

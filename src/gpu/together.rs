@@ -15,6 +15,9 @@ const MOST_BYTES: u64 = 64 << 20;
 /// Most frames of a submission.
 const MOST_FRAMES: u64 = 64;
 
+/// Takes a plan's images, with its place in the answer and its counters if it was drawn.
+type HandOver<'a> = dyn FnMut(&mut Images, Stats, Option<(usize, Counters)>) + 'a;
+
 impl GpuEngine {
     /// Draws plans of one sensor, and hands over each one's images in their order. After an error those that were handed over are
     /// right. The times and the work of a submission are told of its first frame.
@@ -75,14 +78,14 @@ impl GpuEngine {
         handed
     }
 
-    /// Each plan's images, with its place in the answer and its counters if it was drawn. `shared` goes to the first.
+    /// Makes each plan's images of the answer; `shared` goes to the first.
     fn hand_over(
         &self,
         plans: &[FramePlan],
         answer: &[u8],
         images: &mut Images,
         mut shared: Stats,
-        each: &mut dyn FnMut(&mut Images, Stats, Option<(usize, Counters)>),
+        each: &mut HandOver<'_>,
     ) -> Result<()> {
         let mut number = 0;
         for plan in plans {

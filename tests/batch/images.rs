@@ -130,7 +130,7 @@ fn the_gpu_engine_makes_its_single_predictions() {
     for preset in ["laser-range-camera", "vlp-16"] {
         let sensor = super::noisy(&presight::preset(preset).unwrap(), noise);
         let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses[1]);
-        let sensed = presight::batch::Sensed::new(&sensor, range, Default::default()).unwrap();
+        let sensed = presight::batch::RangeLikelihood::new(&sensor, range, Default::default()).unwrap();
         for chunk in [None, Some(3)] {
             let request = BatchRequest {
                 images: Some((&asked).into()),
@@ -174,7 +174,7 @@ fn gpu_likelihoods_differ_by_beams_at_edges() {
     let mut cpu = predictor(2);
     let sensed = super::single(&mut cpu, &world, &sensor, &poses(1)[0]).0;
     let weigh = |sensed: &[f32], (range, cos): &(Vec<f32>, Vec<f32>)| {
-        let sensed = presight::batch::Sensed::new(&sensor, sensed.to_vec(), Default::default()).unwrap();
+        let sensed = presight::batch::RangeLikelihood::new(&sensor, sensed.to_vec(), Default::default()).unwrap();
         sensed.log_likelihood(range, cos)
     };
     let mut edges = 0;
