@@ -23,8 +23,8 @@ mod thinning;
 use crate::deadline::{DeadlineOutcome, Watch};
 use crate::error::{Error, Result};
 use crate::memory::{self, FrameMemory};
-use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
-use crate::sensor::{LineAxis, Part, PixelGrid};
+use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats};
+use crate::sensor::{ImagePart, LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
@@ -100,17 +100,17 @@ impl CpuEngine {
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let thinned = match plan.part {
             Some(part) => Some(part),
-            None => self.draw(plan, images, stats)?.map(|stride| Part { stride, ..plan.sensor.whole() }),
+            None => self.draw(plan, images, stats)?.map(|stride| ImagePart { stride, ..plan.sensor.whole() }),
         };
         thinned.map_or(Ok(()), |part| self.draw_part(plan, part, images, stats))
     }
 
     /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
-    fn draw_part(&mut self, plan: &FramePlan, part: Part, images: &mut Images, stats: &mut Stats) -> Result<()> {
+    fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let elapsed = || plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
         let (mut of_part, mut since) = (std::mem::take(&mut self.part), elapsed());
         let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
-        let part = Part { stride: stride.unwrap_or(part.stride), ..part };
+        let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
         if stride.is_some() {
             since = elapsed();
             self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
@@ -126,7 +126,7 @@ impl CpuEngine {
     /// the deadline.
     fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
-        stats.engine = "cpu".into();
+        stats.engine = "cpu";
         stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
@@ -141,9 +141,9 @@ impl CpuEngine {
         // Beyond a radius there may be something.
         if plan.polygon_count == 0 && plan.radius.is_none() {
             images.show_nothing(plan.sensor.grid());
-            plan.finish_noting(images, stats);
-            stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
-            stats.count("polygons selected", 0);
+            plan.finish_noting(images, stats)?;
+            stats.leave_out(StageName::SetupAndRasterization, NOTHING_IN_VIEW);
+            stats.count(CountName::PolygonsSelected, 0);
             let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
             stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
             return Ok(None);
@@ -164,12 +164,12 @@ impl CpuEngine {
                 Drawn::All(used) => used,
                 Drawn::Thinned(stride) => return Some(stride),
             };
-            stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
-            stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
+            stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
             None
         });
         if stride.is_none() {
-            plan.finish_noting(images, stats);
+            plan.finish_noting(images, stats)?;
         }
         Ok(stride)
     }
@@ -243,7 +243,7 @@ fn draw_waves(
         if waves == 0 {
             let stride = progress.begin_wave(batches, beyond, times[0] + times[1]);
             if stride > 1 {
-                stats.stages_ms.push(("setup".to_owned(), (times[0] + times[1]).as_secs_f64() * 1e3));
+                stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
                 return Drawn::Thinned(stride);
             }
         }
@@ -266,10 +266,10 @@ fn draw_waves(
         }
     }
     tell_stages(times, waves, stats);
-    stats.count("polygons selected", plan.polygon_count);
-    stats.count("runs selected", plan.runs.len());
-    stats.count("runs hidden", hidden);
-    stats.count("waves", waves);
+    stats.count(CountName::PolygonsSelected, plan.polygon_count);
+    stats.count(CountName::RunsSelected, plan.runs.len());
+    stats.count(CountName::RunsHidden, hidden);
+    stats.count(CountName::Waves, waves);
     progress.tell(stats);
     Drawn::All(used)
 }
@@ -278,12 +278,12 @@ fn draw_waves(
 fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
-        stats.stages_ms.push(("hidden".to_owned(), hiding));
+        stats.stages_ms.push((StageName::Hidden, hiding));
     } else {
-        stats.leave_out("hidden", "the polygons are drawn in one wave");
+        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
     }
-    stats.stages_ms.push(("setup".to_owned(), if waves > 1 { setting_up } else { hiding + setting_up }));
-    stats.stages_ms.push(("rasterization".to_owned(), drawing));
+    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push((StageName::Rasterization, drawing));
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time

@@ -7,8 +7,8 @@
 use super::batch::Batch;
 use super::{FIRST_WAVE, thinning};
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Watch, Wave};
-use crate::plan::{FramePlan, Stats};
-use crate::sensor::Part;
+use crate::plan::{CountName, FramePlan, Stats};
+use crate::sensor::ImagePart;
 use std::time::Duration;
 
 /// Least size of a wave, which the time left may ask for.
@@ -106,9 +106,9 @@ impl<'a> FrameProgress<'a> {
     /// Tells counts and, with a deadline, what was given up.
     pub fn tell(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
-        stats.count("samples tested", sum(|band| band.tested) as usize);
+        stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
         let Some(watch) = &self.plan.watch else { return };
-        stats.count("samples written", sum(|band| band.written) as usize);
+        stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);
         let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / stats.threads.max(1) as u32;
         let drawn = self.stopped_at.unwrap_or_else(|| watch.elapsed().saturating_sub(resolving));
         let drawn_ms = drawn.as_secs_f64() * 1e3;
@@ -124,7 +124,7 @@ impl<'a> FrameProgress<'a> {
 }
 
 /// Tells that a part of the image was drawn since some time after the call, and that so many rays were not.
-pub(super) fn tell_part(plan: &FramePlan, (part, since): (&Part, Duration), left_out: u64, stats: &mut Stats) {
+pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration), left_out: u64, stats: &mut Stats) {
     let kept = stats.deadline.get_or_insert_default();
     if left_out == 0 {
         return;

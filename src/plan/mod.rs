@@ -1,16 +1,20 @@
 //! The frame plan: what one prediction has to do. It is made before any engine starts and knows no engine.
 
-mod echo;
+mod derived;
 mod images;
+mod names;
+mod output;
 mod polygons;
 mod request;
 mod stats;
 mod view;
 
-pub use images::Images;
+pub use images::{Images, Samples, SamplesMut};
+pub use names::{CountName, Part, StageName};
+pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
-pub use request::{IdScheme, ImageRequest, Output, Outputs};
-pub use stats::{EDGE_ON, StageRow, StageVariant, Stats, Work};
+pub use request::{IdScheme, ImageRequest};
+pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
 
 use crate::deadline::Watch;
@@ -18,9 +22,10 @@ use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::{ObjectRun, QueryResult, Region};
-use crate::sensor::{Part, PixelGrid, Sensor};
+use crate::sensor::{ImagePart, PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -97,15 +102,6 @@ impl Run {
 /// Why engines have nothing to do.
 pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
-/// A stage or image that this prediction does not need, and why.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Omission {
-    /// What is left out.
-    pub what: String,
-    /// Why it is not needed.
-    pub why: String,
-}
-
 /// What a material is to the sensor's class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facing {
@@ -145,7 +141,7 @@ pub struct FramePlan {
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
     pub(crate) radius: Option<f32>,
     /// The part of the image that is drawn, if it is not all of it.
-    pub(crate) part: Option<Part>,
+    pub(crate) part: Option<ImagePart>,
     /// What drawing takes, if that is known: the image may be thinned by it.
     pub(crate) pace: Option<Pace>,
     /// Scratch memory, kept from frame to frame.
@@ -242,7 +238,7 @@ impl FramePlan {
     }
 
     /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
-    pub(crate) fn narrow(&mut self, part: Part) -> Result<()> {
+    pub(crate) fn narrow(&mut self, part: ImagePart) -> Result<()> {
         let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
         let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
         self.fill(&region);
@@ -256,7 +252,7 @@ impl FramePlan {
     }
 
     /// The same of a part of the image.
-    pub(crate) fn of_part(&self, part: Part) -> Result<Self> {
+    pub(crate) fn of_part(&self, part: ImagePart) -> Result<Self> {
         let mut watch = self.watch.clone();
         if let (Some(watch), Some(pace)) = (&mut watch, &self.pace) {
             watch.stop_later(Duration::from_secs_f64(pace.saved(part.stride)));
@@ -293,7 +289,7 @@ impl FramePlan {
         if let Some(part) = narrow {
             self.narrow(part)?;
         }
-        self.part = Some(Part { stride, ..self.part.unwrap_or(self.sensor.whole()) });
+        self.part = Some(ImagePart { stride, ..self.part.unwrap_or(self.sensor.whole()) });
         Ok(())
     }
 
@@ -389,19 +385,16 @@ impl FramePlan {
     /// What this prediction does not need, and why.
     pub fn left_out(&self) -> Vec<Omission> {
         let mut all = Vec::new();
-        let mut add = |what: String, why: String| all.push(Omission { what, why });
+        let mut add = |what: Part, why: Cow<'static, str>| all.push(Omission { what, why });
         if self.objects_out_of_view > 0 {
-            add(format!("{} objects", self.objects_out_of_view), "out of view or reach".into());
+            add(Part::Objects(self.objects_out_of_view), "out of view or reach".into());
         }
         if self.polygons_out_of_view > 0 {
-            add(
-                format!("{} polygons of objects in view", self.polygons_out_of_view),
-                "their run is out of view or reach".into(),
-            );
+            add(Part::Polygons(self.polygons_out_of_view), "their run is out of view or reach".into());
         }
         if self.objects_not_opaque > 0 {
             let why = format!("not opaque to class {:?}", self.sensor.spec().class);
-            add(format!("{} objects", self.objects_not_opaque), why);
+            add(Part::Objects(self.objects_not_opaque), why.into());
         }
         for (what, taken, why) in self.variants() {
             if !taken {
@@ -411,21 +404,21 @@ impl FramePlan {
         let drawn = self.drawn();
         for output in Output::ALL {
             if !self.request.outputs.has(output) && !drawn.has(output) {
-                add(format!("{} image", output.name()), "not asked for".into());
+                add(Part::Image(output), "not asked for".into());
             }
         }
         all
     }
 
     /// Variants of stages that cost extra: the name, whether this prediction uses it, and why.
-    pub fn variants(&self) -> [(&'static str, bool, &'static str); 3] {
+    pub fn variants(&self) -> [(StageName, bool, &'static str); 3] {
         let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
         let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
         let mixed = !self.instances.iter().all(|i| i.plain);
         let by_material = self.reflects_by_material();
         [
             choose(
-                "ray table",
+                StageName::RayTable,
                 by_rays,
                 [
                     "no lens distortion and no listed rays: spans are in closed form",
@@ -433,7 +426,7 @@ impl FramePlan {
                 ],
             ),
             choose(
-                "material test per polygon",
+                StageName::MaterialTest,
                 mixed,
                 [
                     "everything selected is opaque to this class and two-sided",
@@ -441,7 +434,7 @@ impl FramePlan {
                 ],
             ),
             choose(
-                "reflection factor per pixel",
+                StageName::ReflectionFactor,
                 by_material,
                 ["no echo is asked for, or all materials have one factor", "an echo is asked for, and factors differ"],
             ),

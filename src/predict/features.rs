@@ -12,7 +12,7 @@ use crate::features::{
 };
 use crate::geometry::Pose;
 use crate::placement;
-use crate::plan::{Images, Output, Stats};
+use crate::plan::{CountName, Images, Output, StageName, Stats};
 use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use crate::sensor::Sensor;
@@ -82,7 +82,7 @@ impl Predictor {
         };
         tell_lost(&placed.lost, &sensor.spec().class, stats);
         if regions.is_none() {
-            stats.leave_out("regions of interest", "nothing that is asked for shows them");
+            stats.leave_out(StageName::RegionsOfInterest, "nothing that is asked for shows them");
         }
         Ok(features)
     }
@@ -97,7 +97,7 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
         if placed.is_empty() {
-            stats.leave_out("features", "there is none for this class");
+            stats.leave_out(StageName::Features, "there is none for this class");
         }
         let mut start = Instant::now();
         let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, settings)?;
@@ -109,12 +109,12 @@ impl Predictor {
             Visibility::Image => self.query_occlusion(&prepared, seen_from.1, placed, stats)?,
         };
         if hints.is_some() {
-            stats.stage("features on the device", start);
+            stats.stage(StageName::FeaturesOnDevice, start);
             start = Instant::now();
         }
-        self.tell_of_software("features on the device", stats);
+        self.tell_of_software(StageName::FeaturesOnDevice, stats);
         let prediction = self.on_threads(|| prepared.finish(hints.as_deref()))?;
-        stats.stage("features", start);
+        stats.stage(StageName::Features, start);
         for (name, n) in prediction.stats.counts() {
             stats.count(name, n);
         }
@@ -131,15 +131,15 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<()> {
         if prediction.features.is_empty() {
-            stats.leave_out("regions of interest", "there is no feature");
+            stats.leave_out(StageName::RegionsOfInterest, "there is no feature");
             return Ok(());
         }
         let start = Instant::now();
         match self.boxes(prediction, placed, seen_from, options, stats)? {
-            Some(made) => stats.count("regions of interest made on the device", made),
-            None => self.tell_of_software("regions of interest on the device", stats),
+            Some(made) => stats.count(CountName::RegionsOnDevice, made),
+            None => self.tell_of_software(StageName::RegionsOnDevice, stats),
         }
-        stats.stage("regions of interest", start);
+        stats.stage(StageName::RegionsOfInterest, start);
         Ok(())
     }
 
@@ -174,7 +174,7 @@ impl Predictor {
     }
 
     /// Records that a stage stays on the CPU because the adapter is software.
-    fn tell_of_software(&mut self, stage: &str, stats: &mut Stats) {
+    fn tell_of_software(&mut self, stage: StageName, stats: &mut Stats) {
         if self.engine.device().is_some_and(|device| !device.takes_features()) {
             stats.leave_out(stage, "done on the CPU: the adapter is a program on its own cores");
         }
@@ -194,7 +194,7 @@ impl Predictor {
         }
         let samples = self.on_threads(|| prepared.query_samples())?;
         if samples.iter().all(Vec::is_empty) {
-            stats.leave_out("features on the device", "no sample is where only what is in between decides");
+            stats.leave_out(StageName::FeaturesOnDevice, "no sample is where only what is in between decides");
             return Ok(None);
         }
         let Some(device) = self.engine.device() else { return Ok(None) };
@@ -207,7 +207,7 @@ impl Predictor {
         };
         stats.work.add(device.work().since(before));
         let doubtful = hints.iter().filter(|hint| **hint == OcclusionHint::Doubt).count();
-        stats.count("feature samples in doubt on the device", doubtful);
+        stats.count(CountName::FeatureSamplesInDoubt, doubtful);
         let mut slots = hints.iter().map(|hint| match hint {
             OcclusionHint::Hidden(slot) => Some(*slot),
             _ => None,
@@ -273,7 +273,7 @@ fn tell_lost(lost: &[u32], class: &str, stats: &mut Stats) {
     if lost.is_empty() {
         return;
     }
-    stats.count("features off their polygons", lost.len());
+    stats.count(CountName::FeaturesOffPolygons, lost.len());
     let mut ids: Vec<String> = lost.iter().take(LISTED).map(u32::to_string).collect();
     ids.extend((lost.len() > LISTED).then(|| "..".to_owned()));
     let (count, ids) = (lost.len(), ids.join(", "));

@@ -56,7 +56,7 @@ impl Predictor {
         timed.found = found.features.len() as u64;
         timed.left_out = order[found.features.len()..].iter().map(|i| all[*i].feature.id).collect();
         timed.left_out.sort_unstable();
-        stats.stage("features", start);
+        stats.stage(crate::plan::StageName::Features, start);
         for (name, n) in found.stats.counts() {
             stats.count(name, n);
         }

@@ -11,7 +11,7 @@ use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, StageName, Stats};
 use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use crate::row::RowCuts;
@@ -340,15 +340,15 @@ impl Predictor {
         let start = Instant::now();
         let buffers = std::mem::take(&mut self.buffers);
         let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
-        let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
-        stats.stage("selection", start);
+        let mut stats = Stats { index: world.index().scheme().name(), ..Stats::default() };
+        stats.stage(StageName::Selection, start);
         if let Some(timed) = &mut timed {
             self.controller.plan(timed, &mut plan)?;
         }
         let rendered = self.render(&plan, images, &mut stats);
         let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
         stats.left_out.extend(by_engine);
-        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
+        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
         stats.notices.extend(self.notice.clone());
         self.buffers = plan.into_buffers();
         rendered?;

@@ -1,6 +1,6 @@
 //! The rays of a sensor as engines use them: straight lines of samples where the geometry allows, a table with tiles otherwise.
 
-use super::part::Part;
+use super::part::ImagePart;
 use super::ray_grid::RayGrid;
 use glam::{DMat3, DVec3};
 use pulp::Simd;
@@ -95,7 +95,7 @@ impl LineGrid {
     }
 
     /// Some of its lines and samples, with their numbers.
-    pub(super) fn part(&self, part: &Part) -> Self {
+    pub(super) fn part(&self, part: &ImagePart) -> Self {
         let step = part.stride as usize;
         let columns = part.first_column as usize..part.end_column as usize;
         let (lines, samples) = match self.axis {

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 
 /// Which pixels of an image belong to a part: columns `first_column + i stride` before `end_column`, rows `i stride`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Part {
+pub(crate) struct ImagePart {
     /// First column.
     pub first_column: u32,
     /// The column after the last one.
@@ -23,7 +23,7 @@ const LARGEST_STRIDE: u32 = STRIDES[STRIDES.len() - 1];
 /// Parts of all columns by stride, made when they are first asked for.
 pub(super) type Thinned = [OnceLock<Sensor>; STRIDES.len()];
 
-impl Part {
+impl ImagePart {
     /// Columns of the part.
     pub fn width(&self) -> u32 {
         (self.end_column - self.first_column).div_ceil(self.stride)
@@ -42,8 +42,8 @@ impl Part {
 
 impl Sensor {
     /// All columns and rows.
-    pub(crate) fn whole(&self) -> Part {
-        Part { first_column: 0, end_column: self.width(), stride: 1 }
+    pub(crate) fn whole(&self) -> ImagePart {
+        ImagePart { first_column: 0, end_column: self.width(), stride: 1 }
     }
 
     /// The sensor that has a part of this one's rays, to the bit. Its specification is still that of the whole: rays come from
@@ -51,7 +51,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
-    pub(crate) fn part(&self, part: Part) -> Result<Self> {
+    pub(crate) fn part(&self, part: ImagePart) -> Result<Self> {
         let is_whole = part.first_column == 0 && part.end_column == self.width();
         let slot = STRIDES.iter().position(|stride| *stride == part.stride).filter(|_| is_whole);
         if let Some(made) = slot.and_then(|slot| self.0.thinned[slot].get()) {
@@ -61,7 +61,7 @@ impl Sensor {
         Ok(slot.map_or(made.clone(), |slot| self.0.thinned[slot].get_or_init(|| made).clone()))
     }
 
-    fn make_part(&self, part: Part) -> Result<Self> {
+    fn make_part(&self, part: ImagePart) -> Result<Self> {
         let (width, height) = (part.width(), part.height(self.height()));
         let grid = match self.grid() {
             PixelGrid::Lines(grid) => PixelGrid::Lines(grid.part(&part)),
@@ -87,7 +87,7 @@ impl Sensor {
 
     /// So many columns around a heading (radians from the forward axis, counter-clockwise), from a multiple of the largest stride on;
     /// `None` of sensors whose columns have no order, and if it is all of them.
-    pub(crate) fn columns_around(&self, heading: f64, columns: u32) -> Option<Part> {
+    pub(crate) fn columns_around(&self, heading: f64, columns: u32) -> Option<ImagePart> {
         if columns >= self.width() || matches!(self.spec().geometry, Geometry::Rays(_)) {
             return None;
         }
@@ -99,7 +99,7 @@ impl Sensor {
         let (_, middle) = offs.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let first = middle.saturating_sub(columns / 2).min(self.width() - columns);
         let first_column = first / LARGEST_STRIDE * LARGEST_STRIDE;
-        Some(Part { first_column, end_column: first + columns, stride: 1 })
+        Some(ImagePart { first_column, end_column: first + columns, stride: 1 })
     }
 
     /// Radians from the forward axis to a column at half the height of the image, counter-clockwise.
@@ -109,7 +109,7 @@ impl Sensor {
     }
 
     /// The heading of a part's columns, counter-clockwise from the forward axis, and their opening, degrees seen from above.
-    pub(crate) fn opening_of(&self, part: &Part) -> [f64; 2] {
+    pub(crate) fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
         let azimuths: Vec<f64> =
             (part.first_column..part.end_column).filter_map(|column| self.azimuth_of(column)).collect();
         let turned = |from: f64, to: f64| {

@@ -11,7 +11,7 @@ use presight::io::series::SeriesProgress;
 use presight::io::templates::Names;
 use presight::io::{exr, sensor_toml};
 use presight::memory;
-use presight::plan::Output;
+use presight::plan::{Output, SampleKind};
 use presight::sensor::Sensor;
 use presight::{Error, Result};
 use presight::{Prediction, Predictor, Request, Scene, blake3_of};
@@ -120,11 +120,11 @@ impl Series<'_> {
         let until = progress.written().filter(|_| progress.finished() > 0);
         let mut kept = true;
         for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {
-            let (rows, columns) = (setup.sensor.height() as usize, setup.sensor.width() as usize);
             for (output, path) in self.paths(&setup.sensor, 0)?.npy {
-                let descr = if is_id(output) { "<u4" } else { "<f4" };
-                let shape = [self.poses.len(), rows, columns];
-                let (stack, goes_on) = Stack::open(&path, shape, descr, until)?;
+                let descr = if output.info().kind == SampleKind::Id { "<u4" } else { "<f4" };
+                let image = npy::image_shape(setup.sensor.width(), setup.sensor.height(), output);
+                let shape = [vec![self.poses.len()], image].concat();
+                let (stack, goes_on) = Stack::open(&path, &shape, descr, until)?;
                 kept &= goes_on;
                 setup.stacks.push((output, stack));
             }
@@ -232,8 +232,4 @@ impl Series<'_> {
         let summary = Summary::of(self.scene, prediction);
         print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
     }
-}
-
-fn is_id(output: Output) -> bool {
-    matches!(output, Output::PolygonId | Output::ObjectId | Output::FeatureId)
 }

@@ -10,7 +10,7 @@ mod features;
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
 use crate::deadline::{Clock, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Outputs, Pace, Run, Stats};
+use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
 use crate::sensor::Sensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -284,13 +284,13 @@ fn counts_of(runs: &[Run]) -> WorkCounts {
 
 /// What a frame did, by its statistics.
 fn finished(stats: &Stats, timed: &DeadlineFrame) -> WorkCounts {
-    let of = |name: &str| stats.counts.iter().find(|(n, _)| n == name).map_or(0, |(_, n)| *n);
+    let of = |name| stats.count_of(name).unwrap_or(0);
     WorkCounts {
-        runs: of("runs selected"),
-        polygons: of("polygons set up"),
-        waves: of("waves"),
-        samples_tested: of("samples tested"),
-        samples_written: of("samples written"),
+        runs: of(CountName::RunsSelected),
+        polygons: of(CountName::PolygonsSetUp),
+        waves: of(CountName::Waves),
+        samples_tested: of(CountName::SamplesTested),
+        samples_written: of(CountName::SamplesWritten),
         pixels_resolved: timed.pixels * timed.images,
         ..WorkCounts::default()
     }

@@ -105,8 +105,8 @@ impl Replay {
             deadline: Some(DeadlineOutcome { drawn_ms, given_up, ..DeadlineOutcome::default() }),
             ..Stats::default()
         };
-        stats.count("runs selected", plan.runs.len());
-        stats.count("polygons set up", 10 * drawn);
+        stats.count(CountName::RunsSelected, plan.runs.len());
+        stats.count(CountName::PolygonsSetUp, 10 * drawn);
         self.controller.end(&timed, &mut stats);
         let took_us = watch.elapsed().as_secs_f64() * 1e6;
         let columns = plan.part.map(|part| (part.first_column, part.end_column));
