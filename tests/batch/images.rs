@@ -65,7 +65,7 @@ fn statistics_are_there_if_asked_for() {
         let mut predictor = predictor(2);
         for item in predictor.batch(&world, &sensor, poses(3), &request).unwrap() {
             let item = item.unwrap();
-            assert_eq!(item.stats.as_ref().map(|s| s.engine.as_str()), statistics.then_some("cpu"));
+            assert_eq!(item.stats.as_ref().map(|s| s.engine), statistics.then_some("cpu"));
             assert!(item.images.range.is_empty() && item.log_likelihood.is_none());
         }
     }
