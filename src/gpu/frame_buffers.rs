@@ -163,7 +163,7 @@ impl FrameBuffers {
     /// A compute pass that notes its times, if the frame is alone.
     pub fn pass(&self, stage: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
         wgpu::ComputePassDescriptor {
-            label: Some(NAMES[stage as usize]),
+            label: Some(NAMES[stage as usize].name()),
             timestamp_writes: self.times.as_ref().filter(|_| !frame.in_company).map(|(query_set, _)| {
                 wgpu::ComputePassTimestampWrites {
                     query_set,

@@ -7,7 +7,7 @@ use super::stages::Variants;
 use super::uploads::FrameUploads;
 use super::{GpuEngine, counters_of};
 use crate::error::{ErrorKind, Result};
-use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, Stats, Work};
+use crate::plan::{FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Work};
 use std::time::Instant;
 
 /// Bytes of answers of a submission.
@@ -59,7 +59,7 @@ impl GpuEngine {
             return self.hand_over(plans, &[], images, shared, &mut |images, stats, _| each(images, stats));
         }
         let (variants, reruns) = self.draw(drawn.len(), bytes)?;
-        shared.stage("device", start);
+        shared.stage(StageName::Device, start);
         let buffer = self.store.readback.buffer().clone();
         let view = buffer.get_mapped_range(0..bytes);
         let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
@@ -90,7 +90,7 @@ impl GpuEngine {
         let mut number = 0;
         for plan in plans {
             let mut stats = std::mem::take(&mut shared);
-            stats.engine = "gpu".into();
+            stats.engine = "gpu";
             stats.adapter = Some(self.gpu.adapter.to_string());
             images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             let mut drawn = None;
@@ -100,9 +100,9 @@ impl GpuEngine {
                 number += 1;
             } else {
                 images.show_nothing(plan.sensor.grid());
-                stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
+                stats.leave_out(StageName::DrawingOnDevice, NOTHING_IN_VIEW);
             }
-            plan.finish_noting(images, &mut stats);
+            plan.finish_noting(images, &mut stats)?;
             each(images, stats, drawn);
         }
         Ok(())
