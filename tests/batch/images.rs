@@ -147,7 +147,7 @@ fn the_gpu_engine_makes_its_single_predictions() {
                 assert_eq!((item.index, item.log_likelihood), (i, Some(truth)));
                 let stats = item.stats.unwrap();
                 let without_reruns = |stats: &presight::Stats| {
-                    let counts = stats.counts.iter().filter(|(name, _)| *name != presight::CountName::Reruns);
+                    let counts = stats.counts.iter().filter(|(name, _)| *name != presight::plan::CountName::Reruns);
                     counts.cloned().collect::<Vec<_>>()
                 };
                 assert_eq!(stats.engine, "gpu");
