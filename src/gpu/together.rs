@@ -90,7 +90,7 @@ impl GpuEngine {
         let mut number = 0;
         for plan in plans {
             let mut stats = std::mem::take(&mut shared);
-            stats.engine = "gpu".into();
+            stats.engine = "gpu";
             stats.adapter = Some(self.gpu.adapter.to_string());
             images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             let mut drawn = None;

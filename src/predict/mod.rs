@@ -447,7 +447,7 @@ impl Predictor {
 fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
     stats.left_out.extend(by_engine);
-    plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
+    plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
     stats.notices.extend(notice.cloned());
 }
 
