@@ -6,9 +6,11 @@
 
 mod headings;
 mod likelihood;
+mod panoramas;
 
 pub use headings::Headings;
 pub use likelihood::Sensed;
+pub use panoramas::Panoramas;
 
 use crate::engine::Engine;
 use crate::error::{Error, Result};

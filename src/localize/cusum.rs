@@ -2,12 +2,13 @@
 
 use std::fmt;
 
-/// Drops by this many standard deviations are looked for: half of the shift that the test is fastest for.
-const SLACK: f64 = 1.0;
+/// Half of the shift that the test is fastest for, in standard deviations. What is explained changes along the way by one or
+/// two of these, as places differ in what the model leaves out; at a wrong place it halves.
+const SLACK: f64 = 2.5;
 /// A frame counts for no more than so many standard deviations, so that no single one decides.
-const MOST: f64 = 4.0;
+const MOST: f64 = 3.75;
 /// Least standard deviation of a share.
-const LEAST_SIGMA: f64 = 0.02;
+const LEAST_SIGMA: f64 = 0.08;
 /// A mean forgets by this part a frame.
 const FORGET: f64 = 0.05;
 
@@ -66,7 +67,7 @@ impl Cusum {
             self.mean += gain * off;
             self.variance = (1.0 - gain) * (self.variance + gain * off * off);
             if self.count == 1.0 {
-                self.variance = (5.0 * LEAST_SIGMA).powi(2);
+                self.variance = (2.0 * LEAST_SIGMA).powi(2);
             }
         }
         false

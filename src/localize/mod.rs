@@ -1,27 +1,71 @@
 //! Where the robot is, from frame to frame: a state machine around the estimator.
 //!
-//! A [`Localizer`] starts at a pose that is known about. Each frame moves the belief by odometry, or on with the motion of the frame before,
+//! A [`Localizer`] starts at a pose that is known about, or without one: a [`Search`] weighs a scan at all headings of all free
+//! places, and the best places are carried on until one of them leads and explains enough. Each frame moves the belief by odometry, or on with the motion of the frame before,
 //! and updates it with one estimate. It says [`Phase::Lost`] with its reason instead of a pose that it does not know, and looks
-//! around the last pose it knew until several frames in a row agree.
+//! around the last pose it knew, or in the whole map, until several frames in a row agree.
+//!
+//! # Examples
+//! A scanner that nothing is known of, in a room of which no two places look alike:
+//! ```
+//! use presight::estimate::{EstimateOptions, Estimator};
+//! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+//! use presight::simulate::{Disturbances, Simulator};
+//! use presight::{Material, Mesh, NewObject, Noise, Options, Polygon, PolygonOrder, Pose, Predictor, Sensor, World};
+//! use glam::{DVec3, Vec3};
+//! use std::sync::Arc;
+//!
+//! let mut environment = presight::Environment::new();
+//! let paint = environment.add_material(Material::named("paint"))?;
+//! let corners = [[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [3.0, 2.5], [2.0, 4.0], [0.0, 3.0]];
+//! for (k, (a, b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
+//!     let wall = [[a[0], a[1], 0.0], [b[0], b[1], 0.0], [b[0], b[1], 2.0], [a[0], a[1], 2.0]].map(Vec3::from);
+//!     let name = format!("wall {k}");
+//!     let mesh = Mesh::new(&name, wall.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
+//!     environment.insert(NewObject::new(&name, Pose::IDENTITY, Arc::new(mesh)))?;
+//! }
+//! let world = World::new(environment);
+//! let mut spec = presight::preset("laser-scanner")?.spec().clone();
+//! (spec.range_max, spec.mount.translation.z, spec.noise) = (10.0, 1.0, Noise { range_sigma: 0.02, ..Noise::default() });
+//! let scanner = Sensor::new(spec)?;
+//!
+//! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
+//! let coarse = SearchOptions { headings: 72, candidates: 10, ..SearchOptions::default() };
+//! let search = Search::new(&mut estimator, &world, &scanner, coarse)?;
+//! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
+//! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
+//! for k in 0..5 {
+//!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
+//!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
+//!     // One scan is not enough; the fifth is.
+//!     assert_eq!(step.phase, if k < 4 { Phase::Candidates } else { Phase::Tracking }, "{}", step.reason);
+//!     assert!((step.pose.translation - truth.translation).length() < 0.05);
+//! }
+//! # Ok::<(), presight::Error>(())
+//! ```
 
 mod cusum;
+mod search;
+mod unknown;
 
 pub use cusum::Cusum;
+pub use search::{Candidate, Search, SearchOptions};
 
 use crate::error::{Error, Result};
 use crate::estimate::{Estimate, Estimator, Prior, State};
-use crate::frame::Frame;
+use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
 use crate::motion::{add_to, sandwich, turn};
+use crate::sensor::Sensor;
 use crate::virtual_sensors::symmetric::Matrix;
 use crate::world::World;
 
 /// What a localizer knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Not where the robot is; it looks around where it was last.
+    /// Not where the robot is; it is looked for in the whole map, or without a [`Search`] around where it was last.
     Unknown,
-    /// A pose explains a frame; the next ones have to agree.
+    /// One pose or several explain a frame; the next ones have to agree, and to tell which.
     Candidates,
     /// Where the robot is.
     Tracking,
@@ -56,6 +100,15 @@ pub struct Step {
     pub covariance: Matrix,
     /// What the estimator said of the frame.
     pub estimate: Estimate,
+    /// Where the robot may be after an unknown start, the likeliest first. Empty while one pose is followed.
+    pub candidates: Vec<Candidate>,
+}
+
+impl Step {
+    /// True if one pose is followed: it was given at the start, or it was found.
+    pub fn is_known(&self) -> bool {
+        self.phase == Phase::Tracking || (self.phase == Phase::Candidates && self.candidates.is_empty())
+    }
 }
 
 /// How a [`Localizer`] works.
@@ -73,6 +126,14 @@ pub struct LocalizeOptions {
     pub agreeing: usize,
     /// Mean number of frames between false alarms of being lost.
     pub frames_per_false_alarm: f64,
+    /// After an unknown start: by how much the likeliest candidate has to lead, natural logarithm of the odds.
+    pub lead: f64,
+    /// Likewise: the share of the measured points that it has to explain, in the mean over the frames.
+    pub least_found: f64,
+    /// Likewise: frames that it takes at least.
+    pub least_frames: usize,
+    /// Likewise: frames after which candidates that do not explain as much are given up.
+    pub patience: usize,
 }
 
 impl Default for LocalizeOptions {
@@ -84,6 +145,10 @@ impl Default for LocalizeOptions {
             search_turn: 0.3,
             agreeing: 3,
             frames_per_false_alarm: 30_000.0,
+            lead: 7.0,
+            least_found: 0.73,
+            least_frames: 5,
+            patience: 8,
         }
     }
 }
@@ -99,6 +164,8 @@ pub struct Localizer {
     agreed: usize,
     explained: Cusum,
     stamp: Option<f64>,
+    search: Option<Search>,
+    candidates: Vec<Candidate>,
 }
 
 impl Localizer {
@@ -113,7 +180,24 @@ impl Localizer {
             agreed: 0,
             explained: Cusum::new(options.frames_per_false_alarm),
             stamp: None,
+            search: None,
+            candidates: Vec::new(),
         }
+    }
+
+    /// Starts without a pose: `search` looks for the robot in the whole map.
+    pub fn unknown(estimator: Estimator, search: Search, options: LocalizeOptions) -> Self {
+        let nowhere = Prior::of_sigmas(Pose::IDENTITY, options.search, options.search_turn);
+        Self { phase: Phase::Unknown, search: Some(search), ..Self::new(estimator, nowhere, options) }
+    }
+
+    /// From now on a robot that is lost is looked for in the whole map, not only around where it was last.
+    ///
+    /// # Errors
+    /// Those of [`Search::new`].
+    pub fn search_everywhere(&mut self, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<()> {
+        self.search = Some(Search::new(&mut self.estimator, world, sensor, options)?);
+        Ok(())
     }
 
     /// What is known now.
@@ -129,9 +213,13 @@ impl Localizer {
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
         check(self.stamp, frame)?;
         let first = self.stamp.replace(frame.stamp).is_none();
+        let motion = if first { None } else { Some(self.motion_of(frame)) };
+        if self.is_searched() {
+            return self.search_on(world, frame, motion.as_ref());
+        }
         let before = self.belief.pose;
-        if !first {
-            self.move_on(frame);
+        if let Some(motion) = &motion {
+            self.belief = carried(&self.belief, motion);
         }
         let prior = match self.phase {
             Phase::Tracking | Phase::Candidates => self.belief,
@@ -148,40 +236,28 @@ impl Localizer {
             // Going on with a motion that nobody saw would only lead away.
             self.motion = Pose::IDENTITY;
         }
-        Ok(Step {
+        Ok(self.told(frame, reason, estimate))
+    }
+
+    fn told(&self, frame: &Frame, reason: String, estimate: Estimate) -> Step {
+        Step {
             stamp: frame.stamp,
             phase: self.phase,
             reason,
             pose: self.belief.pose,
             covariance: self.belief.covariance,
             estimate,
-        })
+            candidates: self.candidates.clone(),
+        }
     }
 
-    /// The belief after the motion that the frame tells, or after the last one again.
-    fn move_on(&mut self, frame: &Frame) {
-        let (motion, own) = match &frame.motion {
-            Some(m) => (m.previous_from_current, m.covariance),
-            None => {
-                let sigma = |i: usize| if i < 3 { self.options.drift } else { self.options.turn_drift };
-                (
-                    self.motion,
-                    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 })),
-                )
-            }
-        };
-        let from = self.belief.pose;
-        let to = from * motion;
-        // A rotation of the robot then moves where it is now: t + r cross (to - from).
-        let arm = to.translation - from.translation;
-        let mut lever = [[0.0; 6]; 6];
-        (0..6).for_each(|i| lever[i][i] = 1.0);
-        (lever[0][4], lever[0][5]) = (arm.z, -arm.y);
-        (lever[1][3], lever[1][5]) = (-arm.z, arm.x);
-        (lever[2][3], lever[2][4]) = (arm.y, -arm.x);
-        let mut covariance = sandwich(&lever, &self.belief.covariance);
-        add_to(&mut covariance, &sandwich(&turn(from.rotation), &own));
-        self.belief = Prior { pose: to, covariance };
+    /// The motion that the frame tells, or the last one again.
+    fn motion_of(&self, frame: &Frame) -> Motion {
+        let sigma = |i: usize| if i < 3 { self.options.drift } else { self.options.turn_drift };
+        frame.motion.unwrap_or(Motion {
+            previous_from_current: self.motion,
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 })),
+        })
     }
 
     /// The next phase, and why.
@@ -221,6 +297,22 @@ impl Localizer {
             }
         }
     }
+}
+
+/// What is known of a pose after a motion.
+fn carried(belief: &Prior, motion: &Motion) -> Prior {
+    let from = belief.pose;
+    let to = from * motion.previous_from_current;
+    // A rotation of the robot then moves where it is now: t + r cross (to - from).
+    let arm = to.translation - from.translation;
+    let mut lever = [[0.0; 6]; 6];
+    (0..6).for_each(|i| lever[i][i] = 1.0);
+    (lever[0][4], lever[0][5]) = (arm.z, -arm.y);
+    (lever[1][3], lever[1][5]) = (-arm.z, arm.x);
+    (lever[2][3], lever[2][4]) = (arm.y, -arm.x);
+    let mut covariance = sandwich(&lever, &belief.covariance);
+    add_to(&mut covariance, &sandwich(&turn(from.rotation), &motion.covariance));
+    Prior { pose: to, covariance }
 }
 
 /// At least as wide as a lost robot is looked for.

@@ -2,6 +2,7 @@
 
 mod drives;
 mod livingroom;
+mod malaga;
 mod rooms;
 mod simulated;
 mod singular;

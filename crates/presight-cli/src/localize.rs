@@ -3,28 +3,31 @@
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
 use super::{Verdict, open_scene, print};
-use presight::estimate::{EstimateOptions, Estimator, Prior};
-use presight::frame::Frame;
+use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+use presight::frame::{Frame, OdometryNoise};
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
-use presight::io::depth_folder::DepthFolder;
 use presight::io::gltf::ImportOptions;
 use presight::io::load_sensor;
-use presight::io::tum::Stamped;
-use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight::io::log::{Frames, LogFrame};
+use presight::localize::{Candidate, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
 use presight::verdict::{Verdict as Judged, Verdicts};
-use presight::{Backend, Error, Options, Pose, Predictor, Result, Threads};
+use presight::{Backend, Error, Geometry, Options, Pose, Predictor, Result, Sensor, Threads};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
-  presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum";
+  presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
+  presight localize scans.json --map corridor.glb --init 3.4,-10.2,0,0,0,-30 --out run.tum
+  presight localize scans.json --map corridor.glb --init unknown --out run.tum";
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
 ///
-/// LOG is a folder of depth images: camera.json, depth/*.png (16 bits), and optionally poses.txt. Beside FILE.tum, FILE.jsonl
-/// gets covariance, state and verdicts of every frame. A frame at which the pose is not known has no line in FILE.tum.
+/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt) or a file of ranges (a log of
+/// format 1, or a document of planar scans). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
+/// for. Beside FILE.tum, FILE.jsonl gets covariance, state and verdicts of every frame. A frame at which the pose is not known has
+/// no line in FILE.tum.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -35,7 +38,8 @@ pub struct Args {
     #[arg(long, value_name = "SCENE")]
     map: PathBuf,
 
-    /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, or `reference` for the log's own first pose
+    /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's own first pose, or
+    /// `unknown`: a level scanner is then looked for in the whole map
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
     init: String,
 
@@ -50,6 +54,19 @@ pub struct Args {
     /// The sensor, with its noise and mount [default: as the log says]
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: Option<String>,
+
+    /// How far the model's surfaces may be off, each by its own, one standard deviation, metres [default: 0.03 for a scanner of
+    /// one row, otherwise 0]
+    #[arg(long, value_name = "METRES")]
+    model_sigma: Option<f64>,
+
+    /// Height of the robot's frame where it is looked for in the whole map, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
+    floor: f64,
+
+    /// How far odometry may be off, one standard deviation: part of the way and of the turn
+    #[arg(long, value_name = "PART", default_value_t = 0.1)]
+    odometry_sigma: f64,
 
     /// Start at the first frame at or after this time, seconds
     #[arg(long, value_name = "TIME")]
@@ -80,51 +97,94 @@ pub fn run(args: &Args) -> Result<Verdict> {
     files.check_named([args.log.as_path(), args.map.as_path()])?;
     let sensor = args.sensor.as_deref().map(load_sensor).transpose()?;
     print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-    let log = DepthFolder::open(&args.log, sensor.as_ref().map(|(sensor, _)| sensor))?;
-    let start = start(args, &log)?;
+    let noise = args.odometry()?;
+    let log = Frames::open(&args.log, sensor.as_ref().map(|(sensor, _)| sensor), &noise)?;
+    let options = args.options(log.sensor())?;
+    let mut log = log.skip_while(|f| matches!(f, Ok(f) if args.from.is_some_and(|from| f.frame.stamp < from)));
+    let Some(first) = log.next().transpose()? else {
+        return Err(
+            Error::invalid("the log has no frame", "give one with frames, or an earlier --from").in_file(&args.log)
+        );
+    };
+    let start = start(args, &first)?;
+    let sensor =
+        if args.stride > 1 { first.frame.thinned(args.stride)?.sensor().clone() } else { first.frame.sensor().clone() };
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let scene = open_scene(&args.map, &import, Scheme::default())?;
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-    let estimator = Estimator::new(predictor, EstimateOptions::default());
-    let prior = Prior::of_sigmas(start, args.init_sigma, args.init_sigma_deg.to_radians());
-    let mut localizer = Localizer::new(estimator, prior, LocalizeOptions::default());
-    let reference = log.reference().to_vec();
-    let mount = log.sensor().spec().mount;
+    let mut estimator = Estimator::new(predictor, options);
+    let search = SearchOptions { floor: args.floor, ..SearchOptions::default() };
+    let mut localizer = match start {
+        Some(start) => {
+            let prior = Prior::of_sigmas(start, args.init_sigma, args.init_sigma_deg.to_radians());
+            Localizer::new(estimator, prior, LocalizeOptions::default())
+        }
+        None => {
+            let search =
+                Search::new(&mut estimator, &scene.world, &sensor, search).map_err(|e| e.at("--init unknown"))?;
+            Localizer::unknown(estimator, search, LocalizeOptions::default())
+        }
+    };
+    let mut looked = start.is_none() || options.freedom != Freedom::Planar;
     files.check_read()?;
     let mut steps = Vec::new();
-    for frame in log {
-        let frame = frame?;
-        if args.from.is_none_or(|from| frame.stamp >= from) {
-            let frame: Frame = if args.stride > 1 { frame.thinned(args.stride)? } else { frame };
-            steps.push(localizer.step(&scene.world, &frame)?);
+    for given in std::iter::once(Ok(first)).chain(log) {
+        let LogFrame { frame, reference } = given?;
+        let frame: Frame = if args.stride > 1 { frame.thinned(args.stride)? } else { frame };
+        let step = localizer.step(&scene.world, &frame)?;
+        // Panoramas of the whole map are not made before they are needed.
+        if !looked && step.phase == Phase::Lost {
+            localizer.search_everywhere(&scene.world, &sensor, search)?;
+            looked = true;
         }
+        steps.push((step, reference));
     }
     write(&args.out, &steps)?;
     write_details(&details, &steps)?;
-    print::data(&summary(&steps, &reference, mount))?;
+    print::data(&summary(&steps))?;
     Ok(Verdict::Done)
 }
 
-fn start(args: &Args, log: &DepthFolder) -> Result<Pose> {
-    if args.init == "reference" {
-        let from = args.from.unwrap_or(f64::NEG_INFINITY);
-        let first = log.reference().iter().find(|s| s.time >= from);
-        return first.map(|s| s.pose * log.sensor().spec().mount.inverse()).ok_or_else(|| {
-            Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
-        });
+/// A step, and where the robot was by the log's own account.
+type Told = (Step, Option<Pose>);
+
+impl Args {
+    fn odometry(&self) -> Result<OdometryNoise> {
+        let part = self.odometry_sigma;
+        if !(part >= 0.0 && part.is_finite()) {
+            return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite part of at least 0"));
+        }
+        Ok(OdometryNoise { way: part, turn: part, turn_on_way: 0.5 * part, ..OdometryNoise::default() })
     }
-    parse_pose(&args.init).map_err(|e| e.at(format!("--init {}", args.init)))
+
+    /// A level row tells x, y and yaw.
+    fn options(&self, sensor: &Sensor) -> Result<EstimateOptions> {
+        let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
+        let options = if row { EstimateOptions::planar() } else { EstimateOptions::default() };
+        let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
+        if !(model_sigma >= 0.0 && model_sigma.is_finite()) {
+            return Err(Error::usage(format!("--model-sigma {model_sigma}"), "give finite metres of at least 0"));
+        }
+        Ok(EstimateOptions { model_sigma, ..options })
+    }
 }
 
-fn is_known(step: &Step) -> bool {
-    matches!(step.phase, Phase::Tracking | Phase::Candidates)
+/// `None` if it is unknown.
+fn start(args: &Args, first: &LogFrame) -> Result<Option<Pose>> {
+    match args.init.as_str() {
+        "unknown" => Ok(None),
+        "reference" => first.reference.map(Some).ok_or_else(|| {
+            Error::usage("--init reference: the log has no pose there", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+        }),
+        pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
+    }
 }
 
 /// A line for each frame at which the pose is known; `{}` of an f64 has all of its digits.
-fn write(path: &Path, steps: &[Step]) -> Result<()> {
+fn write(path: &Path, steps: &[Told]) -> Result<()> {
     write_atomically(path, |file| {
-        for s in steps.iter().filter(|s| is_known(s)) {
+        for (s, _) in steps.iter().filter(|(s, _)| s.is_known()) {
             let (t, q) = (s.pose.translation, s.pose.rotation);
             writeln!(file, "{} {} {} {} {} {} {} {}", s.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
         }
@@ -132,9 +192,9 @@ fn write(path: &Path, steps: &[Step]) -> Result<()> {
     })
 }
 
-fn write_details(path: &Path, steps: &[Step]) -> Result<()> {
+fn write_details(path: &Path, steps: &[Told]) -> Result<()> {
     write_atomically(path, |file| {
-        for s in steps {
+        for (s, _) in steps {
             let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
             let counts = s.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default();
             let verdicts: serde_json::Map<String, serde_json::Value> =
@@ -144,6 +204,7 @@ fn write_details(path: &Path, steps: &[Step]) -> Result<()> {
                 "translation": s.pose.translation.to_array(), "rotation_xyzw": s.pose.rotation.to_array(),
                 "covariance": s.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
                 "predictions": s.estimate.predictions,
+                "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
             });
             writeln!(file, "{line}")?;
         }
@@ -151,20 +212,26 @@ fn write_details(path: &Path, steps: &[Step]) -> Result<()> {
     })
 }
 
+fn candidate(c: &Candidate) -> serde_json::Value {
+    serde_json::json!({
+        "translation": c.pose.translation.to_array(), "rotation_xyzw": c.pose.rotation.to_array(),
+        "log_likelihood": c.log_likelihood, "explained": c.explained, "frames": c.frames,
+    })
+}
+
 /// How many frames are known, and how far they are from the log's own poses.
-fn summary(steps: &[Step], reference: &[Stamped], mount: Pose) -> String {
-    let known: Vec<&Step> = steps.iter().filter(|s| is_known(s)).collect();
+fn summary(steps: &[Told]) -> String {
+    let known: Vec<&Told> = steps.iter().filter(|(s, _)| s.is_known()).collect();
     let mut text = format!("{} of {} frames have a pose\n", known.len(), steps.len());
-    for pair in steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase) {
-        text += &format!("{}: {}: {}\n", pair[1].stamp, pair[1].phase.name(), pair[1].reason);
+    for pair in steps.windows(2).filter(|pair| pair[0].0.phase != pair[1].0.phase) {
+        let step = &pair[1].0;
+        text += &format!("{}: {}: {}\n", step.stamp, step.phase.name(), step.reason);
     }
-    let at = |time: f64| reference.iter().find(|r| (r.time - time).abs() < 1e-6);
     let mut off: Vec<(f64, f64)> = Vec::new();
-    for step in &known {
-        let Some(there) = at(step.stamp) else { continue };
-        let here = step.pose * mount;
-        let degrees = here.rotation.angle_between(there.pose.rotation).to_degrees();
-        off.push(((here.translation - there.pose.translation).length(), degrees));
+    for (step, reference) in known {
+        let Some(there) = reference else { continue };
+        let degrees = step.pose.rotation.angle_between(there.rotation).to_degrees();
+        off.push(((step.pose.translation - there.translation).length(), degrees));
     }
     if !off.is_empty() {
         let rms = |f: fn(&(f64, f64)) -> f64| (off.iter().map(|o| f(o).powi(2)).sum::<f64>() / off.len() as f64).sqrt();
