@@ -1,7 +1,7 @@
 //! Panoramas of many places, kept, so that sensed images are weighed at all of them without predicting again.
 
-use super::headings::{Headings, Panorama, Weigher};
-use super::likelihood::Sensed;
+use super::headings::{HeadingWeights, Headings, Panorama};
+use super::likelihood::RangeLikelihood;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::memory;
@@ -65,12 +65,12 @@ impl Predictor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] if the image is of another sensor than the panoramas.
-    pub fn weigh_panoramas(&mut self, panoramas: &Panoramas, sensed: &Sensed) -> Result<Vec<f32>> {
+    pub fn weigh_panoramas(&mut self, panoramas: &Panoramas, sensed: &RangeLikelihood) -> Result<Vec<f32>> {
         if sensed.sensor() != panoramas.headings.sensor() {
             let what = "the sensed image is of another sensor than the panoramas";
             return Err(Error::usage(what, "make both from one sensor"));
         }
-        let weigher = Weigher::new(&panoramas.headings, sensed);
+        let weigher = HeadingWeights::new(&panoramas.headings, sensed);
         let beams = panoramas.beams();
         let one = |panorama: &mut Panorama, (range, cos): (&[f32], &[f32])| weigher.weigh(range, cos, panorama);
         let parts = panoramas.range.par_chunks(beams).zip(panoramas.cos_incidence.par_chunks(beams));

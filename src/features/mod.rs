@@ -2,6 +2,7 @@
 
 mod boxes;
 mod columns;
+pub mod generate;
 pub(crate) mod normal;
 mod options;
 mod place;
@@ -15,7 +16,7 @@ mod visible;
 #[doc(hidden)]
 pub use boxes::add_boxes;
 #[cfg(feature = "gpu")]
-pub(crate) use boxes::{BoxFrame, Kind as ImageKind, Room};
+pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
@@ -28,7 +29,7 @@ pub(crate) use place::place_lying;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
-pub(crate) use visible::Prepared;
+pub(crate) use visible::PreparedFeatures;
 pub use visible::{FeatureSamples, OcclusionHint, Visibility};
 #[doc(hidden)]
 pub use visible::{FeatureSettings, predict_features};

@@ -1,6 +1,6 @@
 //! Where a robot may be that nothing is known of: one scan weighed at all headings of all free places, and the best places refined.
 
-use crate::batch::{BatchRequest, Headings, Panoramas, PoseCell, Sensed};
+use crate::batch::{BatchRequest, Headings, Panoramas, PoseCell, RangeLikelihood};
 use crate::error::{Error, Result};
 use crate::estimate::{Estimate, Estimator, Freedom, Prior};
 use crate::frame::Frame;
@@ -117,7 +117,7 @@ impl Search {
     /// The best distinct places for a frame, refined, the likeliest first. None if the frame has no reading.
     ///
     /// # Errors
-    /// Those of [`Sensed::new`] and of [`Estimator::estimate`].
+    /// Those of [`RangeLikelihood::new`] and of [`Estimator::estimate`].
     pub fn candidates(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Candidate>> {
         let headings = self.panoramas.headings();
         let turn = std::f64::consts::TAU / f64::from(headings.count());
@@ -163,7 +163,7 @@ impl Search {
         estimate.verdicts.iter().map(near).sum::<usize>() as f64 / readings.max(1) as f64
     }
 
-    fn sensed(&self, frame: &Frame, cell: PoseCell) -> Result<Option<Sensed>> {
+    fn sensed(&self, frame: &Frame, cell: PoseCell) -> Result<Option<RangeLikelihood>> {
         let spec = self.scanner.spec();
         let reading = |r: &f32| match f64::from(*r) {
             z if z > spec.range_max => f32::INFINITY,
@@ -174,7 +174,7 @@ impl Search {
         if ranges.iter().all(|r| !r.is_finite()) {
             return Ok(None);
         }
-        Sensed::new(&self.scanner, ranges, cell).map(Some)
+        RangeLikelihood::new(&self.scanner, ranges, cell).map(Some)
     }
 }
 

@@ -3,7 +3,7 @@
 use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, Step, carried};
 use crate::error::Result;
-use crate::estimate::{Estimate, Prior, State};
+use crate::estimate::{Estimate, EstimateState, Prior};
 use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
 use crate::world::World;
@@ -35,7 +35,11 @@ impl Localizer {
         self.belief = Prior { pose: best.pose, covariance: best.covariance };
         let estimate = best.estimate.clone();
         let reason = self.choose(world, frame)?;
-        let state = if self.phase == Phase::Tracking { State::Determined } else { State::Undetermined(reason.clone()) };
+        let state = if self.phase == Phase::Tracking {
+            EstimateState::Determined
+        } else {
+            EstimateState::Undetermined(reason.clone())
+        };
         let step = self.told(frame, reason, Estimate { state, ..estimate });
         if self.phase == Phase::Unknown {
             self.candidates.clear();

@@ -6,19 +6,20 @@ use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, OcclusionHint,
-    PlacedFeature, PlacedFeatures, Prepared, SeenFeature, Visibility, add_boxes, predict_features, sides_seen_in_part,
+    PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, predict_features,
+    sides_seen_in_part,
 };
 use crate::geometry::Pose;
 use crate::placement;
 use crate::plan::{Images, Output, Stats};
-use crate::probe::{Probe, Task};
+use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
 use std::time::Instant;
 
 /// The features of a world's own layer, placed in one version of it.
-pub(super) struct OwnFeatures {
+pub(super) struct WorldFeatures {
     /// [`World::stamp`].
     world: u64,
     class: String,
@@ -40,7 +41,7 @@ impl Predictor {
                     return Err(Error::usage(what, "generate a layer (presight features), or give placed features"));
                 };
                 let placed = self.on_threads(|| placement::place_layer(world, layer))??;
-                self.own = Some(OwnFeatures { world: world.stamp(), class: class.clone(), placed: placed.clone() });
+                self.own = Some(WorldFeatures { world: world.stamp(), class: class.clone(), placed: placed.clone() });
                 Ok(placed)
             }
         }
@@ -59,7 +60,7 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
         let seen_from = (world, sensor, world_from_sensor);
-        let settings = FeatureSettings { is_partial: stats.given_up().is_some(), ..settings(request) };
+        let settings = FeatureSettings { is_partial: stats.degradation().is_some(), ..settings(request) };
         let mut features = self.see(seen_from, images, &placed.features, &settings, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
         tell_lost(&placed.lost, &sensor.spec().class, stats);
@@ -90,7 +91,7 @@ impl Predictor {
             stats.leave_out("features", "there is none for this class");
         }
         let mut start = Instant::now();
-        let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, settings)?;
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
@@ -174,7 +175,7 @@ impl Predictor {
     /// not there.
     fn query_occlusion(
         &mut self,
-        prepared: &Prepared<'_>,
+        prepared: &PreparedFeatures<'_>,
         sensor: &Sensor,
         placed: &[PlacedFeature],
         stats: &mut Stats,
@@ -182,7 +183,7 @@ impl Predictor {
         if !self.engine.device().is_some_and(|device| device.takes_features() && device.holds_images()) {
             return Ok(None);
         }
-        let samples = self.on_threads(|| prepared.asking())?;
+        let samples = self.on_threads(|| prepared.query_samples())?;
         if samples.iter().all(Vec::is_empty) {
             stats.leave_out("features on the device", "no sample is where only what is in between decides");
             return Ok(None);
@@ -209,7 +210,7 @@ impl Predictor {
     /// visibility needs no such proof: each answer is tested on the CPU.
     fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
         let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
-        let task = Task::of(sensor);
+        let task = SensorKind::of(sensor);
         let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
         let told = match known {
             Some(told) => told,

@@ -68,7 +68,7 @@ fn a_run_of_scans_is_tracked() {
 /// The scan of a mirrored robot in the map, which is one of the robot in a mirrored map.
 fn mirrored(frame: &Frame) -> Frame {
     let ranges = frame.ranges().iter().rev().copied().collect();
-    let mut there = Frame::new(frame.stamp, frame.sensor().clone(), Sensed::Range(ranges)).unwrap();
+    let mut there = Frame::new(frame.stamp, frame.sensor().clone(), Measurement::Range(ranges)).unwrap();
     there.motion = frame.motion.map(|m| {
         let (at, (yaw, ..)) =
             (m.previous_from_current.translation, m.previous_from_current.rotation.to_euler(glam::EulerRot::ZYX));

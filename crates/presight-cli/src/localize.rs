@@ -2,7 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
-use super::{Verdict, open_scene, print};
+use super::{CommandOutcome, open_scene, print};
 use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
 use presight::frame::{Frame, OdometryNoise};
 use presight::index::Scheme;
@@ -89,7 +89,7 @@ pub struct Args {
 ///
 /// # Errors
 /// Those of the log, the map and the sensor, of estimates, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
@@ -143,11 +143,11 @@ pub fn run(args: &Args) -> Result<Verdict> {
     write(&args.out, &steps)?;
     write_details(&details, &steps)?;
     print::data(&summary(&steps))?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// A step, and where the robot was by the log's own account.
-type Told = (Step, Option<Pose>);
+type DeviceCheck = (Step, Option<Pose>);
 
 impl Args {
     fn odometry(&self) -> Result<OdometryNoise> {
@@ -182,7 +182,7 @@ fn start(args: &Args, first: &LogFrame) -> Result<Option<Pose>> {
 }
 
 /// A line for each frame at which the pose is known; `{}` of an f64 has all of its digits.
-fn write(path: &Path, steps: &[Told]) -> Result<()> {
+fn write(path: &Path, steps: &[DeviceCheck]) -> Result<()> {
     write_atomically(path, |file| {
         for (s, _) in steps.iter().filter(|(s, _)| s.is_known()) {
             let (t, q) = (s.pose.translation, s.pose.rotation);
@@ -192,7 +192,7 @@ fn write(path: &Path, steps: &[Told]) -> Result<()> {
     })
 }
 
-fn write_details(path: &Path, steps: &[Told]) -> Result<()> {
+fn write_details(path: &Path, steps: &[DeviceCheck]) -> Result<()> {
     write_atomically(path, |file| {
         for (s, _) in steps {
             let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
@@ -220,8 +220,8 @@ fn candidate(c: &Candidate) -> serde_json::Value {
 }
 
 /// How many frames are known, and how far they are from the log's own poses.
-fn summary(steps: &[Told]) -> String {
-    let known: Vec<&Told> = steps.iter().filter(|(s, _)| s.is_known()).collect();
+fn summary(steps: &[DeviceCheck]) -> String {
+    let known: Vec<&DeviceCheck> = steps.iter().filter(|(s, _)| s.is_known()).collect();
     let mut text = format!("{} of {} frames have a pose\n", known.len(), steps.len());
     for pair in steps.windows(2).filter(|pair| pair[0].0.phase != pair[1].0.phase) {
         let step = &pair[1].0;

@@ -19,13 +19,13 @@
 //! the polygon does not cover.
 
 mod area;
-mod frame;
-mod judge;
-mod known;
-mod open;
+mod context;
+mod polygon;
 mod straight;
 mod tally;
 mod tiles;
+mod undecided;
+mod worker;
 
 use super::{FeaturePrediction, PlacedFeature, STEP};
 use crate::environment::FeatureShape;
@@ -35,11 +35,11 @@ use crate::plan::{IdScheme, Images};
 use crate::sensor::Sensor;
 use crate::threads::parallel;
 use crate::world::World;
-use frame::Frame;
+use context::VisibilityContext;
 use glam::DVec3;
-use judge::{Judge, Judged};
 use rayon::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use worker::{FeatureResult, Worker};
 
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -124,21 +124,21 @@ pub fn predict_features(
     placed: &[PlacedFeature],
     options: &FeatureSettings,
 ) -> Result<FeaturePrediction> {
-    let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
+    let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, options)?;
     parallel(|| prepared.finish(None))
 }
 
 /// Features that were checked against a world and a sensor, to be predicted.
-pub(crate) struct Prepared<'a> {
+pub(crate) struct PreparedFeatures<'a> {
     /// `None` without features: nothing is worked out for them.
-    frame: Option<Frame<'a>>,
+    frame: Option<VisibilityContext<'a>>,
     images: &'a Images,
     placed: &'a [PlacedFeature],
     feature_id: bool,
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
-pub(crate) type Asking = Vec<(DVec3, u32)>;
+pub(crate) type QuerySamples = Vec<(DVec3, u32)>;
 
 /// Samples of features on the image of a sensor, feature by feature.
 #[derive(Clone, Copy, Debug)]
@@ -162,7 +162,7 @@ pub enum OcclusionHint {
     Doubt,
 }
 
-impl<'a> Prepared<'a> {
+impl<'a> PreparedFeatures<'a> {
     /// # Errors
     /// As [`predict_features`].
     pub fn new(
@@ -176,23 +176,23 @@ impl<'a> Prepared<'a> {
         world_from_sensor.check()?;
         let frame = match placed {
             [] => None,
-            _ => Some(Frame::new(world, sensor, world_from_sensor, images, placed, options)?),
+            _ => Some(VisibilityContext::new(world, sensor, world_from_sensor, images, placed, options)?),
         };
         Ok(Self { frame, images, placed, feature_id: options.feature_id })
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
-    pub fn asking(&self) -> Vec<Asking> {
+    pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
-        let judges = Judges::new(frame);
+        let judges = WorkerPool::new(frame);
         self.placed
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, placed| awake.judge().asking(placed))
+            .map_init(|| judges.wake(), |awake, placed| awake.judge().query_samples(placed))
             .collect()
     }
 
-    /// Predicts them. `told` are, in the order of [`Prepared::asking`], the slots of what may hide the samples; otherwise
+    /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
     /// the images are asked.
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
@@ -200,13 +200,13 @@ impl<'a> Prepared<'a> {
         let mut prediction = FeaturePrediction::default();
         let mut rest = Vec::new();
         if let Some(frame) = &self.frame {
-            let judges = Judges::new(frame);
+            let judges = WorkerPool::new(frame);
             let features = self.placed.par_iter().enumerate().with_min_len(BATCH);
             let judged = features.map_init(
                 || judges.wake(),
                 |awake, (i, placed)| {
                     let told = told.map(|told| told[i].as_slice());
-                    let Judged { seen, stats, pixels } = awake.judge().feature(placed, told);
+                    let FeatureResult { seen, stats, pixels } = awake.judge().feature(placed, told);
                     (seen, (stats, pixels))
                 },
             );
@@ -231,38 +231,38 @@ impl<'a> Prepared<'a> {
 const BATCH: usize = 32;
 
 /// Workers at rest, with what they have set up: a pool may split the work into many tasks.
-struct Judges<'a> {
-    frame: &'a Frame<'a>,
-    idle: Mutex<Vec<Judge<'a>>>,
+struct WorkerPool<'a> {
+    frame: &'a VisibilityContext<'a>,
+    idle: Mutex<Vec<Worker<'a>>>,
 }
 
-impl<'a> Judges<'a> {
-    fn new(frame: &'a Frame<'a>) -> Self {
+impl<'a> WorkerPool<'a> {
+    fn new(frame: &'a VisibilityContext<'a>) -> Self {
         Self { frame, idle: Mutex::new(Vec::new()) }
     }
 
-    fn idle(&self) -> MutexGuard<'_, Vec<Judge<'a>>> {
+    fn idle(&self) -> MutexGuard<'_, Vec<Worker<'a>>> {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn wake(&self) -> Awake<'_, 'a> {
-        Awake { judge: self.idle().pop(), of: self }
+    fn wake(&self) -> WorkerGuard<'_, 'a> {
+        WorkerGuard { judge: self.idle().pop(), of: self }
     }
 }
 
 /// A worker that rests again when it is let go.
-struct Awake<'j, 'a> {
-    judge: Option<Judge<'a>>,
-    of: &'j Judges<'a>,
+struct WorkerGuard<'j, 'a> {
+    judge: Option<Worker<'a>>,
+    of: &'j WorkerPool<'a>,
 }
 
-impl<'a> Awake<'_, 'a> {
-    fn judge(&mut self) -> &mut Judge<'a> {
-        self.judge.get_or_insert_with(|| Judge::new(self.of.frame))
+impl<'a> WorkerGuard<'_, 'a> {
+    fn judge(&mut self) -> &mut Worker<'a> {
+        self.judge.get_or_insert_with(|| Worker::new(self.of.frame))
     }
 }
 
-impl Drop for Awake<'_, '_> {
+impl Drop for WorkerGuard<'_, '_> {
     fn drop(&mut self) {
         self.of.idle().extend(self.judge.take());
     }

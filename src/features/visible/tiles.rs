@@ -5,10 +5,10 @@
 //! covers all of a tile, what is behind it there hides nothing that it does not hide itself: only features that lie on it
 //! look at what is behind.
 
-use super::Frame;
-use super::judge::Own;
-use super::known::{Faces, Known};
-use crate::index::{Found, Region};
+use super::VisibilityContext;
+use super::polygon::{Faces, PreparedPolygon};
+use super::worker::FeatureSurface;
+use crate::index::{QueryResult, Region};
 use glam::DVec3;
 use std::collections::HashMap;
 
@@ -34,7 +34,7 @@ const NONE: u32 = u32::MAX;
 
 /// A polygon that covers a ray of the tile. What most are passed over by stands beside its number.
 #[derive(Clone, Copy)]
-struct Candidate {
+struct TilePolygon {
     /// Where it is on the tile's side of the cube: least and greatest of both coordinates.
     bounds: Bounds,
     /// n / d.
@@ -43,7 +43,7 @@ struct Candidate {
     face: u32,
 }
 
-impl Candidate {
+impl TilePolygon {
     fn new(faces: &Faces, face: u32, square: &Square) -> Self {
         let known = &faces.known[face as usize];
         let bounds = Bounds::of(faces.corners_of(known), square);
@@ -89,7 +89,7 @@ pub(super) struct Tiles {
     across: f64,
     roots: HashMap<u32, u32>,
     tiles: Vec<Tile>,
-    found: Found,
+    found: QueryResult,
 }
 
 /// A part of a side of the cube.
@@ -163,10 +163,10 @@ struct Tile {
     radius: f64,
     /// How often it was asked for.
     asked: u32,
-    candidates: Vec<Candidate>,
+    candidates: Vec<TilePolygon>,
     /// The polygon that covers all of it, and what was a candidate of the tile around but is behind that one.
     cover: u32,
-    behind: Vec<Candidate>,
+    behind: Vec<TilePolygon>,
     /// Greatest product of those behind with a corner.
     most_behind: f64,
 }
@@ -177,7 +177,7 @@ impl Tile {
     }
 
     /// A tile of some polygons, of which it takes those that cover a ray of it.
-    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = Candidate>) -> Self {
+    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = TilePolygon>) -> Self {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
         let mut tile = Self {
@@ -230,7 +230,7 @@ impl Tile {
 }
 
 /// True if rounding of its distance is far below [`BEHIND`].
-fn is_sharp(known: &Known, radius: f64) -> bool {
+fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
     known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
 }
 
@@ -238,7 +238,7 @@ impl Tiles {
     /// For a sensor whose neighbouring rays are about that far apart, radians.
     pub fn new(pixel_angle: f64) -> Self {
         let across = (2.0 / (PIXELS * pixel_angle)).ceil().clamp(1.0, MAX_ACROSS);
-        Self { across, roots: HashMap::new(), tiles: Vec::new(), found: Found::default() }
+        Self { across, roots: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
     }
 
     /// The large tile of a place that is not the sensor's: its number, and where it is.
@@ -262,7 +262,7 @@ impl Tiles {
     }
 
     /// The smallest tile of a place, with what may hide something in its large tile up to a range in metres at least.
-    pub fn leaf(&mut self, frame: &Frame<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
+    pub fn leaf(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
         let (number, square) = self.of(at);
         if !self.knows(number, farthest) {
             let tile = self.find(frame, faces, square, FARTHER * farthest);
@@ -303,9 +303,9 @@ impl Tiles {
         &'s self,
         leaf: u32,
         places: &'s [DVec3],
-        own: &'s Own<'_>,
+        own: &'s FeatureSurface<'_>,
         faces: &'s Faces,
-    ) -> impl Iterator<Item = &'s Known> + use<'s> {
+    ) -> impl Iterator<Item = &'s PreparedPolygon> + use<'s> {
         let around = std::iter::successors(Some(leaf), |tile| {
             let parent = self.tiles[*tile as usize].parent;
             (parent != NONE).then_some(parent)
@@ -334,7 +334,7 @@ impl Tiles {
         self.tiles[whole as usize].parts = first;
     }
 
-    fn find(&mut self, frame: &Frame<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
+    fn find(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
         let corners = square.corners();
         let middle: DVec3 = corners.iter().sum();
         let world_from_image = frame.image_from_world.transpose();
@@ -349,7 +349,7 @@ impl Tiles {
             self.found.all().filter_map(|slot| faces.of_slot(frame, slot)).map(|face| face as u32).collect();
         let faces = &*faces;
         let some = some.into_iter().filter(|face| faces.known[*face as usize].covers);
-        Tile::new(square, radius, faces, some.map(|face| Candidate::new(faces, face, &square)))
+        Tile::new(square, radius, faces, some.map(|face| TilePolygon::new(faces, face, &square)))
     }
 }
 

@@ -18,7 +18,7 @@ pub use frames::{Frames, LogFrame};
 use super::file;
 use super::text::read_line;
 use crate::error::{Error, Result};
-use crate::frame::{Motion, OdometryNoise, Sensed};
+use crate::frame::{Measurement, Motion, OdometryNoise};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::sensor::{Sensor, SensorSpec};
@@ -45,7 +45,7 @@ impl Frame {
     /// # Errors
     /// Those of [`crate::frame::Frame::new`].
     pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<crate::frame::Frame> {
-        let mut frame = crate::frame::Frame::new(self.time, sensor.clone(), Sensed::Range(self.range))?;
+        let mut frame = crate::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
         Ok(frame)
     }
@@ -96,7 +96,7 @@ pub trait Log: Iterator<Item = Result<Frame>> {
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("run.log.jsonl");
 /// let sensor = presight::preset("laser-scanner")?;
-/// let frame = log::Frame { time: 0.5, range: vec![2.0; 361], odometry: None, reference: None };
+/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], odometry: None, reference: None };
 /// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)))?;
 /// let mut log = log::open(&path)?;
 /// assert_eq!(log.sensor().spec(), sensor.spec());
