@@ -27,7 +27,7 @@ use std::path::Path;
 
 /// What a sensor measured at one time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct LogFrame {
     /// Seconds. Frames of a log have rising times.
     pub time: f64,
     /// Metres along each ray, row-major, after REP-117: `+inf` where nothing was sensed, `-inf` where something was nearer than
@@ -84,7 +84,7 @@ impl Frame {
 }
 
 /// The frames of one sensor, in the order of time. After an error there is none.
-pub trait Log: Iterator<Item = Result<Frame>> {
+pub trait Log: Iterator<Item = Result<LogFrame>> {
     /// The sensor; its mount says where it sits on the robot.
     fn sensor(&self) -> &Sensor;
 }
@@ -127,7 +127,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
 ///
 /// # Errors
 /// Those of [`open`] and of all frames up to it; [`crate::ErrorKind::Usage`] if the log has fewer.
-pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, Frame)> {
+pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
     let mut log = open(path)?;
     for i in 0..=index {
         match log.next().transpose()? {
