@@ -3,7 +3,7 @@
 use super::*;
 use presight::estimate::{Prior, motion_between};
 use presight::io::gltf::import;
-use presight::io::log::{Frames, LogFrame};
+use presight::io::log::{Frames, Observation};
 use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_testkit::data;
 
@@ -12,7 +12,7 @@ fn map() -> Option<World> {
     Some(World::new(import(path, &Default::default()).unwrap().environment))
 }
 
-fn frames() -> Vec<LogFrame> {
+fn frames() -> Vec<Observation> {
     let path = data::file("lidar2d/malaga_corridor_run_scans.json").unwrap();
     Frames::open(&path, None, &Default::default()).unwrap().map(Result::unwrap).collect()
 }
@@ -37,7 +37,7 @@ fn a_run_of_scans_is_tracked() {
     let start = Prior::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), start, LocalizeOptions::default());
     let (mut metres, mut degrees, mut sum, mut near, mut beams) = (Vec::new(), Vec::new(), 0.0, 0, 0);
-    for (k, LogFrame { frame, reference }) in frames.iter().enumerate() {
+    for (k, Observation { frame, reference }) in frames.iter().enumerate() {
         let step = robot.step(&map, frame).unwrap();
         assert!(k < 2 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
         let (m, d) = apart(&step.pose, &reference.unwrap());
@@ -96,7 +96,7 @@ fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
             let options = LocalizeOptions::default();
             let mut robot = Localizer::unknown(estimator(EstimateOptions::planar()), search.clone(), options);
             let mut phase = Phase::Unknown;
-            for (k, LogFrame { frame, reference }) in
+            for (k, Observation { frame, reference }) in
                 frames.iter().enumerate().skip(start).take(if mirror { 7 } else { 5 })
             {
                 let frame = if mirror { mirrored(frame) } else { frame.clone() };
@@ -130,7 +130,7 @@ fn the_best_candidate_of_a_scan_is_right() {
     let search = search(&map, &frames[0].frame);
     let mut found = estimator(EstimateOptions::planar());
     let mut wrong = 0;
-    for LogFrame { frame, reference } in frames.iter().step_by(every).take(if every > 1 { 2 } else { 37 }) {
+    for Observation { frame, reference } in frames.iter().step_by(every).take(if every > 1 { 2 } else { 37 }) {
         let best = &search.candidates(&mut found, &map, frame).unwrap()[0];
         let (m, d) = apart(&best.pose, &reference.unwrap());
         wrong += usize::from(m > 0.1 || d > 1.0);

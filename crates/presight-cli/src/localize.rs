@@ -9,17 +9,16 @@ use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::load_sensor;
-use presight::io::log::{Frames, LogFrame};
+use presight::io::log::{Frames, Observation};
 use presight::localize::{Candidate, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
 use presight::verdict::{Verdict as Judged, Verdicts};
-use presight::{Backend, Error, Geometry, Options, Pose, Predictor, Result, Sensor, Threads};
+use presight::{Backend, Error, Geometry, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
   presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
-  presight localize scans.json --map corridor.glb --init 3.4,-10.2,0,0,0,-30 --out run.tum
   presight localize scans.json --map corridor.glb --init unknown --out run.tum";
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
@@ -71,13 +70,13 @@ pub struct Drive {
     #[arg(long, value_name = "METRES")]
     model_sigma: Option<f64>,
 
-    /// Height of the robot's frame where it is looked for in the whole map, metres
-    #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
-    floor: f64,
-
     /// How far odometry may be off, one standard deviation: part of the way and of the turn
     #[arg(long, value_name = "PART", default_value_t = 0.1)]
     odometry_sigma: f64,
+
+    /// Height of the robot's frame where it is looked for in the whole map, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
+    floor: f64,
 
     /// Start at the first frame at or after this time, seconds
     #[arg(long, value_name = "TIME")]
@@ -98,10 +97,8 @@ pub struct Followed {
     pub steps: Vec<Step>,
     /// Pixels of each verdict, by frame.
     pub counts: Vec<[usize; 7]>,
-    /// world_from_sensor by the log itself.
-    pub reference: Vec<StampedPose>,
-    /// robot_from_sensor.
-    pub mount: Pose,
+    /// world_from_robot by the log itself, by frame.
+    pub reference: Vec<Option<Pose>>,
 }
 
 impl Drive {
@@ -117,109 +114,75 @@ impl Drive {
         files.check_named([self.log.as_path(), self.map.as_path()])?;
         let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-        let log = DepthFolder::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor))?;
-        let start = self.start(&log)?;
+        let mut log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?
+            .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
+            .map(|o| o.and_then(|o| self.thinned(o)));
+        let Some(first) = log.next().transpose()? else {
+            let remedy = "give one with frames, or an earlier --from";
+            return Err(Error::invalid("the log has no frame", remedy).in_file(&self.log));
+        };
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+        let (start, options) = (self.start(&first)?, self.options(first.frame.sensor())?);
         let scene = open_scene(&self.map, &import, Scheme::default())?;
-        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-        let estimator = Estimator::new(predictor, EstimateOptions::default());
-        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
-        let mut localizer = Localizer::new(estimator, prior, LocalizeOptions::default());
-        let (reference, mount) = (log.reference().to_vec(), log.sensor().spec().mount);
+        let estimator = Estimator::new(Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?, options);
+        let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
+        // Panoramas of the whole map are not made before they are needed.
+        let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
         files.check_read()?;
-        let mut followed = Followed { steps: Vec::new(), counts: Vec::new(), reference, mount };
-        for frame in log {
-            let frame = frame?;
-            if self.from.is_none_or(|from| frame.stamp >= from) {
-                let frame: Frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
-                let mut step = localizer.step(&scene.world, &frame)?;
-                visit(&scene, &frame, &step)?;
-                followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
-                step.estimate.verdicts.clear();
-                followed.steps.push(step);
+        let mut followed = Followed { steps: Vec::new(), counts: Vec::new(), reference: Vec::new() };
+        for observation in std::iter::once(Ok(first)).chain(log) {
+            let Observation { frame, reference } = observation?;
+            let mut step = localizer.step(&scene.world, &frame)?;
+            if may_search && step.phase == Phase::Lost {
+                localizer.search_everywhere(&scene.world, frame.sensor(), self.search())?;
+                may_search = false;
             }
+            visit(&scene, &frame, &step)?;
+            followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
+            step.estimate.verdicts.clear();
+            followed.steps.push(step);
+            followed.reference.push(reference);
         }
         Ok(followed)
     }
 
-    fn start(&self, log: &DepthFolder) -> Result<Pose> {
-        if self.init == "reference" {
-            let from = self.from.unwrap_or(f64::NEG_INFINITY);
-            let first = log.reference().iter().find(|s| s.time >= from);
-            return first.map(|s| s.pose * log.sensor().spec().mount.inverse()).ok_or_else(|| {
-                Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
-            });
-        }
-        parse_pose(&self.init).map_err(|e| e.at(format!("--init {}", self.init)))
+    fn thinned(&self, observation: Observation) -> Result<Observation> {
+        let frame: Frame = if self.stride > 1 { observation.frame.thinned(self.stride)? } else { observation.frame };
+        Ok(Observation { frame, ..observation })
     }
-}
 
-/// Runs the command.
-///
-/// # Errors
-/// Those of the log, the map and the sensor, of estimates, and of writing.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
-    let details = args.out.with_extension("jsonl");
-    files.add("--out", Some(&args.out), &["tum"])?;
-    files.add_any(&details)?;
-    files.check_named([args.log.as_path(), args.map.as_path()])?;
-    let sensor = args.sensor.as_deref().map(load_sensor).transpose()?;
-    print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-    let noise = args.odometry()?;
-    let log = Frames::open(&args.log, sensor.as_ref().map(|(sensor, _)| sensor), &noise)?;
-    let options = args.options(log.sensor())?;
-    let mut log = log.skip_while(|f| matches!(f, Ok(f) if args.from.is_some_and(|from| f.frame.stamp < from)));
-    let Some(first) = log.next().transpose()? else {
-        return Err(
-            Error::invalid("the log has no frame", "give one with frames, or an earlier --from").in_file(&args.log)
-        );
-    };
-    let start = start(args, &first)?;
-    let sensor =
-        if args.stride > 1 { first.frame.thinned(args.stride)?.sensor().clone() } else { first.frame.sensor().clone() };
-    let threads = Threads::from(args.threads).started()?;
-    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = open_scene(&args.map, &import, Scheme::default())?;
-    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-    let mut estimator = Estimator::new(predictor, options);
-    let search = SearchOptions { floor: args.floor, ..SearchOptions::default() };
-    let mut localizer = match start {
-        Some(start) => {
-            let prior = Prior::of_sigmas(start, args.init_sigma, args.init_sigma_deg.to_radians());
-            Localizer::new(estimator, prior, LocalizeOptions::default())
+    /// `None` if it is unknown.
+    fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+        match self.init.as_str() {
+            "unknown" => Ok(None),
+            "reference" => first.reference.map(Some).ok_or_else(|| {
+                Error::usage("--init reference: the log has no pose there", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+            }),
+            pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
-        None => {
-            let search =
-                Search::new(&mut estimator, &scene.world, &sensor, search).map_err(|e| e.at("--init unknown"))?;
-            Localizer::unknown(estimator, search, LocalizeOptions::default())
-        }
-    };
-    let mut looked = start.is_none() || options.freedom != Freedom::Planar;
-    files.check_read()?;
-    let mut steps = Vec::new();
-    for given in std::iter::once(Ok(first)).chain(log) {
-        let LogFrame { frame, reference } = given?;
-        let frame: Frame = if args.stride > 1 { frame.thinned(args.stride)? } else { frame };
-        let step = localizer.step(&scene.world, &frame)?;
-        // Panoramas of the whole map are not made before they are needed.
-        if !looked && step.phase == Phase::Lost {
-            localizer.search_everywhere(&scene.world, &sensor, search)?;
-            looked = true;
-        }
-        steps.push((step, reference));
     }
-    write(&args.out, &steps)?;
-    write_details(&details, &steps)?;
-    print::data(&summary(&steps))?;
-    Ok(CommandOutcome::Done)
-}
 
-/// A step, and where the robot was by the log's own account.
-type DeviceCheck = (Step, Option<Pose>);
+    fn localizer(
+        &self,
+        mut estimator: Estimator,
+        start: Option<Pose>,
+        scene: &Scene,
+        sensor: &Sensor,
+    ) -> Result<Localizer> {
+        let options = LocalizeOptions::default();
+        let Some(start) = start else {
+            let search = Search::new(&mut estimator, &scene.world, sensor, self.search());
+            return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
+        };
+        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        Ok(Localizer::new(estimator, prior, options))
+    }
 
-impl Args {
+    fn search(&self) -> SearchOptions {
+        SearchOptions { floor: self.floor, ..SearchOptions::default() }
+    }
+
     fn odometry(&self) -> Result<OdometryNoise> {
         let part = self.odometry_sigma;
         if !(part >= 0.0 && part.is_finite()) {
@@ -240,21 +203,26 @@ impl Args {
     }
 }
 
-/// `None` if it is unknown.
-fn start(args: &Args, first: &LogFrame) -> Result<Option<Pose>> {
-    match args.init.as_str() {
-        "unknown" => Ok(None),
-        "reference" => first.reference.map(Some).ok_or_else(|| {
-            Error::usage("--init reference: the log has no pose there", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
-        }),
-        pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
-    }
+/// Runs the command.
+///
+/// # Errors
+/// Those of [`Drive::follow`], and of writing.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
+    let mut files = OutputFiles::new();
+    let details = args.out.with_extension("jsonl");
+    files.add("--out", Some(&args.out), &["tum"])?;
+    files.add_any(&details)?;
+    let followed = args.drive.follow(files, |_, _, _| Ok(()))?;
+    write(&args.out, &followed.steps)?;
+    write_details(&details, &followed)?;
+    print::data(&summary(&followed))?;
+    Ok(CommandOutcome::Done)
 }
 
 /// A line for each frame at which the pose is known; `{}` of an f64 has all of its digits.
-fn write(path: &Path, steps: &[DeviceCheck]) -> Result<()> {
+fn write(path: &Path, steps: &[Step]) -> Result<()> {
     write_atomically(path, |file| {
-        for (s, _) in steps.iter().filter(|(s, _)| s.is_known()) {
+        for s in steps.iter().filter(|s| s.is_known()) {
             let (t, q) = (s.pose.translation, s.pose.rotation);
             writeln!(file, "{} {} {} {} {} {} {} {}", s.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
         }
@@ -262,9 +230,9 @@ fn write(path: &Path, steps: &[DeviceCheck]) -> Result<()> {
     })
 }
 
-fn write_details(path: &Path, steps: &[DeviceCheck]) -> Result<()> {
+fn write_details(path: &Path, followed: &Followed) -> Result<()> {
     write_atomically(path, |file| {
-        for (s, _) in steps {
+        for (s, counts) in followed.steps.iter().zip(&followed.counts) {
             let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
             let verdicts: serde_json::Map<String, serde_json::Value> =
                 Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), (*n).into())).collect();
@@ -289,16 +257,16 @@ fn candidate(c: &Candidate) -> serde_json::Value {
 }
 
 /// How many frames are known, and how far they are from the log's own poses.
-fn summary(steps: &[DeviceCheck]) -> String {
-    let known: Vec<&DeviceCheck> = steps.iter().filter(|(s, _)| s.is_known()).collect();
-    let mut text = format!("{} of {} frames have a pose\n", known.len(), steps.len());
-    for pair in steps.windows(2).filter(|pair| pair[0].0.phase != pair[1].0.phase) {
-        let step = &pair[1].0;
-        text += &format!("{}: {}: {}\n", step.stamp, step.phase.name(), step.reason);
+pub fn summary(followed: &Followed) -> String {
+    let Followed { steps, reference, .. } = followed;
+    let known = steps.iter().filter(|s| s.is_known()).count();
+    let mut text = format!("{known} of {} frames have a pose\n", steps.len());
+    for pair in steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase) {
+        text += &format!("{}: {}: {}\n", pair[1].stamp, pair[1].phase.name(), pair[1].reason);
     }
     let mut off: Vec<(f64, f64)> = Vec::new();
-    for (step, reference) in known {
-        let Some(there) = reference else { continue };
+    for (step, there) in steps.iter().zip(reference).filter(|(step, _)| step.is_known()) {
+        let Some(there) = there else { continue };
         let degrees = step.pose.rotation.angle_between(there.rotation).to_degrees();
         off.push(((step.pose.translation - there.translation).length(), degrees));
     }

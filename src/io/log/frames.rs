@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// A frame, and where the robot was by the log's own account.
 #[derive(Clone, Debug)]
-pub struct LogFrame {
+pub struct Observation {
     /// What was measured.
     pub frame: Frame,
     /// world_from_robot, if the log says so. No estimate may use it.
@@ -19,7 +19,7 @@ pub struct LogFrame {
 /// The frames of a log, in the order of time. After an error there is none.
 pub struct Frames {
     sensor: Sensor,
-    frames: Box<dyn Iterator<Item = Result<LogFrame>> + Send>,
+    frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
     ended: bool,
 }
 
@@ -56,7 +56,7 @@ impl Frames {
             let there = known.iter().find(|s| (s.time - stamp).abs() < 1e-6)?;
             Some(there.pose * robot_from_sensor)
         };
-        let frames = log.map(move |frame| frame.map(|frame| LogFrame { reference: at(frame.stamp), frame }));
+        let frames = log.map(move |frame| frame.map(|frame| Observation { reference: at(frame.stamp), frame }));
         Ok(Self { sensor, frames: Box::new(frames), ended: false })
     }
 
@@ -79,7 +79,7 @@ impl Frames {
             let frame = frame?;
             let reference = frame.reference;
             let frame = frame.sensed(&used, &noise).map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
-            Ok(LogFrame { frame, reference })
+            Ok(Observation { frame, reference })
         });
         Ok(Self { sensor, frames: Box::new(frames), ended: false })
     }
@@ -91,7 +91,7 @@ impl Frames {
 }
 
 impl Iterator for Frames {
-    type Item = Result<LogFrame>;
+    type Item = Result<Observation>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.ended {

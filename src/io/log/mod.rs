@@ -13,7 +13,7 @@ pub mod lines;
 #[cfg(test)]
 mod tests;
 
-pub use frames::{Frames, LogFrame};
+pub use frames::{Frames, Observation};
 
 use super::file;
 use super::text::read_line;
@@ -39,7 +39,7 @@ pub struct LogFrame {
     pub reference: Option<Pose>,
 }
 
-impl Frame {
+impl LogFrame {
     /// The frame as the estimator takes it, of the log's sensor. `noise` says how good the odometry is: logs do not.
     ///
     /// # Errors
