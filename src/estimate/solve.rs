@@ -506,7 +506,7 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
 }
 
 /// A pose drawn from the prior.
-fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+pub(crate) fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
     let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
     let mut motion = [0.0; 6];
     for (k, value) in values.iter().enumerate() {

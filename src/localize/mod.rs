@@ -45,6 +45,8 @@
 //! ```
 
 mod cusum;
+mod hypotheses;
+mod likelihood;
 mod search;
 mod unknown;
 

@@ -1,6 +1,7 @@
 //! Where a robot may be that nothing is known of: one scan weighed at all headings of all free places, and the best places refined.
 
-use crate::batch::{BatchRequest, Headings, Panoramas, PoseCell, RangeLikelihood};
+use super::likelihood::PoseLikelihood;
+use crate::batch::{Headings, Panoramas, PoseCell};
 use crate::error::{Error, Result};
 use crate::estimate::{Estimate, Estimator, Freedom, Prior};
 use crate::frame::Frame;
@@ -10,7 +11,7 @@ use crate::sensor::{Geometry, Sensor};
 use crate::verdict::Verdicts;
 use crate::virtual_sensors::symmetric::Matrix;
 use crate::world::World;
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 /// How a [`Search`] looks for a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,8 +69,7 @@ pub struct Candidate {
 pub struct Search {
     options: SearchOptions,
     panoramas: Panoramas,
-    /// The scanner with the noise that the model's errors add.
-    scanner: Sensor,
+    likelihood: PoseLikelihood,
 }
 
 /// A reading is explained up to so many standard deviations.
@@ -93,8 +93,8 @@ impl Search {
         if estimator.options.freedom != Freedom::Planar {
             return Err(Error::usage("an unknown start with six numbers", "give an estimator of Freedom::Planar"));
         }
-        let scanner = as_weighed(sensor, estimator.options.model_sigma, options.beam_dependence)?;
-        let headings = Headings::new(&scanner, headings_of(&scanner, options.headings))?;
+        let likelihood = PoseLikelihood::new(sensor, estimator.options.model_sigma, options.beam_dependence)?;
+        let headings = Headings::new(likelihood.scanner(), headings_of(sensor, options.headings))?;
         let places = grid(world, options.floor + sensor.spec().mount.translation.z, options.cell)?;
         let mut panoramas = estimator.predictor.panoramas(world, &headings, places)?;
         panoramas.retain(|range| {
@@ -106,7 +106,7 @@ impl Search {
             let what = format!("the map has no free place at {} m", options.floor + sensor.spec().mount.translation.z);
             return Err(Error::usage(what, "give the height of the floor, or a pose to start from"));
         }
-        Ok(Self { options, panoramas, scanner })
+        Ok(Self { options, panoramas, likelihood })
     }
 
     /// Free places of the sensor.
@@ -122,9 +122,9 @@ impl Search {
         let headings = self.panoramas.headings();
         let turn = std::f64::consts::TAU / f64::from(headings.count());
         let cell = PoseCell { side: self.options.cell, turn };
-        let Some(sensed) = self.sensed(frame, cell)? else { return Ok(Vec::new()) };
+        let Some(sensed) = self.likelihood.of(frame, cell)? else { return Ok(Vec::new()) };
         let weights = estimator.predictor.weigh_panoramas(&self.panoramas, &sensed)?;
-        let robot_from_sensor = self.scanner.spec().mount.inverse();
+        let robot_from_sensor = self.likelihood.scanner().spec().mount.inverse();
         let mut found: Vec<Candidate> = Vec::new();
         for (place, heading) in peaks(&self.panoramas, &weights, self.options.candidates, self.options.cell) {
             let pose = headings.pose(self.panoramas.places()[place], heading) * robot_from_sensor;
@@ -147,34 +147,15 @@ impl Search {
         frame: &Frame,
         poses: impl Iterator<Item = Pose>,
     ) -> Result<Vec<f64>> {
-        let mount = self.scanner.spec().mount;
-        let poses: Vec<Pose> = poses.map(|pose| leveled(&(pose * mount))).collect();
-        let Some(sensed) = self.sensed(frame, PoseCell::default())? else { return Ok(vec![0.0; poses.len()]) };
-        let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
-        let items = estimator.predictor.batch(world, &self.scanner, poses, &request)?;
-        items.map(|item| item.map(|item| item.log_likelihood.unwrap_or(0.0))).collect()
+        self.likelihood.at(&mut estimator.predictor, world, frame, poses)
     }
 
     /// Share of the readings of a frame that end where an estimate's prediction does.
     pub(crate) fn explained(&self, frame: &Frame, estimate: &Estimate) -> f64 {
-        let within = EXPLAINED * self.scanner.spec().noise.range_sigma;
+        let within = EXPLAINED * self.likelihood.scanner().spec().noise.range_sigma;
         let near = |v: &Verdicts| v.difference.iter().filter(|d| f64::from(d.abs()) <= within).count();
         let readings = frame.ranges().iter().filter(|r| r.is_finite()).count();
         estimate.verdicts.iter().map(near).sum::<usize>() as f64 / readings.max(1) as f64
-    }
-
-    fn sensed(&self, frame: &Frame, cell: PoseCell) -> Result<Option<RangeLikelihood>> {
-        let spec = self.scanner.spec();
-        let reading = |r: &f32| match f64::from(*r) {
-            z if z > spec.range_max => f32::INFINITY,
-            z if z < spec.range_min => f32::NEG_INFINITY,
-            _ => *r,
-        };
-        let ranges: Vec<f32> = frame.ranges().iter().map(reading).collect();
-        if ranges.iter().all(|r| !r.is_finite()) {
-            return Ok(None);
-        }
-        RangeLikelihood::new(&self.scanner, ranges, cell).map(Some)
     }
 }
 
@@ -204,17 +185,6 @@ pub(crate) fn distinct(mut found: Vec<Candidate>) -> Vec<Candidate> {
 /// Within what one estimate is off from the next.
 pub(crate) fn is_same(a: &Pose, b: &Pose) -> bool {
     (a.translation - b.translation).length() < 0.3 && a.rotation.angle_between(b.rotation) < 0.1
-}
-
-/// The scanner with the noise of its ranges and of the model together: that is what it is weighed with.
-fn as_weighed(sensor: &Sensor, model_sigma: f64, beam_dependence: f64) -> Result<Sensor> {
-    let mut spec = sensor.spec().clone();
-    let own = crate::frame::RangeNoise::of(sensor).sigma;
-    spec.noise.range_sigma = own.hypot(model_sigma);
-    if spec.noise.mixture.beam_dependence == 1.0 {
-        spec.noise.mixture.beam_dependence = beam_dependence;
-    }
-    Sensor::new(spec)
 }
 
 /// As many headings as divide the beams of a full turn, but no more than asked for. A scanner without such beams has one, and
@@ -278,10 +248,4 @@ fn peaks(panoramas: &Panoramas, weights: &[f32], most: usize, cell: f64) -> Vec<
         }
     }
     kept
-}
-
-/// The pose with its z axis upright: what rounding turned away is turned back.
-fn leveled(pose: &Pose) -> Pose {
-    let x = pose.rotation * DVec3::X;
-    Pose { rotation: DQuat::from_rotation_z(x.y.atan2(x.x)), ..*pose }
 }

@@ -90,7 +90,7 @@ fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
     let every = presight_testkit::env_number("PRESIGHT_MALAGA_EVERY", 16) as usize;
     let frames = frames();
     let search = search(&map, &frames[0].frame);
-    let (mut found, mut starts) = (0, 0);
+    let (mut found, mut starts) = (0_usize, 0_usize);
     for start in (0..33).step_by(every) {
         for mirror in [false, true] {
             let options = LocalizeOptions::default();
