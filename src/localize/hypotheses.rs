@@ -1,31 +1,31 @@
 //! Many poses where the robot may be, carried on by odometry and weighed by each frame: for maps that explain so little that one
 //! Gaussian would settle on the wrong walls.
 
+use super::likelihood::PoseLikelihood;
+use crate::error::Result;
 use crate::estimate::{Freedom, Prior, drawn};
-use crate::frame::Motion;
+use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
 use crate::motion::{add_to, motion_between, moved, scaled};
+use crate::predict::Predictor;
 use crate::random::SplitMix64;
+use crate::world::World;
 
 /// Poses of one weight each after [`Hypotheses::resample`], and their log-weights since.
 #[derive(Clone, Debug)]
 pub(super) struct Hypotheses {
     poses: Vec<Pose>,
     logs: Vec<f64>,
+    likelihood: PoseLikelihood,
     random: SplitMix64,
 }
 
 impl Hypotheses {
     /// Draws poses from a belief.
-    pub fn new(belief: &Prior, count: usize) -> Self {
+    pub fn new(belief: &Prior, count: usize, likelihood: PoseLikelihood) -> Self {
         let mut random = SplitMix64(0x0c10_0d5e);
         let one = |_| drawn(belief, Freedom::Planar, &mut random);
-        Self { poses: (0..count).map(one).collect(), logs: vec![0.0; count], random }
-    }
-
-    /// The poses.
-    pub fn poses(&self) -> impl Iterator<Item = Pose> + '_ {
-        self.poses.iter().copied()
+        Self { poses: (0..count).map(one).collect(), logs: vec![0.0; count], likelihood, random }
     }
 
     /// Moves every pose as odometry may have gone.
@@ -34,9 +34,14 @@ impl Hypotheses {
         self.poses.iter_mut().for_each(|pose| *pose = *pose * drawn(&known, Freedom::Planar, &mut self.random));
     }
 
-    /// Adds log-likelihoods.
-    pub fn weigh(&mut self, logs: &[f64]) {
+    /// Adds the log-likelihoods of a frame.
+    ///
+    /// # Errors
+    /// Those of [`PoseLikelihood::at`].
+    pub fn weigh(&mut self, predictor: &mut Predictor, world: &World, frame: &Frame) -> Result<()> {
+        let logs = self.likelihood.at(predictor, world, frame, self.poses.iter().copied())?;
         self.logs.iter_mut().zip(logs).for_each(|(sum, log)| *sum += log);
+        Ok(())
     }
 
     /// The Gaussian with their mean and covariance.

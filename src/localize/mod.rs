@@ -45,12 +45,14 @@
 //! ```
 
 mod cusum;
+mod doubt;
 mod hypotheses;
 mod likelihood;
 mod search;
 mod unknown;
 
 pub use cusum::Cusum;
+use hypotheses::Hypotheses;
 pub use search::{Candidate, Search, SearchOptions};
 
 use crate::error::{Error, Result};
@@ -59,6 +61,7 @@ use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
 use crate::motion::{add_to, sandwich, turn};
 use crate::sensor::Sensor;
+use crate::verdict::{Verdict, Verdicts};
 use crate::virtual_sensors::symmetric::Matrix;
 use crate::world::World;
 
@@ -128,6 +131,15 @@ pub struct LocalizeOptions {
     pub agreeing: usize,
     /// Mean number of frames between false alarms of being lost.
     pub frames_per_false_alarm: f64,
+    /// Where a level scanner's map explains less than this share, or two places explain as much, hypotheses take over from one
+    /// Gaussian.
+    pub little: f64,
+    /// How many hypotheses.
+    pub hypotheses: usize,
+    /// How many beams tell them as much as one independent beam, for a sensor that states 1.
+    pub beam_dependence: f64,
+    /// How far hypotheses may be spread for their mean to count as known, one standard deviation, metres.
+    pub spread: f64,
     /// After an unknown start: by how much the likeliest candidate has to lead, natural logarithm of the odds.
     pub lead: f64,
     /// Likewise: the share of the measured points that it has to explain, in the mean over the frames.
@@ -147,6 +159,10 @@ impl Default for LocalizeOptions {
             search_turn: 0.3,
             agreeing: 3,
             frames_per_false_alarm: 30_000.0,
+            little: 0.6,
+            hypotheses: 150,
+            beam_dependence: 60.0,
+            spread: 0.4,
             lead: 7.0,
             least_found: 0.73,
             least_frames: 5,
@@ -165,9 +181,15 @@ pub struct Localizer {
     motion: Pose,
     agreed: usize,
     explained: Cusum,
+    /// Of the surfaces that are decided on, the share that is where it should be.
+    standing: Cusum,
     stamp: Option<f64>,
     search: Option<Search>,
     candidates: Vec<Candidate>,
+    /// In place of one Gaussian, where that would settle too soon.
+    hypotheses: Option<Hypotheses>,
+    /// Frames in a row that explain enough for one Gaussian.
+    agreed_again: usize,
 }
 
 impl Localizer {
@@ -180,10 +202,14 @@ impl Localizer {
             phase: Phase::Candidates,
             motion: Pose::IDENTITY,
             agreed: 0,
-            explained: Cusum::new(options.frames_per_false_alarm),
+            // Two tests, each with half of the false alarms.
+            explained: Cusum::new(2.0 * options.frames_per_false_alarm),
+            standing: Cusum::new(2.0 * options.frames_per_false_alarm),
             stamp: None,
             search: None,
             candidates: Vec::new(),
+            hypotheses: None,
+            agreed_again: 0,
         }
     }
 
@@ -223,11 +249,18 @@ impl Localizer {
         if let Some(motion) = &motion {
             self.belief = carried(&self.belief, motion);
         }
+        if self.hypotheses.is_some() {
+            return self.follow_hypotheses(world, frame, motion.as_ref());
+        }
         let prior = match self.phase {
             Phase::Tracking | Phase::Candidates => self.belief,
             Phase::Unknown | Phase::Lost => widened(&self.belief, &self.options),
         };
         let estimate = self.estimator.estimate(world, &[frame], &prior)?;
+        if self.is_doubtful(frame, &estimate) {
+            self.doubt(frame, &prior)?;
+            return self.follow_hypotheses(world, frame, None);
+        }
         let reason = self.decide(&estimate);
         if estimate.is_determined() {
             if !first {
@@ -262,6 +295,28 @@ impl Localizer {
         })
     }
 
+    /// Whether what was usual no longer is. Hypotheses are for places where a map leaves much out: there only what it has and is
+    /// not there counts.
+    fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
+        let counts = estimate.verdicts.iter().map(Verdicts::counts);
+        let (confirmed, farther) =
+            counts.fold((0, 0), |(c, f), n| (c + n[Verdict::Confirmed as usize], f + n[Verdict::Farther as usize]));
+        let standing = if confirmed + farther > 0 { confirmed as f64 / (confirmed + farther) as f64 } else { 0.0 };
+        if self.standing.add(standing) {
+            return Some(format!(
+                "the share of surfaces that are still there has left its distribution ({})",
+                self.standing
+            ));
+        }
+        let usual = self.hypotheses.is_some() || !self.explained.add(estimate.explained);
+        (!usual).then(|| format!("the share of explained points has left its distribution ({})", self.explained))
+    }
+
+    fn restart_tests(&mut self) {
+        self.explained.restart();
+        self.standing.restart();
+    }
+
     /// The next phase, and why.
     fn decide(&mut self, estimate: &Estimate) -> String {
         let share = format!("{:.0} % explained", 100.0 * estimate.explained);
@@ -270,23 +325,19 @@ impl Localizer {
             EstimateState::Undetermined(why) => why.clone(),
         };
         match self.phase {
-            Phase::Tracking => {
-                let alarm = self.explained.add(estimate.explained);
-                if alarm {
+            Phase::Tracking => match self.alarm(estimate) {
+                Some(alarm) => {
                     self.phase = Phase::Lost;
                     self.agreed = 0;
-                    return format!(
-                        "{why}; the share of explained points has left its distribution ({})",
-                        self.explained
-                    );
+                    format!("{why}; {alarm}")
                 }
-                why
-            }
+                None => why,
+            },
             Phase::Lost | Phase::Unknown | Phase::Candidates if estimate.is_determined() => {
                 self.agreed += 1;
                 if self.agreed >= self.options.agreeing {
                     self.phase = Phase::Tracking;
-                    self.explained.restart();
+                    self.restart_tests();
                     return format!("{why}; {} frames in a row agree", self.agreed);
                 }
                 self.phase = Phase::Candidates;

@@ -83,7 +83,7 @@ impl Localizer {
             }
             self.phase = Phase::Tracking;
             self.candidates.clear();
-            self.explained.restart();
+            self.restart_tests();
             self.motion = Pose::IDENTITY;
             return Ok(why);
         }

@@ -199,7 +199,9 @@ impl Drive {
         if !(model_sigma >= 0.0 && model_sigma.is_finite()) {
             return Err(Error::usage(format!("--model-sigma {model_sigma}"), "give finite metres of at least 0"));
         }
-        Ok(EstimateOptions { model_sigma, ..options })
+        // What polygons of one plane share is of the same size as what each has of its own.
+        let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
+        Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
     }
 }
 
