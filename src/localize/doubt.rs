@@ -9,6 +9,8 @@ use crate::frame::{Frame, Motion};
 use crate::motion::add_to;
 use crate::world::World;
 
+/// A model that is off by so much, metres, always explains points by the wrong surfaces, too.
+const COARSE: f64 = 0.1;
 /// One Gaussian takes over again where the map explains so much more than what hypotheses are for.
 const MORE: f64 = 0.15;
 
@@ -18,16 +20,16 @@ impl Localizer {
         let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
         let weighable =
             self.estimator.options.freedom == Freedom::Planar && frame.sensor().spec().range_max.is_finite();
-        let measured = estimate.predictions > 0;
-        followed && weighable && measured && (estimate.explained < self.options.little || !estimate.is_determined())
+        let coarse = self.estimator.options.model_sigma >= COARSE;
+        let little = coarse || estimate.explained < self.options.little || !estimate.is_determined();
+        followed && weighable && estimate.predictions > 0 && little
     }
 
     /// Draws hypotheses from what was known before the frame.
     pub(super) fn doubt(&mut self, frame: &Frame, prior: &Prior) -> Result<()> {
         let model_sigma = self.estimator.options.model_sigma;
         let likelihood = PoseLikelihood::new(frame.sensor(), model_sigma, self.options.beam_dependence)?;
-        let wide = with_variance(prior, model_sigma);
-        self.hypotheses = Some(Hypotheses::new(&wide, self.options.hypotheses, likelihood));
+        self.hypotheses = Some(Hypotheses::new(prior, self.options.hypotheses, likelihood));
         self.agreed_again = 0;
         Ok(())
     }
@@ -47,19 +49,18 @@ impl Localizer {
         let known = with_variance(&belief, self.estimator.options.model_sigma);
         let mut estimate = self.estimator.refine(world, frame, &known)?;
         let spread = (belief.covariance[0][0] + belief.covariance[1][1]).sqrt();
-        let percent = 100.0 * estimate.explained;
         self.agreed_again = if estimate.explained >= self.options.little + MORE { self.agreed_again + 1 } else { 0 };
-        let why =
-            format!("{percent:.0} % explained; {} hypotheses are spread over {spread:.2} m", self.options.hypotheses);
+        let why = format!("{} hypotheses are spread over {spread:.2} m", self.options.hypotheses);
         estimate.state = if spread <= self.options.spread {
             EstimateState::Determined
         } else {
             EstimateState::Undetermined(why.clone())
         };
         self.hypotheses = Some(hypotheses);
-        let phase = self.decide(&estimate);
+        let decided = self.decide(&estimate);
         self.belief = known;
-        let hand_back = self.agreed_again >= self.options.agreeing && estimate.is_determined();
+        let coarse = self.estimator.options.model_sigma >= COARSE;
+        let hand_back = !coarse && self.agreed_again >= self.options.agreeing && estimate.is_determined();
         if hand_back {
             self.belief = Prior { pose: estimate.pose, covariance: estimate.covariance };
         } else {
@@ -68,7 +69,8 @@ impl Localizer {
         if hand_back || matches!(self.phase, Phase::Lost | Phase::Unknown) {
             self.hypotheses = None;
         }
-        Ok(self.told(frame, if phase == why { why } else { format!("{why}; {phase}") }, estimate))
+        let reason = if decided == why { why } else { format!("{decided}; {why}") };
+        Ok(self.told(frame, reason, estimate))
     }
 }
 

@@ -7,6 +7,7 @@ mod rooms;
 mod simulated;
 mod singular;
 mod verdicts;
+mod willow;
 
 use glam::{DVec3, Vec3};
 use presight::estimate::{EstimateOptions, Estimator, moved};
