@@ -4,6 +4,7 @@ mod drives;
 mod livingroom;
 mod malaga;
 mod rooms;
+mod search;
 mod simulated;
 mod singular;
 mod verdicts;
