@@ -204,7 +204,7 @@ impl Localizer {
             agreed: 0,
             // Two tests, each with half of the false alarms.
             explained: Cusum::new(2.0 * options.frames_per_false_alarm),
-            standing: Cusum::new(2.0 * options.frames_per_false_alarm),
+            standing: Cusum::new(2.0 * options.frames_per_false_alarm).with_least_sigma(0.12),
             stamp: None,
             search: None,
             candidates: Vec::new(),
