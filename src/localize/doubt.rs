@@ -2,15 +2,13 @@
 
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
-use super::{Localizer, Phase, Step};
+use super::{COARSE, Localizer, Phase, Step};
 use crate::error::Result;
 use crate::estimate::{Estimate, EstimateState, Freedom, Prior};
 use crate::frame::{Frame, Motion};
 use crate::motion::add_to;
 use crate::world::World;
 
-/// A model that is off by so much, metres, always explains points by the wrong surfaces, too.
-const COARSE: f64 = 0.1;
 /// One Gaussian takes over again where the map explains so much more than what hypotheses are for.
 const MORE: f64 = 0.15;
 

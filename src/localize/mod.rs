@@ -65,6 +65,9 @@ use crate::verdict::{Verdict, Verdicts};
 use crate::virtual_sensors::symmetric::Matrix;
 use crate::world::World;
 
+/// A model that is off by so much, metres, always explains points by the wrong surfaces, too.
+const COARSE: f64 = 0.1;
+
 /// What a localizer knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
@@ -195,6 +198,8 @@ pub struct Localizer {
 impl Localizer {
     /// Starts at a pose that is known as well as the prior says.
     pub fn new(estimator: Estimator, prior: Prior, options: LocalizeOptions) -> Self {
+        let standing = Cusum::new(2.0 * options.frames_per_false_alarm);
+        let coarse = estimator.options.model_sigma >= COARSE;
         Self {
             estimator,
             options,
@@ -204,7 +209,7 @@ impl Localizer {
             agreed: 0,
             // Two tests, each with half of the false alarms.
             explained: Cusum::new(2.0 * options.frames_per_false_alarm),
-            standing: Cusum::new(2.0 * options.frames_per_false_alarm).with_least_sigma(0.12),
+            standing: if coarse { standing.with_least_sigma(0.12) } else { standing },
             stamp: None,
             search: None,
             candidates: Vec::new(),
@@ -295,8 +300,7 @@ impl Localizer {
         })
     }
 
-    /// Whether what was usual no longer is. Hypotheses are for places where a map leaves much out: there only what it has and is
-    /// not there counts.
+    /// Whether what was usual no longer is. A coarse model leaves much out: there only what it has and is not there counts.
     fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
         let counts = estimate.verdicts.iter().map(Verdicts::counts);
         let (confirmed, farther) =
@@ -308,7 +312,8 @@ impl Localizer {
                 self.standing
             ));
         }
-        let usual = self.hypotheses.is_some() || !self.explained.add(estimate.explained);
+        let coarse = self.estimator.options.model_sigma >= COARSE;
+        let usual = coarse || !self.explained.add(estimate.explained);
         (!usual).then(|| format!("the share of explained points has left its distribution ({})", self.explained))
     }
 
