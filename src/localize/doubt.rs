@@ -6,7 +6,7 @@ use super::{COARSE, Localizer, Phase, Step};
 use crate::error::Result;
 use crate::estimate::{Estimate, EstimateState, Freedom, Prior};
 use crate::frame::{Frame, Motion};
-use crate::motion::add_to;
+use crate::matrix::add_to;
 use crate::world::World;
 
 /// One Gaussian takes over again where the map explains so much more than what hypotheses are for.

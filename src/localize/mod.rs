@@ -59,10 +59,10 @@ use crate::error::{Error, Result};
 use crate::estimate::{Estimate, EstimateState, Estimator, Prior};
 use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
-use crate::motion::{add_to, sandwich, turn};
+use crate::matrix::{Matrix, add_to, sandwich};
+use crate::motion::turn;
 use crate::sensor::Sensor;
 use crate::verdict::{Verdict, Verdicts};
-use crate::virtual_sensors::symmetric::Matrix;
 use crate::world::World;
 
 /// A model that is off by so much, metres, always explains points by the wrong surfaces, too.

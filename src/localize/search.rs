@@ -6,10 +6,10 @@ use crate::error::{Error, Result};
 use crate::estimate::{Estimate, Estimator, Freedom, Prior};
 use crate::frame::Frame;
 use crate::geometry::Pose;
+use crate::matrix::Matrix;
 use crate::row::is_level;
 use crate::sensor::{Geometry, Sensor};
 use crate::verdict::Verdicts;
-use crate::virtual_sensors::symmetric::Matrix;
 use crate::world::World;
 use glam::DVec3;
 

@@ -3,6 +3,7 @@
 mod drives;
 mod livingroom;
 mod malaga;
+mod objects;
 mod rooms;
 mod search;
 mod simulated;
