@@ -30,14 +30,12 @@ impl Map {
         let cells: Vec<u8> = picture.rows().rev().flat_map(|row| row.map(|p| p.0[0]).collect::<Vec<_>>()).collect();
         let mut steps: Vec<f32> = cells.iter().map(|c| if *c > 215 { 1e6 } else { 0.0 }).collect();
         // Distances along the grid and its diagonals, forwards and backwards.
-        let around = |k: usize| [(k - 1, 1.0), (k - width, 1.0), (k - width - 1, 1.414), (k - width + 1, 1.414)];
+        let around = [(1, 1.0), (width, 1.0), (width + 1, 1.414), (width - 1, 1.414)];
         for k in width + 1..cells.len() {
-            let near = around(k).map(|(j, step)| steps[j] + step);
-            steps[k] = near.into_iter().fold(steps[k], f32::min);
+            steps[k] = around.iter().fold(steps[k], |least, (back, step)| least.min(steps[k - back] + step));
         }
         for k in (0..cells.len() - width - 1).rev() {
-            let near = around(k).map(|(j, step)| steps[2 * k - j] + step);
-            steps[k] = near.into_iter().fold(steps[k], f32::min);
+            steps[k] = around.iter().fold(steps[k], |least, (ahead, step)| least.min(steps[k + ahead] + step));
         }
         let clearance = steps.iter().map(|s| s * CELL as f32).collect();
         Self { width, height, cells, clearance }
