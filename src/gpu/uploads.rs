@@ -29,6 +29,8 @@ pub(super) struct FrameUploads {
     pub slots: u32,
     /// The images are resolved on the CPU.
     pub on_host: bool,
+    /// Drawn in one submission with others, which tells no times.
+    pub in_company: bool,
 }
 
 impl FrameUploads {
