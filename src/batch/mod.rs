@@ -6,10 +6,12 @@
 
 mod headings;
 mod likelihood;
+mod panoramas;
 mod weigh;
 
 pub use headings::Headings;
 pub use likelihood::RangeLikelihood;
+pub use panoramas::Panoramas;
 
 use crate::engine::Engine;
 use crate::error::{Error, Result};

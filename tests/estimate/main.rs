@@ -2,11 +2,14 @@
 
 mod drives;
 mod livingroom;
+mod malaga;
 mod objects;
 mod rooms;
+mod search;
 mod simulated;
 mod singular;
 mod verdicts;
+mod willow;
 
 use glam::{DVec3, Vec3};
 use presight::estimate::{EstimateOptions, Estimator, moved};
