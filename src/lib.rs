@@ -144,3 +144,8 @@ pub use world::World;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// So is that of the guide on features.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/features.md")]
+struct FeaturesGuide;

@@ -28,7 +28,7 @@ mod undecided;
 mod worker;
 
 use super::{FeaturePrediction, PlacedFeature, STEP};
-use crate::environment::FeatureShape;
+use crate::environment::{Feature, FeatureShape};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Images};
@@ -195,35 +195,94 @@ impl<'a> PreparedFeatures<'a> {
     /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
     /// the images are asked.
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
-        let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
-        let mut keys = vec![u64::MAX; pixels];
+        let mut marks = self.marks();
+        let all: Vec<usize> = (0..self.placed.len()).collect();
+        let mut prediction = self.part(&all, told, &mut marks);
+        prediction.feature_id = marks.into_image();
+        prediction
+    }
+
+    /// Predicts some of them, by index; which pixels they mark is noted.
+    pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let mut rest = Vec::new();
         if let Some(frame) = &self.frame {
             let judges = WorkerPool::new(frame);
-            let features = self.placed.par_iter().enumerate().with_min_len(BATCH);
-            let judged = features.map_init(
+            let judged = which.par_iter().with_min_len(BATCH).map_init(
                 || judges.wake(),
-                |awake, (i, placed)| {
-                    let told = told.map(|told| told[i].as_slice());
-                    let FeatureResult { seen, stats, pixels } = awake.judge().feature(placed, told);
+                |awake, i| {
+                    let told = told.map(|told| told[*i].as_slice());
+                    let FeatureResult { seen, stats, pixels } = awake.judge().feature(&self.placed[*i], told);
                     (seen, (stats, pixels))
                 },
             );
             // Straight to where they stay: what is told of a feature is long.
             judged.unzip_into_vecs(&mut prediction.features, &mut rest);
         }
-        for ((stats, pixels), placed) in rest.into_iter().zip(self.placed) {
+        for ((stats, pixels), i) in rest.into_iter().zip(which) {
             prediction.stats.add(&stats);
-            // Points and landmarks over segments over patches, then lower numbers.
-            let key = u64::from(layer_of(&placed.feature.shape)) << 32 | u64::from(placed.feature.id);
-            for pixel in pixels {
-                let at = &mut keys[pixel as usize];
-                *at = key.min(*at);
-            }
+            marks.add(&self.placed[*i].feature, &pixels);
         }
-        prediction.feature_id = keys.iter().map(|key| if *key == u64::MAX { 0 } else { *key as u32 }).collect();
         prediction
+    }
+
+    /// No pixel is marked yet.
+    pub fn marks(&self) -> Marks {
+        let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
+        Marks(vec![u64::MAX; pixels])
+    }
+
+    /// About how long the images of the features are, pixels: what counts is which is longer.
+    pub fn image_lengths(&self) -> Vec<f64> {
+        let Some(frame) = &self.frame else { return Vec::new() };
+        self.placed.par_iter().with_min_len(BATCH).map(|placed| image_length(frame, placed)).collect()
+    }
+}
+
+/// About how long the image of a feature's outline is, pixels. Parts beside the image have no length.
+fn image_length(frame: &VisibilityContext<'_>, placed: &PlacedFeature) -> f64 {
+    /// Pieces of each side.
+    const PIECES: u32 = 8;
+    let (points, _, _) = frame.in_image(placed);
+    let (sensor, turn) = (frame.sensor, frame.sensor.columns_of_a_turn());
+    let (width, height) = (f64::from(sensor.width()), f64::from(sensor.height()));
+    let place = |p: DVec3| {
+        let inside = |(u, v): &(f64, f64)| (-0.5..=width - 0.5).contains(u) && (-0.5..=height - 0.5).contains(v);
+        sensor.project(p).filter(inside)
+    };
+    let sides = if points.len() > 2 { points.len() } else { points.len().saturating_sub(1) };
+    let mut length = 0.0;
+    for side in 0..sides {
+        let (from, to) = (points[side], points[(side + 1) % points.len()]);
+        let mut last = place(from);
+        for piece in 1..=PIECES {
+            let next = place(from.lerp(to, f64::from(piece) / f64::from(PIECES)));
+            if let (Some(a), Some(b)) = (last, next) {
+                let across = (a.0 - b.0).abs();
+                let across = turn.map_or(across, |turn| across.min(turn - across));
+                length += across.hypot(a.1 - b.1);
+            }
+            last = next;
+        }
+    }
+    length
+}
+
+/// Which feature each pixel shows: points and landmarks over segments over patches, then lower numbers.
+pub(crate) struct Marks(Vec<u64>);
+
+impl Marks {
+    fn add(&mut self, feature: &Feature, pixels: &[u32]) {
+        let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
+        for pixel in pixels {
+            let at = &mut self.0[*pixel as usize];
+            *at = key.min(*at);
+        }
+    }
+
+    /// The numbers of features, 0 is none.
+    pub fn into_image(self) -> Vec<u32> {
+        self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
     }
 }
 

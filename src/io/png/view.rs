@@ -4,7 +4,7 @@ use super::canvas::{Canvas, FAINT, INK, PAGE, PageRect, Rgb, TEXT_HEIGHT, mix, t
 use super::color::{Palette, by_distance, grey};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::scale::Scale;
-use crate::plan::{Images, Output};
+use crate::plan::{Images, Output, SampleKind};
 use crate::sensor::{Angles, Geometry, Sensor};
 use glam::DVec2;
 
@@ -197,10 +197,10 @@ pub fn footer(canvas: &mut Canvas, top: u32, output: Output, palette: &Palette, 
         right -= MARGIN;
     }
     let width = right.saturating_sub(2 * MARGIN).min(640);
-    match output {
-        Output::Range | Output::DepthZ => bar(canvas, top, width, scale, "m", by_distance),
-        Output::CosIncidence | Output::Echo => bar(canvas, top, width, scale, "", grey),
-        Output::PolygonId | Output::ObjectId | Output::FeatureId => {}
+    match output.info().kind {
+        SampleKind::Float if output.is_distance() => bar(canvas, top, width, scale, "m", by_distance),
+        SampleKind::Float => bar(canvas, top, width, scale, "", grey),
+        SampleKind::Id | SampleKind::Vector => {}
     }
 }
 
