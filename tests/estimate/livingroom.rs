@@ -99,7 +99,6 @@ fn against_the_first_frame() {
             // From where the frame before was.
             let answer = found.estimate(&surface, &[&frame], &Prior::of_sigmas(truth[k - 1], 0.03, 0.02)).unwrap();
             let (metres, degrees) = apart(&answer.pose, &truth[k]);
-            println!("{folder} {k}: {metres} m {degrees} deg {:?} {:?}", answer.explained, answer.state);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
             assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
         }
