@@ -253,7 +253,7 @@ pub fn log(bytes: &[u8]) -> bool {
         }
         let lines: String = frames.iter().map(|frame| log::lines::line(frame) + "\n").collect();
         let again = path.with_file_name("again.jsonl");
-        std::fs::write(&again, log::lines::header(&spec) + "\n" + &lines).expect("a file");
+        std::fs::write(&again, format!("{}\n{lines}", log::lines::header(&spec))).expect("a file");
         let read = log::open(&again).expect("what was written can be read");
         let read: Vec<_> = read.map(|frame| frame.expect("a frame that was written")).collect();
         // NaN is unlike itself, its name is not.
