@@ -12,6 +12,7 @@
 mod batch;
 mod bounds;
 mod hidden;
+mod lanes;
 mod progress;
 mod ray_bounds;
 mod rays;
@@ -28,6 +29,7 @@ use crate::sensor::{ImagePart, LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
+use hidden::Occlusion;
 use progress::FrameProgress;
 use rayon::prelude::*;
 use spans::Buffer;
@@ -165,6 +167,8 @@ impl CpuEngine {
                 Drawn::Thinned(stride) => return Some(stride),
             };
             stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());
+            stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
             stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
             None
         });
@@ -232,7 +236,8 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let left_out = set_up(plan, bands, least, &runs, batches, &mut used);
+        let occlusion = (waves > 0).then_some(Occlusion { canvas, bands });
+        let left_out = set_up(plan, bands, occlusion, least, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -240,12 +245,9 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
-        if waves == 0 {
-            let stride = progress.begin_wave(batches, beyond, times[0] + times[1]);
-            if stride > 1 {
-                stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
-                return Drawn::Thinned(stride);
-            }
+        if waves == 0 && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1]) {
+            stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
+            return Drawn::Thinned(stride);
         }
         let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
         parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
@@ -291,6 +293,7 @@ fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
+    occlusion: Option<Occlusion<'_>>,
     least: usize,
     runs: &[Run],
     batches: &mut Vec<Batch>,
@@ -307,7 +310,7 @@ fn set_up(
         batch.nearest = runs[group.start].nearest_below();
         batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
         if batch.is_set_up {
-            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
+            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, occlusion });
         }
     });
     let left_out = new.iter().position(|batch| !batch.is_set_up);
@@ -352,6 +355,8 @@ struct SetUp<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
     bands: &'a Bands,
+    /// After the first wave.
+    occlusion: Option<Occlusion<'a>>,
 }
 
 impl pulp::WithSimd for SetUp<'_> {
@@ -359,7 +364,7 @@ impl pulp::WithSimd for SetUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        setup::fill(simd, self.batch, self.plan, self.runs, self.bands);
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands, self.occlusion);
     }
 }
 
