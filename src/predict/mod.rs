@@ -109,6 +109,7 @@ pub struct Predictor {
     buffers: PlanBuffers,
     /// The world's own features that were placed last.
     own: Option<features::OwnFeatures>,
+    tree: Option<features::KnownTree>,
     /// Keeps deadlines.
     controller: Controller,
     /// What happened to the GPU, if something did.
@@ -145,6 +146,7 @@ impl Predictor {
             proven: Proven::default(),
             buffers: PlanBuffers::default(),
             own: None,
+            tree: None,
             controller: Controller::default(),
             notice: None,
             row_cuts: RowCuts::default(),

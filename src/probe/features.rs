@@ -52,9 +52,10 @@ impl Probe {
         let Some(device) = engine.device() else { return Ok(Told::default()) };
         let right = self.seen(&sensor, &pose, &placed)?;
         let options = FeatureSettings::default();
-        let samples = Prepared::new(&self.world, &sensor, &pose, &images, &placed, &options)?.asking();
+        let samples = Prepared::new(&self.world, &sensor, &pose, &images, (&placed, None), &options)?.asking();
         let of = samples.iter().zip(&right.features);
         let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
+        let placed: Vec<_> = placed.iter().collect();
         let hints = device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor: &sensor })?;
         let mut told = Told { all: hints.len(), ..Told::default() };
         for (hint, visible) in hints.into_iter().zip(of) {

@@ -3,7 +3,7 @@
 use super::pose_cov;
 use super::print;
 use presight::features::roi::PoseCovariance;
-use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, Hidden};
 use presight::frames::GivenPose;
 use presight::geometry::Pose;
 use presight::io::prediction_json;
@@ -151,6 +151,10 @@ impl LayerArgs {
         }
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;
+        // Files and pictures show what is hidden, too.
+        if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
+            options.hidden = Hidden::Full;
+        }
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
         let mut boxes = BoxOptions::default();
         boxes.confidence = self.confidence.unwrap_or(boxes.confidence);

@@ -28,6 +28,7 @@ use crate::index::{Found, Region};
 use crate::world::World;
 use glam::DVec3;
 use local::Local;
+pub(super) use plane::clip;
 
 /// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
 /// tolerance cannot tell.

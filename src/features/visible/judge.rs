@@ -3,12 +3,13 @@
 use super::area::Span;
 use super::known::Faces;
 use super::open::{Line, Open, hide_along};
+use super::straight::BLOCKS_APART;
 use super::tally::{State, Tally, share};
 use super::tiles::Tiles;
 use super::{Frame, Visibility};
 use crate::environment::{Appearance, FeatureShape};
 use crate::features::sample::{Piece, Sample};
-use crate::features::{FeatureStats, PlacedFeature, Reason, SeenFeature};
+use crate::features::{FeatureStats, Hidden, HiddenInterval, PlacedFeature, Reason, SeenFeature};
 use crate::geometry::plane_of_polygon;
 use crate::index::{Found, Region};
 use glam::{DMat3, DVec2, DVec3};
@@ -54,7 +55,8 @@ impl Own<'_> {
 }
 
 pub(super) struct Judged {
-    pub seen: SeenFeature,
+    /// `None` if nothing is seen, and only what is seen is asked for.
+    pub seen: Option<SeenFeature>,
     pub stats: FeatureStats,
     pub pixels: Vec<u32>,
 }
@@ -138,7 +140,18 @@ impl<'a> Judge<'a> {
             }
             tally
         });
-        let (visible, hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        self.stats.asked = 1;
+        match frame.options.hidden {
+            Hidden::Count if visible.is_empty() => {
+                return Judged { seen: None, stats: self.stats, pixels: Vec::new() };
+            }
+            Hidden::Reason if visible.is_empty() => {
+                let last = hidden.iter().map(|h| h.reason).max();
+                hidden = last.map(|reason| HiddenInterval { t: [0.0, 1.0], reason, by: None }).into_iter().collect();
+            }
+            _ => {}
+        }
         let world_from_object = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
         let in_world = |p: &DVec3| world_from_object.map_or(*p, |pose| pose.transform_point(*p));
         let seen = SeenFeature {
@@ -159,7 +172,7 @@ impl<'a> Judge<'a> {
             roi_flag: None,
             image_covariance: None,
         };
-        Judged { seen, stats: self.stats, pixels: tally.pixels }
+        Judged { seen: Some(seen), stats: self.stats, pixels: tally.pixels }
     }
 
     /// What is known of a feature, and its points in the image frame.
@@ -326,7 +339,13 @@ impl<'a> Judge<'a> {
         self.begin();
         match told {
             Some(told) => self.take_told(told, own),
-            None => (0..self.open.len()).for_each(|i| self.gather(self.pixel_of(i), own)),
+            None => {
+                let apart = (BLOCKS_APART / self.frame.options.step) as usize;
+                (0..self.open.len()).step_by(apart.max(1)).for_each(|i| self.gather(self.pixel_of(i), own));
+                if let Some(last) = self.open.len().checked_sub(1) {
+                    self.gather(self.pixel_of(last), own);
+                }
+            }
         }
         for face in &self.near {
             let known = &self.faces.known[*face as usize];

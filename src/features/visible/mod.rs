@@ -23,11 +23,13 @@ mod frame;
 mod judge;
 mod known;
 mod open;
+mod select;
 mod straight;
 mod tally;
 mod tiles;
 
-use super::{FeaturePrediction, PlacedFeature, STEP};
+use super::tree::{FeatureTree, check_placed, newest};
+use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
 use crate::environment::FeatureShape;
 use crate::error::Result;
 use crate::geometry::Pose;
@@ -61,6 +63,8 @@ pub struct FeatureSettings {
     pub ids: IdScheme,
     /// Fill [`FeaturePrediction::feature_id`].
     pub feature_id: bool,
+    /// What is said of features of which nothing is seen.
+    pub hidden: Hidden,
     /// How visibility is decided.
     pub visibility: Visibility,
     /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
@@ -78,6 +82,7 @@ impl Default for FeatureSettings {
             time: None,
             ids: IdScheme::default(),
             feature_id: false,
+            hidden: Hidden::Full,
             visibility: Visibility::default(),
             step: STEP,
             is_partial: false,
@@ -124,7 +129,7 @@ pub fn predict_features(
     placed: &[PlacedFeature],
     options: &FeatureSettings,
 ) -> Result<FeaturePrediction> {
-    let prepared = Prepared::new(world, sensor, world_from_sensor, images, placed, options)?;
+    let prepared = Prepared::new(world, sensor, world_from_sensor, images, (placed, None), options)?;
     parallel(|| prepared.finish(None))
 }
 
@@ -135,6 +140,8 @@ pub(crate) struct Prepared<'a> {
     images: &'a Images,
     placed: &'a [PlacedFeature],
     feature_id: bool,
+    /// Numbers of the features that are looked at one by one, rising.
+    some: Vec<u32>,
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
@@ -146,7 +153,7 @@ pub struct FeatureSamples<'a> {
     /// Of each feature: where, image frame, and the nearest pixel, row-major.
     pub samples: &'a [Vec<(DVec3, u32)>],
     /// The features.
-    pub placed: &'a [PlacedFeature],
+    pub placed: &'a [&'a PlacedFeature],
     /// The sensor.
     pub sensor: &'a Sensor,
 }
@@ -163,6 +170,8 @@ pub enum OcclusionHint {
 }
 
 impl<'a> Prepared<'a> {
+    /// Of features that exist in the world if their tree is given.
+    ///
     /// # Errors
     /// As [`predict_features`].
     pub fn new(
@@ -170,26 +179,44 @@ impl<'a> Prepared<'a> {
         sensor: &'a Sensor,
         world_from_sensor: &Pose,
         images: &'a Images,
-        placed: &'a [PlacedFeature],
+        (placed, tree): (&'a [PlacedFeature], Option<&FeatureTree>),
         options: &FeatureSettings,
     ) -> Result<Self> {
         world_from_sensor.check()?;
-        let frame = match placed {
-            [] => None,
-            _ => Some(Frame::new(world, sensor, world_from_sensor, images, placed, options)?),
+        let prepared = Self { frame: None, images, placed, feature_id: options.feature_id, some: Vec::new() };
+        if placed.is_empty() {
+            return Ok(prepared);
+        }
+        let mut made = None;
+        if tree.is_none() {
+            check_placed(world.environment(), placed)?;
+            made = (options.hidden == Hidden::Count).then(|| FeatureTree::new(placed));
+        }
+        let tree = tree.or(made.as_ref());
+        let newest = || tree.map_or_else(|| newest(placed), |tree| tree.newest);
+        let time = options.time.unwrap_or_else(newest);
+        let frame = Frame::new(world, sensor, world_from_sensor, images, time, options)?;
+        let some = match tree {
+            Some(tree) if options.hidden == Hidden::Count => select::select(&frame, tree, placed),
+            _ => (0..placed.len() as u32).collect(),
         };
-        Ok(Self { frame, images, placed, feature_id: options.feature_id })
+        Ok(Self { frame: Some(frame), some, ..prepared })
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
     pub fn asking(&self) -> Vec<Asking> {
         let Some(frame) = &self.frame else { return Vec::new() };
         let judges = Judges::new(frame);
-        self.placed
+        self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, placed| awake.judge().asking(placed))
+            .map_init(|| judges.wake(), |awake, i| awake.judge().asking(&self.placed[*i as usize]))
             .collect()
+    }
+
+    /// The features asked about, in the order of [`Prepared::asking`].
+    pub fn asked(&self) -> impl Iterator<Item = &'a PlacedFeature> {
+        self.some.iter().map(|i| &self.placed[*i as usize])
     }
 
     /// Predicts them. `told` are, in the order of [`Prepared::asking`], the slots of what may hide the samples; otherwise
@@ -198,32 +225,60 @@ impl<'a> Prepared<'a> {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
         let mut keys = vec![u64::MAX; pixels];
         let mut prediction = FeaturePrediction::default();
-        let mut rest = Vec::new();
-        if let Some(frame) = &self.frame {
-            let judges = Judges::new(frame);
-            let features = self.placed.par_iter().enumerate().with_min_len(BATCH);
-            let judged = features.map_init(
-                || judges.wake(),
-                |awake, (i, placed)| {
-                    let told = told.map(|told| told[i].as_slice());
-                    let Judged { seen, stats, pixels } = awake.judge().feature(placed, told);
-                    (seen, (stats, pixels))
-                },
-            );
-            // Straight to where they stay: what is told of a feature is long.
-            judged.unzip_into_vecs(&mut prediction.features, &mut rest);
-        }
-        for ((stats, pixels), placed) in rest.into_iter().zip(self.placed) {
-            prediction.stats.add(&stats);
-            // Points and landmarks over segments over patches, then lower numbers.
-            let key = u64::from(layer_of(&placed.feature.shape)) << 32 | u64::from(placed.feature.id);
-            for pixel in pixels {
-                let at = &mut keys[pixel as usize];
-                *at = key.min(*at);
+        let Some(frame) = &self.frame else { return prediction };
+        let judges = Judges::new(frame);
+        let some = self.some.par_iter().enumerate().with_min_len(BATCH);
+        let parts = some.fold(
+            || (judges.wake(), Part::default()),
+            |(mut awake, mut part), (at, number)| {
+                let told = told.map(|told| told[at].as_slice());
+                part.take(*number, awake.judge().feature(&self.placed[*number as usize], told));
+                (awake, part)
+            },
+        );
+        for mut part in parts.map(|(_, part)| part).collect::<Vec<Part>>() {
+            prediction.features.append(&mut part.features);
+            prediction.given.append(&mut part.given);
+            prediction.stats.add(&part.stats);
+            for (number, pixels) in part.pixels {
+                // Points and landmarks over segments over patches, then lower numbers.
+                let feature = &self.placed[number as usize].feature;
+                let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
+                for pixel in pixels {
+                    let at = &mut keys[pixel as usize];
+                    *at = key.min(*at);
+                }
             }
         }
+        if frame.options.hidden != Hidden::Count {
+            prediction.given = Vec::new();
+        }
+        prediction.stats.features = self.placed.len();
         prediction.feature_id = keys.iter().map(|key| if *key == u64::MAX { 0 } else { *key as u32 }).collect();
         prediction
+    }
+}
+
+/// What is found of some neighbouring features.
+#[derive(Default)]
+struct Part {
+    features: Vec<SeenFeature>,
+    given: Vec<u32>,
+    /// By number of the feature, the pixels in which it shows.
+    pixels: Vec<(u32, Vec<u32>)>,
+    stats: FeatureStats,
+}
+
+impl Part {
+    fn take(&mut self, number: u32, Judged { seen, stats, pixels }: Judged) {
+        self.stats.add(&stats);
+        if let Some(seen) = seen {
+            self.features.push(seen);
+            self.given.push(number);
+        }
+        if !pixels.is_empty() {
+            self.pixels.push((number, pixels));
+        }
     }
 }
 

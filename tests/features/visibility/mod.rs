@@ -8,6 +8,7 @@
 #![allow(clippy::print_stderr)] // What agrees is worth reading.
 
 use presight_testkit as common;
+mod counted;
 mod occluders;
 mod patches;
 
