@@ -11,6 +11,7 @@ use presight_testkit as common;
 mod counted;
 mod occluders;
 mod patches;
+mod thin;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, scenes};
