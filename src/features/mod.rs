@@ -1,6 +1,7 @@
 //! Features in a world: which polygons they lie on, how much of each a sensor sees, and where in the image.
 
 mod boxes;
+mod choose;
 mod columns;
 pub(crate) mod normal;
 mod options;
@@ -19,6 +20,7 @@ pub use boxes::add_boxes;
 #[cfg(feature = "gpu")]
 pub(crate) use boxes::{BoxFrame, Kind as ImageKind, Room};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
+pub(crate) use choose::choose;
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]

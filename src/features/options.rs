@@ -62,6 +62,9 @@ pub struct FeatureOptions {
     pub time: Option<f64>,
     /// What is said of features of which nothing is seen.
     pub hidden: Hidden,
+    /// Of the features that are seen the most that are kept, those that tell most of the sensor's pose; the rest is counted.
+    /// `feature_id` shows all.
+    pub max_features: Option<usize>,
     /// How visibility is decided.
     pub visibility: Visibility,
     /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
@@ -76,6 +79,7 @@ impl Default for FeatureOptions {
             source: FeatureSource::default(),
             time: None,
             hidden: Hidden::default(),
+            max_features: None,
             visibility: Visibility::default(),
             step: STEP,
         }
@@ -99,6 +103,13 @@ impl FeatureOptions {
     #[must_use]
     pub fn with_hidden(self, hidden: Hidden) -> Self {
         Self { hidden, ..self }
+    }
+
+    /// With no more features that are seen than this: one by one those that add most to the logarithm of the determinant of the
+    /// pose's information, weighted by existence and contrast.
+    #[must_use]
+    pub fn with_max_features(self, most: usize) -> Self {
+        Self { max_features: Some(most), ..self }
     }
 
     /// With another way to decide visibility.

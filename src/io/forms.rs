@@ -174,6 +174,8 @@ struct FeaturesForm {
     time: Option<f64>,
     #[serde(with = "HiddenForm", default)]
     hidden: Hidden,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    max_features: Option<usize>,
     #[serde(with = "VisibilityForm", default)]
     visibility: Visibility,
     #[serde(default = "default_step")]
@@ -214,7 +216,13 @@ impl Serialize for Request {
             Some(FeatureOptions { source: FeatureSource::Placed(_), .. }) => {
                 return Err(S::Error::custom("placed features are of one world in memory and are not written"));
             }
-            Some(f) => Some(FeaturesForm { time: f.time, hidden: f.hidden, visibility: f.visibility, step: f.step }),
+            Some(f) => Some(FeaturesForm {
+                time: f.time,
+                hidden: f.hidden,
+                max_features: f.max_features,
+                visibility: f.visibility,
+                step: f.step,
+            }),
             None => None,
         };
         let regions = self.regions.as_ref().map(|r| RegionsForm {
@@ -231,9 +239,9 @@ impl<'de> Deserialize<'de> for Request {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let form = RequestForm::deserialize(deserializer)?;
         let mut request = Self::of(form.outputs).with_ids(form.ids);
-        if let Some(FeaturesForm { time, hidden, visibility, step }) = form.features {
+        if let Some(FeaturesForm { time, hidden, max_features, visibility, step }) = form.features {
             let options = FeatureOptions::default().with_hidden(hidden).with_visibility(visibility).with_step(step);
-            request = request.with_features(FeatureOptions { time, ..options });
+            request = request.with_features(FeatureOptions { time, max_features, ..options });
         }
         if let Some(regions) = form.regions {
             let sensor = matrix(&regions.pose_covariance).map_err(D::Error::custom)?;
@@ -298,6 +306,7 @@ mod tests {
                 FeatureOptions::default()
                     .with_time(1.79e9)
                     .with_hidden(Hidden::Reason)
+                    .with_max_features(20)
                     .with_visibility(Visibility::Rays)
                     .with_step(0.1),
             )

@@ -6,7 +6,7 @@ use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, FeatureTree, Hidden,
-    OcclusionHint, PlacedFeature, PlacedFeatures, Prepared, SeenFeature, Visibility, add_boxes, check_placed,
+    OcclusionHint, PlacedFeature, PlacedFeatures, Prepared, SeenFeature, Visibility, add_boxes, check_placed, choose,
     predict_features, sides_seen_in_part,
 };
 use crate::geometry::Pose;
@@ -72,6 +72,12 @@ impl Predictor {
         let settings = FeatureSettings { is_partial: stats.given_up().is_some(), ..settings(request) };
         let mut features = self.see(seen_from, images, &placed.features, &settings, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
+        if let Some(most) = request.features.as_ref().and_then(|options| options.max_features) {
+            let start = Instant::now();
+            let known = request.regions.as_ref().map(|regions| &regions.sensor);
+            stats.count("features not chosen", choose(&mut features, &placed.features, seen_from, known, most));
+            stats.stage("choice of features", start);
+        }
         tell_lost(&placed.lost, &sensor.spec().class, stats);
         match &request.regions {
             Some(options) if placed.objects.is_empty() => {

@@ -24,6 +24,12 @@ pub struct LayerArgs {
     #[arg(long, value_name = "OUT.json")]
     pub features: Option<PathBuf>,
 
+    /// Of the features seen, keep those N that tell most of the sensor's pose
+    ///
+    /// One by one the feature that adds most to the information of the pose, weighted by existence and contrast.
+    #[arg(long, value_name = "N")]
+    max_features: Option<usize>,
+
     /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     time: Option<f64>,
@@ -151,6 +157,7 @@ impl LayerArgs {
         }
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;
+        options.max_features = self.max_features;
         // Files and pictures show what is hidden, too.
         if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
             options.hidden = Hidden::Full;

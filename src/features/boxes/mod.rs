@@ -3,7 +3,7 @@
 mod image;
 mod points;
 
-use image::Image;
+pub(super) use image::Image;
 #[cfg(feature = "gpu")]
 pub(crate) use image::Kind;
 

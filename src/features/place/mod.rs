@@ -183,9 +183,10 @@ impl<'a> Finder<'a> {
         let frame = Frame { object: object.map(|i| (&environment.objects()[i as usize], i)), anchor: points[0] };
         let boxes = boxes_around(&frame, &feature.shape);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
+        let tolerance = self.tolerance;
         let mut within = |tolerance: f64| lie(&self.near(&frame, &boxes, tolerance), &about, &|_| Ok(()));
-        let lie = match within(self.tolerance.min(ROUNDING))? {
-            Lie::Off(_) if self.tolerance > ROUNDING => within(self.tolerance)?,
+        let lie = match within(tolerance.min(ROUNDING))? {
+            Lie::Off(_) if tolerance > ROUNDING => within(tolerance)?,
             lie => lie,
         };
         Ok((frame, lie))

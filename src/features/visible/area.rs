@@ -9,7 +9,7 @@
 //! of patches that lie behind their own polygon, which hides what may be between the two.
 
 use super::Visibility;
-use super::judge::{Judge, Own};
+use super::judge::{FeatureSurface, Judge};
 use super::known::Nearer;
 use super::open::Open;
 use super::tally::{State, Tally};
@@ -40,7 +40,7 @@ pub(super) struct Span {
 
 /// A patch whose pixels are looked at.
 struct Area<'o, 'p> {
-    own: &'o Own<'p>,
+    own: &'o FeatureSurface<'p>,
     /// Product with a ray: one over how much longer it has to be to reach the patch.
     inverse: DVec3,
     /// Least and greatest range of the patch.
@@ -51,7 +51,7 @@ struct Area<'o, 'p> {
 
 impl Judge<'_> {
     /// Decides about a patch; `None` if it covers few pixels, or the image cannot.
-    pub(super) fn area(&mut self, points: &[DVec3], own: &Own<'_>) -> Option<Tally> {
+    pub(super) fn area(&mut self, points: &[DVec3], own: &FeatureSurface<'_>) -> Option<Tally> {
         let cone = self.take_spans(points)?;
         let spec = self.frame.sensor.spec();
         let ranges = [cone.distance(), points.iter().map(|p| p.length()).fold(0.0, f64::max)];

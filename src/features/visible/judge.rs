@@ -13,14 +13,13 @@ use crate::features::{FeatureStats, Hidden, HiddenInterval, PlacedFeature, Reaso
 use crate::geometry::plane_of_polygon;
 use crate::index::{Found, Region};
 use glam::{DMat3, DVec2, DVec3};
-use std::collections::HashMap;
 use std::ops::Range;
 
 /// How many ids are kept in mind while pixels are looked through.
 const LATEST: usize = 4;
 
 /// What is known of a feature beside its geometry.
-pub(super) struct Own<'a> {
+pub(super) struct FeatureSurface<'a> {
     slots: &'a [u32],
     /// Normals of what it lies on, as far as that can be seen, image frame.
     normals: Vec<DVec3>,
@@ -32,7 +31,7 @@ pub(super) struct Own<'a> {
     rounding: f64,
 }
 
-impl Own<'_> {
+impl FeatureSurface<'_> {
     /// Only what is in between decides.
     pub fn is_plain(&self) -> bool {
         self.reason.is_none() && self.front.is_none()
@@ -176,14 +175,14 @@ impl<'a> Judge<'a> {
     }
 
     /// What is known of a feature, and its points in the image frame.
-    fn prepare<'p>(&mut self, placed: &'p PlacedFeature) -> (Own<'p>, Vec<DVec3>) {
+    fn prepare<'p>(&mut self, placed: &'p PlacedFeature) -> (FeatureSurface<'p>, Vec<DVec3>) {
         let (points, image_from_object, rounding) = self.frame.in_image(placed);
         self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
         (self.own(placed, &points, image_from_object, rounding), points)
     }
 
     /// Samples a feature: `open` are those left open.
-    fn sample(&mut self, shape: &FeatureShape, own: &Own<'_>, points: &[DVec3]) {
+    fn sample(&mut self, shape: &FeatureShape, own: &FeatureSurface<'_>, points: &[DVec3]) {
         let sampler = &self.frame.sampler;
         self.pieces.clear();
         let mut take = |piece: Piece| self.pieces.push(piece);
@@ -205,7 +204,7 @@ impl<'a> Judge<'a> {
         points: &[DVec3],
         image_from_object: DMat3,
         rounding: f64,
-    ) -> Own<'p> {
+    ) -> FeatureSurface<'p> {
         let frame = self.frame;
         let class = &frame.sensor.spec().class;
         let (mut normals, mut there, mut away) = (Vec::new(), 0, 0);
@@ -240,11 +239,11 @@ impl<'a> Judge<'a> {
             _ if there == away => Some(Reason::FacingAway),
             _ => None,
         };
-        Own { slots: &placed.slots, normals, front, reason, rounding }
+        FeatureSurface { slots: &placed.slots, normals, front, reason, rounding }
     }
 
     /// Sorts samples into those that geometry alone decides and those left open.
-    fn open(&mut self, own: &Own<'_>, points: &[DVec3]) {
+    fn open(&mut self, own: &FeatureSurface<'_>, points: &[DVec3]) {
         self.states.clear();
         self.open.clear();
         let d = points.get(1).map_or(DVec3::ZERO, |b| *b - points[0]);
@@ -272,7 +271,7 @@ impl<'a> Judge<'a> {
 
     /// The first reason that applies whatever is in between.
     #[inline]
-    pub(super) fn before_occlusion(&self, sample: &Sample, range: f64, own: &Own<'_>) -> Option<Reason> {
+    pub(super) fn before_occlusion(&self, sample: &Sample, range: f64, own: &FeatureSurface<'_>) -> Option<Reason> {
         let spec = self.frame.sensor.spec();
         if range < spec.range_min {
             return Some(Reason::BelowRangeMin);
@@ -293,9 +292,15 @@ impl<'a> Judge<'a> {
         spec.max_incidence.is_some_and(flat).then_some(Reason::Oblique)
     }
 
-    fn decide(&mut self, own: &Own<'_>, shape: &FeatureShape, points: &[DVec3], told: Option<&[Option<u32>]>) {
+    fn decide(
+        &mut self,
+        own: &FeatureSurface<'_>,
+        shape: &FeatureShape,
+        points: &[DVec3],
+        told: Option<&[Option<u32>]>,
+    ) {
         if self.frame.options.visibility == Visibility::Rays {
-            return self.by_rays(own, 0..self.open.len());
+            return (0..self.open.len()).for_each(|i| self.by_ray(i, own));
         }
         let line = match shape {
             FeatureShape::Segment { .. } => Some(Line { a: points[0], d: points[1] - points[0] }),
@@ -335,7 +340,7 @@ impl<'a> Judge<'a> {
     }
 
     /// The polygons seen around a segment's image, each against all of the segment.
-    fn image_along(&mut self, line: Line, own: &Own<'_>, told: Option<&[Option<u32>]>) {
+    fn image_along(&mut self, line: Line, own: &FeatureSurface<'_>, told: Option<&[Option<u32>]>) {
         self.begin();
         match told {
             Some(told) => self.take_told(told, own),
@@ -354,7 +359,7 @@ impl<'a> Judge<'a> {
     }
 
     /// The polygons seen around every sample, against it.
-    fn image_at_samples(&mut self, own: &Own<'_>) {
+    fn image_at_samples(&mut self, own: &FeatureSurface<'_>) {
         self.center = None;
         for i in 0..self.open.len() {
             if self.moves(self.pixel_of(i)) {
@@ -366,7 +371,7 @@ impl<'a> Judge<'a> {
     }
 
     /// The polygons told of, each against its sample.
-    fn told_at_samples(&mut self, own: &Own<'_>, told: &[Option<u32>]) {
+    fn told_at_samples(&mut self, own: &FeatureSurface<'_>, told: &[Option<u32>]) {
         debug_assert_eq!(told.len(), self.open.len());
         for i in 0..self.open.len().min(told.len()) {
             self.begin();
@@ -375,7 +380,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    pub(super) fn take_told(&mut self, told: &[Option<u32>], own: &Own<'_>) {
+    pub(super) fn take_told(&mut self, told: &[Option<u32>], own: &FeatureSurface<'_>) {
         let mut last = None;
         for slot in told.iter().flatten() {
             if last.replace(*slot) != Some(*slot) {
@@ -408,7 +413,7 @@ impl<'a> Judge<'a> {
 
     /// Adds the polygons of the nine pixels around a place to `near`: those that cover rays, and that the feature does not
     /// lie on, once each.
-    pub(super) fn gather(&mut self, pixel: DVec2, own: &Own<'_>) {
+    pub(super) fn gather(&mut self, pixel: DVec2, own: &FeatureSurface<'_>) {
         let frame = self.frame;
         let (column, row) = self.nearest_pixel(pixel);
         let before = self.center.replace((column, row));
@@ -443,7 +448,7 @@ impl<'a> Judge<'a> {
 
     /// The polygon of an id, unless that is nothing or one of the latest: as of most pixels.
     #[inline]
-    fn take_id(&mut self, id: u32, own: &Own<'_>) {
+    fn take_id(&mut self, id: u32, own: &FeatureSurface<'_>) {
         // The latest first, by itself: it is that of most.
         if id == self.latest[0] || self.latest.contains(&id) {
             return;
@@ -458,7 +463,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    fn take_slot(&mut self, slot: u32, own: &Own<'_>) {
+    fn take_slot(&mut self, slot: u32, own: &FeatureSurface<'_>) {
         let Some(at) = self.faces.of_slot(self.frame, slot) else { return };
         let known = &mut self.faces.known[at];
         if known.asked != self.asking {
@@ -470,76 +475,66 @@ impl<'a> Judge<'a> {
     }
 
     /// Marks one sample if one of the polygons in `near` hides it.
-    fn hide_sample(&mut self, index: usize, own: &Own<'_>) {
+    fn hide_sample(&mut self, index: usize, own: &FeatureSurface<'_>) {
         for face in &self.near {
             self.open[index].hide_by(&self.faces.known[*face as usize], &self.faces, own.rounding);
         }
     }
 
-    /// Whatever has a point between the sensor and a part of a segment, by one query of the index for all of it.
-    fn space_along(&mut self, line: Line, left: Range<usize>, own: &Own<'_>) {
-        let ends = [self.open[left.start].at, self.open[left.end - 1].at];
-        let farthest = self.open[left.clone()].iter().map(|o| o.range).fold(0.0, f64::max);
-        if left.len() < 3 || !self.query_triangle(ends, farthest, own) {
-            return self.by_rays(own, left);
+    /// Whatever may hide samples of a segment, tile by tile.
+    fn space_along(&mut self, line: Line, left: Range<usize>, own: &FeatureSurface<'_>) {
+        let mut near = std::mem::take(&mut self.near);
+        let mut start = left.start;
+        while start < left.end {
+            let number = self.tiles.of(self.open[start].at).0;
+            let more = self.open[start..left.end].iter().position(|o| self.tiles.of(o.at).0 != number);
+            let end = more.map_or(left.end, |more| start + more);
+            let some = &mut self.open[start..end];
+            if some.iter().any(|o| o.by.is_none()) {
+                let farthest = some.iter().map(|o| o.range).fold(0.0, f64::max);
+                let ends = [some[0].at, some[some.len() - 1].at];
+                let tile = self.tiles.tile(self.frame, &mut self.faces, ends[0], farthest);
+                near.clear();
+                near.extend(self.tiles.between(tile, &ends, own, &self.faces));
+                for face in &near {
+                    let known = &self.faces.known[*face as usize];
+                    hide_along(known, self.faces.planes_of(known), line, some, own.rounding);
+                }
+            }
+            start = end;
         }
-        for face in &self.near {
-            let known = &self.faces.known[*face as usize];
-            hide_along(known, self.faces.planes_of(known), line, &mut self.open[left.clone()], own.rounding);
-        }
+        self.near = near;
     }
 
-    /// Fills `near` with all polygons that may have a point in the triangle of the sensor and two places; false if it has no
-    /// area.
-    fn query_triangle(&mut self, [a, b]: [DVec3; 2], farthest: f64, own: &Own<'_>) -> bool {
-        /// Below this angle the plane of the sensor and the segment is not known well enough.
-        const LEAST_SINE: f64 = 1e-6;
-        let normal = a.cross(b);
-        if !(normal.length() > LEAST_SINE * a.length() * b.length()) {
-            return false;
-        }
-        let normal = normal.normalize();
-        let planes = [normal, -normal, normal.cross(a).normalize(), b.cross(normal).normalize()];
-        let frame = self.frame;
-        let planes = planes.map(|plane| frame.image_from_world.transpose() * plane);
-        self.begin();
-        let region = Region::frustum(frame.world_from_sensor.translation, &planes, farthest * (1.0 + 1e-9));
-        self.gather_from(&region, own);
-        true
-    }
-
-    /// Whatever may hide samples of a point or a patch, one by one: by tiles, unless these would serve very few.
-    pub(super) fn space_at_samples(&mut self, left: Range<usize>, own: &Own<'_>) {
+    /// Whatever may hide samples of a point or a patch: by tiles, unless these would serve very few.
+    pub(super) fn space_at_samples(&mut self, left: Range<usize>, own: &FeatureSurface<'_>) {
         const VERY_FEW: usize = 9;
-        let mut farthest: HashMap<u32, f64> = HashMap::new();
-        for open in self.open[left.clone()].iter().filter(|o| o.by.is_none()) {
-            let at = farthest.entry(self.tiles.of(open.at).0).or_insert(0.0);
-            *at = open.range.max(*at);
-        }
-        if left.len() < VERY_FEW && !farthest.iter().all(|(tile, farthest)| self.tiles.knows(*tile, *farthest)) {
-            return self.by_rays(own, left);
-        }
-        let mut leaf = None;
-        for i in left {
-            let open = &mut self.open[i];
-            if open.by.is_some() {
+        let open = |i: &usize| self.open[*i].by.is_none();
+        let mut by_tile: Vec<(u32, usize)> = left.filter(open).map(|i| (self.tiles.of(self.open[i].at).0, i)).collect();
+        by_tile.sort_unstable();
+        let (mut near, mut places) = (std::mem::take(&mut self.near), Vec::new());
+        for some in by_tile.chunk_by(|a, b| a.0 == b.0) {
+            places.clear();
+            places.extend(some.iter().map(|(_, i)| self.open[*i].at));
+            let farthest = some.iter().map(|(_, i)| self.open[*i].range).fold(0.0, f64::max);
+            if by_tile.len() < VERY_FEW && !self.tiles.knows(some[0].0, farthest) {
+                some.iter().for_each(|(_, i)| self.by_ray(*i, own));
                 continue;
             }
-            let known = leaf.filter(|leaf| self.tiles.is_leaf_of(*leaf, open.at, open.range));
-            let here = known.unwrap_or_else(|| {
-                let farthest = farthest[&self.tiles.of(open.at).0];
-                self.tiles.leaf(self.frame, &mut self.faces, open.at, farthest)
-            });
-            leaf = Some(here);
-            let at = [open.at];
-            for known in self.tiles.between(here, &at, own, &self.faces) {
-                open.hide_by(known, &self.faces, own.rounding);
+            let tile = self.tiles.tile(self.frame, &mut self.faces, places[0], farthest);
+            near.clear();
+            near.extend(self.tiles.between(tile, &places, own, &self.faces));
+            for (_, i) in some {
+                for face in &near {
+                    self.open[*i].hide_by(&self.faces.known[*face as usize], &self.faces, own.rounding);
+                }
             }
         }
+        self.near = near;
     }
 
     /// Fills `near` with the polygons in a region that may hide what is asked for.
-    fn gather_from(&mut self, region: &Region, own: &Own<'_>) {
+    fn gather_from(&mut self, region: &Region, own: &FeatureSurface<'_>) {
         let frame = self.frame;
         self.found.clear();
         frame.world.index().query(frame.environment, region, &mut self.found);
@@ -550,19 +545,14 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// A ray from the sensor to every sample that nothing hides yet, through the index.
-    fn by_rays(&mut self, own: &Own<'_>, some: Range<usize>) {
+    /// A ray from the sensor to a sample, through the index.
+    fn by_ray(&mut self, i: usize, own: &FeatureSurface<'_>) {
         let frame = self.frame;
-        for i in some {
-            let Open { at, range, by, .. } = self.open[i];
-            if by.is_some() {
-                continue;
-            }
-            self.begin();
-            let direction = frame.image_from_world.transpose() * (at / range);
-            let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
-            self.gather_from(&region, own);
-            self.hide_sample(i, own);
-        }
+        let Open { at, range, .. } = self.open[i];
+        self.begin();
+        let direction = frame.image_from_world.transpose() * (at / range);
+        let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
+        self.gather_from(&region, own);
+        self.hide_sample(i, own);
     }
 }

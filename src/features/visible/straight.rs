@@ -1,6 +1,6 @@
 //! Segments in a pinhole camera: samples in equal steps of a straight image, decided run by run and not one by one.
 
-use super::judge::{Judge, Own};
+use super::judge::{FeatureSurface, Judge};
 use super::known::{Known, Nearer};
 use super::tally::{State, Tally};
 use super::tiles::Square;
@@ -87,7 +87,7 @@ impl Judge<'_> {
     pub(super) fn straight(
         &mut self,
         [a, b]: [DVec3; 2],
-        own: &Own<'_>,
+        own: &FeatureSurface<'_>,
         told: Option<&[Option<u32>]>,
     ) -> Option<Tally> {
         let frame = self.frame;
@@ -116,7 +116,7 @@ impl Judge<'_> {
         &mut self,
         part: &Straight,
         ranges: [f64; 2],
-        own: &Own<'_>,
+        own: &FeatureSurface<'_>,
         told: Option<&[Option<u32>]>,
         by: &mut [u32],
     ) -> bool {
@@ -152,7 +152,7 @@ impl Judge<'_> {
         part: &Straight,
         left: Range<usize>,
         ranges: [f64; 2],
-        own: &Own<'_>,
+        own: &FeatureSurface<'_>,
         by: &mut [u32],
     ) -> bool {
         let open_from = |start: usize, by: &[u32]| {
@@ -162,19 +162,17 @@ impl Judge<'_> {
         let mut start = left.start;
         while start < left.end {
             let first = part.middle(start).0;
-            let whole_end = end_in(part, &self.tiles.of(first).1, start..left.end);
-            let farthest = first.length().max(part.middle(whole_end - 1).0.length());
-            while start < whole_end {
-                let leaf = self.tiles.leaf(self.frame, &mut self.faces, part.middle(start).0, farthest);
-                let end = end_in(part, self.tiles.square(leaf), start..whole_end);
-                let stretch = Stretch::new(part, start..end, ranges, own.rounding());
-                for known in self.tiles.between(leaf, &stretch.ends, own, &self.faces) {
-                    if !stretch.hide(known, self.faces.planes_of(known), by) {
-                        return false;
-                    }
+            let end = end_in(part, &self.tiles.of(first).1, start..left.end);
+            let farthest = first.length().max(part.middle(end - 1).0.length());
+            let tile = self.tiles.tile(self.frame, &mut self.faces, first, farthest);
+            let stretch = Stretch::new(part, start..end, ranges, own.rounding());
+            for face in self.tiles.between(tile, &stretch.ends, own, &self.faces) {
+                let known = &self.faces.known[face as usize];
+                if !stretch.hide(known, self.faces.planes_of(known), by) {
+                    return false;
                 }
-                start = open_from(end, by);
             }
+            start = open_from(end, by);
         }
         true
     }
