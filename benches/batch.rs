@@ -10,7 +10,7 @@
 #![allow(missing_docs, reason = "a bench has no interface")]
 #![allow(clippy::print_stdout, reason = "the table is what it is for")]
 
-use presight::batch::{BatchRequest, Headings, PoseCell, Sensed};
+use presight::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::free_poses::free_poses;
 use presight::io::gltf::{ImportOptions, import};
 use presight::io::log;
@@ -75,7 +75,7 @@ fn malaga() {
     let places: Vec<Pose> = (0..3714).map(|i| places[(i as f64 * every) as usize]).collect();
     let beams = frame.range.iter().filter(|r| r.is_finite()).count();
     let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
-    let sensed = Sensed::new(&sensor, frame.range, cell).expect("a sound scan");
+    let sensed = RangeLikelihood::new(&sensor, frame.range, cell).expect("a sound scan");
     let request = BatchRequest { likelihood: Some(sensed), headings: Some(headings), ..BatchRequest::default() };
     let mut predictor = predictor();
     let mut cut_ms = 0.0;
@@ -105,7 +105,7 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let asked = Request::of(outputs);
     let mut images = Images::default();
     predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
-    let sensed = Sensed::new(&sensor, images.range.clone(), PoseCell::default()).expect("a sound image");
+    let sensed = RangeLikelihood::new(&sensor, images.range.clone(), PoseCell::default()).expect("a sound image");
     let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let mut sums = [0.0, 0.0];
     let batch = least(3, || {

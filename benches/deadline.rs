@@ -116,9 +116,9 @@ fn main() -> Result<(), Box<dyn Error>> {
                     complete.push(0.0);
                     continue;
                 };
-                let lost = stats.given_up().map_or(0, |given_up| given_up.samples);
+                let lost = stats.degradation().map_or(0, |given_up| given_up.samples);
                 there.push(1.0 - lost as f64 / (bench.sensor.width() * bench.sensor.height()) as f64);
-                complete.push(stats.given_up().map_or(f64::INFINITY, |given_up| given_up.complete_to));
+                complete.push(stats.degradation().map_or(f64::INFINITY, |given_up| given_up.complete_to));
             }
         }
         println!(

@@ -13,8 +13,8 @@ mod common;
 
 use common::fastest;
 use glam::{DMat3, DVec3};
-use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::FeatureShape;
+use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{
     BoxOptions, FeatureOptions, FeatureSettings, Hidden, Piece, PlacedFeature, Sampler, Visibility, place,
     predict_features,

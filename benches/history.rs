@@ -6,7 +6,7 @@
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use glam::{DMat2, DVec2};
 use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
-use presight::matching::{Detection, Estimate, ExpectedProperties, Shape};
+use presight::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
 
 /// SplitMix64.
 struct Random(u64);
@@ -39,7 +39,7 @@ fn scene(count: usize, clutter: usize, is_edge: bool, spread: f64) -> (Tracker, 
     let places: Vec<DVec2> = (0..count).map(|_| DVec2::new(320.0, 240.0).lerp(random.at(), spread)).collect();
     let told: Vec<f64> = (0..count).map(|_| random.unit()).collect();
     let properties = |i: usize| ExpectedProperties {
-        contrast: Some(Estimate { mean: told[i], variance: 1e-3 }),
+        contrast: Some(UncertainValue { mean: told[i], variance: 1e-3 }),
         ..ExpectedProperties::default()
     };
     let seed = |(i, at): (usize, &DVec2)| {

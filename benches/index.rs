@@ -6,7 +6,7 @@
 use glam::{DVec2, DVec3, Vec3};
 use parry3d_f64::bounding_volume::Aabb as ParryBox;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
-use presight::index::{Found, Params, Rect, Region, Scheme, Sector, SpatialIndex, WorldIndex, build};
+use presight::index::{Params, QueryResult, Rect, Region, Scheme, Sector, SpatialIndex, WorldIndex, build};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Aabb, Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use rstar::{AABB, RTree, RTreeObject, SelectionFunction};
@@ -158,7 +158,7 @@ fn race(contenders: &mut [Contender<'_>], queries: &[Query], rounds: usize) -> V
 }
 
 fn by_index<'a>(index: &'a dyn SpatialIndex) -> impl FnMut(&Query, &mut Vec<u32>) + 'a {
-    let mut found = Found::default();
+    let mut found = QueryResult::default();
     move |q, ids| {
         found.clear();
         index.query(&q.region, &mut found);
@@ -167,7 +167,7 @@ fn by_index<'a>(index: &'a dyn SpatialIndex) -> impl FnMut(&Query, &mut Vec<u32>
 }
 
 fn by_world<'a>(index: &'a WorldIndex, environment: &'a Environment) -> impl FnMut(&Query, &mut Vec<u32>) + 'a {
-    let mut found = Found::default();
+    let mut found = QueryResult::default();
     move |q, ids| {
         found.clear();
         index.query(environment, &q.region, &mut found);

@@ -4,7 +4,7 @@
 //! hospital where `PRESIGHT_DATA` (default `../shared/data`) holds them, else `scenes/room.glb`.
 #![expect(clippy::print_stdout, reason = "the table is the result")]
 
-use presight::acquire::features::{GenerateOptions, generate};
+use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
 use presight::free_poses::free_poses;
 #[cfg(feature = "gpu")]

@@ -7,7 +7,7 @@ mod common;
 
 use common::fastest;
 use glam::DVec3;
-use presight::acquire::features::{GenerateOptions, generate};
+use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{FeatureOptions, PlacedFeature, place};
 use presight::free_poses::free_poses;
 use presight::io::{gltf, script};

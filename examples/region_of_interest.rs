@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use plotters::prelude::*;
 use presight::Pose;
 use presight::environment::FeatureShape;
-use presight::features::roi::{Material, PoseCovariance, Projection, Roi, Uncertain, roi};
+use presight::features::roi::{BodyPoint, FeatureErrorModel, PoseCovariance, Projection, Roi, roi};
 use std::f64::consts::TAU;
 
 type Failure = Box<dyn std::error::Error>;
@@ -38,19 +38,19 @@ impl Projection for Camera {
 /// Standard deviations of the robot's x and y, metres, of its heading, radians, and of the line, metres.
 const SIGMAS: [f64; 3] = [0.03, 0.017_453_292_519_943_295, 0.01];
 
-fn line(distance: f64) -> (FeatureShape, [Material; 2]) {
+fn line(distance: f64) -> (FeatureShape, [BodyPoint; 2]) {
     let ends = [DVec3::new(distance, 0.0, -0.6), DVec3::new(distance, 0.0, 0.6)];
     let covariances = [DMat3::from_diagonal(DVec3::splat(SIGMAS[2] * SIGMAS[2])); 2];
-    let points = [0.0, 1.0].map(|t| Material::on_segment(&ends, t));
+    let points = [0.0, 1.0].map(|t| BodyPoint::on_segment(&ends, t));
     (FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO }, points)
 }
 
-fn uncertain(shape: &FeatureShape) -> Uncertain {
+fn uncertain(shape: &FeatureShape) -> FeatureErrorModel {
     let mut robot: PoseCovariance = [[0.0; 6]; 6];
     for (i, sigma) in [(0, SIGMAS[0]), (1, SIGMAS[0]), (5, SIGMAS[1])] {
         robot[i][i] = sigma * sigma;
     }
-    Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, shape).expect("sound poses")
+    FeatureErrorModel::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, shape).expect("sound poses")
 }
 
 fn region(distance: f64, confidence: f64) -> Option<Roi> {

@@ -36,10 +36,10 @@ pub enum Change {
         name: String,
     },
     /// Sets or removes the frame of a group. Objects below stay where they are.
-    SetGroup {
+    SetFrame {
         /// Its full path; no object may have it.
         name: String,
-        /// See [`crate::Environment::set_group`].
+        /// See [`crate::Environment::set_frame`].
         world_from_group: Option<Pose>,
     },
     /// Adds a feature with an id that was never used for its class.

@@ -41,21 +41,21 @@ pub enum WorldFrame {
 /// A pose as it is given, and what it means.
 ///
 /// ```
-/// use presight::frames::{GivenPose, PoseOf};
+/// use presight::frames::{ExternalPose, PoseOf};
 /// use presight::{Pose, Scene};
 /// use glam::DVec3;
 /// let scene = Scene::open("scenes/room.glb")?;
 /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
 /// spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 0.4), 0.0, 0.0, 0.0);
 ///
-/// let robot = GivenPose::new(Pose::from_xyz_rpy(DVec3::new(1.0, 1.5, 0.0), 0.0, 0.0, 0.0)).with_of(PoseOf::Robot);
+/// let robot = ExternalPose::new(Pose::from_xyz_rpy(DVec3::new(1.0, 1.5, 0.0), 0.0, 0.0, 0.0)).with_of(PoseOf::Robot);
 /// let world_from_sensor = robot.of_sensor(&spec, &scene.world_from_gltf)?;
 /// assert_eq!(world_from_sensor.translation, DVec3::new(1.2, 1.5, 0.4));
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct GivenPose {
+pub struct ExternalPose {
     /// The numbers.
     pub pose: Pose,
     /// Which axes it turns.
@@ -66,7 +66,7 @@ pub struct GivenPose {
     pub world: WorldFrame,
 }
 
-impl GivenPose {
+impl ExternalPose {
     /// The pose of a sensor, body axes, in presight's world.
     pub fn new(pose: Pose) -> Self {
         let (frame, of, world) = (PoseFrame::Body, PoseOf::Sensor, WorldFrame::ZUp);
@@ -106,7 +106,7 @@ impl GivenPose {
     /// The sensor's pose in presight's world, body axes. `world_from_gltf` is [`crate::Scene::world_from_gltf`].
     ///
     /// # Errors
-    /// Those of [`GivenPose::check`].
+    /// Those of [`ExternalPose::check`].
     pub fn of_sensor(&self, sensor: &SensorSpec, world_from_gltf: &Pose) -> Result<Pose> {
         self.check()?;
         let mut pose = self.pose;
@@ -159,13 +159,13 @@ mod tests {
         SensorSpec { mount, ..SensorSpec::new("c", "video", geometry) }
     }
 
-    fn sensor_pose(given: GivenPose) -> Pose {
+    fn sensor_pose(given: ExternalPose) -> Pose {
         let y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
         given.of_sensor(&camera(), &y_up).unwrap()
     }
 
-    fn at(x: f64, y: f64, z: f64) -> GivenPose {
-        GivenPose::new(Pose::from_xyz_rpy(DVec3::new(x, y, z), 0.0, 0.0, 0.0))
+    fn at(x: f64, y: f64, z: f64) -> ExternalPose {
+        ExternalPose::new(Pose::from_xyz_rpy(DVec3::new(x, y, z), 0.0, 0.0, 0.0))
     }
 
     fn near(a: DVec3, b: DVec3) -> bool {

@@ -3,7 +3,7 @@
 use crate::environment::Object;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::index::{Found, Region};
+use crate::index::{QueryResult, Region};
 use crate::plan::{Facing, facings};
 use crate::random::SplitMix64;
 use crate::world::World;
@@ -28,7 +28,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
     let bounds = world.environment().bounds();
     let rays = all_round();
     let mut random = SplitMix64(seed);
-    let mut found = Found::default();
+    let mut found = QueryResult::default();
     let mut poses = Vec::with_capacity(n);
     for _ in 0..TRIES * n {
         if poses.len() == n || bounds.is_empty() {
@@ -65,7 +65,7 @@ fn all_round() -> Vec<DVec3> {
 }
 
 /// True if at least [`FREE_HITS`] of the rays hit something that a sensor of no class sees.
-fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut Found) -> bool {
+fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut QueryResult) -> bool {
     let (environment, bounds) = (world.environment(), world.environment().bounds());
     let facings: Vec<Facing> = facings(environment, "").collect();
     let (at, reach) = (pose.translation, (bounds.max - bounds.min).length());
@@ -118,7 +118,7 @@ fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided:
 }
 
 /// True if no polygon is nearer than [`FREE_DISTANCE`].
-fn is_clear(world: &World, at: DVec3, found: &mut Found) -> bool {
+fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
     let environment = world.environment();
     found.clear();
     world.index().query(environment, &Region::ball(at, FREE_DISTANCE), found);
@@ -226,7 +226,7 @@ mod tests {
     /// Rays find what an image of them shows.
     #[test]
     fn as_many_rays_hit_as_an_image_of_them_shows() {
-        let (world, rays, mut found) = (hall(), all_round(), Found::default());
+        let (world, rays, mut found) = (hall(), all_round(), QueryResult::default());
         let table = RayTable::new(RAYS, 1, rays.clone()).unwrap();
         let sensor = Sensor::new(SensorSpec::new("all round", "", Geometry::Rays(table))).unwrap();
         let mut verdicts = [0; 2];

@@ -1,6 +1,5 @@
 //! What the command, the studies and the test kit of this repository share with the library. It is no part of the API.
 
-pub use crate::compare::{FaceBound, span, ulp};
 pub use crate::engine::add_boxes;
 pub use crate::environment::check_covariance;
 pub use crate::io::atomic::{is_given, target_of};
@@ -9,6 +8,7 @@ pub use crate::printable::{clipped, printable};
 pub use crate::random::SplitMix64;
 pub use crate::reference::{Face, instances};
 pub use crate::threads::parallel_or_here;
+pub use crate::verify::{FaceBound, span, ulp};
 
 /// Opening what is read.
 pub mod file {

@@ -9,7 +9,7 @@
 //! ```
 //! use presight::features::{BoxOptions, FeatureOptions};
 //! use presight::{Options, Pose, Predictor, Request, Scene};
-//! # use presight::acquire::features::{GenerateOptions, generate};
+//! # use presight::features::generate::{GenerateOptions, generate};
 //!
 //! let scene = Scene::open("scenes/room.glb")?;
 //! # let folder = tempfile::tempdir().unwrap();
@@ -80,10 +80,8 @@
 //! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
 //! works without them.
 
-pub mod acquire;
 pub mod batch;
 mod change;
-pub mod compare;
 pub mod cost;
 pub mod cpu;
 pub mod deadline;
@@ -111,6 +109,7 @@ mod motion;
 pub mod placement;
 pub mod plan;
 mod predict;
+pub mod preparation;
 mod printable;
 pub mod probe;
 mod random;
@@ -123,6 +122,7 @@ pub mod sensor;
 pub mod simulate;
 mod threads;
 pub mod verdict;
+pub mod verify;
 pub mod virtual_sensors;
 mod world;
 
@@ -131,7 +131,7 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, ImageRequest, Images, LeftOut, Output, Outputs, StageRow, Stats, Work};
+pub use plan::{FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, StageRow, Stats, Work};
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use request::Request;
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};

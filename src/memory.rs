@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// What a process may still take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Room {
+pub struct MemoryLimit {
     /// Bytes.
     pub bytes: u64,
     /// What sets the bound.
@@ -20,7 +20,7 @@ const ARENA: u64 = 64 << 20;
 
 /// The least of what the limit on addresses, the control groups (version 1 and 2) and the machine leave to this process;
 /// `None` where the system does not tell.
-pub fn room() -> Option<Room> {
+pub fn room() -> Option<MemoryLimit> {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let status = read("/proc/self/status");
     let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
@@ -37,7 +37,7 @@ pub fn room() -> Option<Room> {
         (groups, "the memory limit of its control group"),
         (machine, "the machine"),
     ];
-    let told = all.into_iter().filter_map(|(bytes, by)| Some(Room { bytes: bytes?, by }));
+    let told = all.into_iter().filter_map(|(bytes, by)| Some(MemoryLimit { bytes: bytes?, by }));
     told.min_by_key(|room| room.bytes)
 }
 
@@ -79,7 +79,7 @@ pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
 
 /// What one prediction and its files will take, besides the scene and what the sensor holds.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Frame {
+pub struct FrameMemory {
     /// Columns times rows.
     pub pixels: u64,
     /// A scanner: its image is turned on the way from the engine.
@@ -100,12 +100,12 @@ pub struct Frame {
     pub reading: u64,
 }
 
-impl Frame {
+impl FrameMemory {
     /// Bytes at the peak: buffers and images stay while one file after the other is made.
     ///
     /// ```
-    /// use presight::memory::Frame;
-    /// let frame = Frame { pixels: 1_000_000, images: 4, exr: 4, ..Frame::default() };
+    /// use presight::memory::FrameMemory;
+    /// let frame = FrameMemory { pixels: 1_000_000, images: 4, exr: 4, ..FrameMemory::default() };
     /// assert!((48_000_000..50_000_000).contains(&frame.bytes()));
     /// ```
     pub fn bytes(&self) -> u64 {

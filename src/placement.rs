@@ -117,9 +117,9 @@ fn check(world: &World, class: &str, feature: &Feature) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::acquire::{ProblemKind, lost_features};
     use crate::environment::{Existence, FeatureShape, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties};
     use crate::geometry::Pose;
+    use crate::preparation::{ProblemKind, lost_features};
     use glam::{DMat3, DVec3, Vec3};
 
     /// A tile at the origin, one 5 m away.

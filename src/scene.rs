@@ -1,6 +1,5 @@
 //! Scenes: a model from a file, as the world that predictions are made in.
 
-use crate::acquire::{ImportReport, Imported, SceneFrame};
 use crate::environment::{Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{PlacedFeatures, place};
@@ -11,6 +10,7 @@ use crate::io::layer::{self, LayerFile};
 use crate::io::{self, file};
 use crate::limits;
 use crate::placement::{self, Placement};
+use crate::preparation::{ImportReport, ImportedScene, SceneFrame};
 use crate::world::World;
 use std::path::{Path, PathBuf};
 
@@ -128,7 +128,7 @@ impl Scene {
     ///
     /// ```
     /// use presight::Scene;
-    /// # use presight::acquire::features::{GenerateOptions, generate};
+    /// # use presight::features::generate::{GenerateOptions, generate};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("room.video.layer.json");
@@ -228,12 +228,12 @@ fn mesh_file(path: &Path) -> Error {
 
 /// Runs a scene script.
 #[cfg(feature = "script")]
-fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<Imported> {
+fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     io::script::load(path, options, say)
 }
 
 #[cfg(not(feature = "script"))]
-fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<Imported> {
+fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     Err(io::not_built("scene scripts", "script").in_file(path))
 }
 

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// made from the same number use the same threads, which start when they are first needed and end with the last engine
 /// that holds them. 0, the default, stands for one thread a core (or for `RAYON_NUM_THREADS`, where that is set); these stay.
 ///
-/// What takes no handle, such as [`crate::World::new`] or [`crate::acquire::features::generate`], works on the threads of
+/// What takes no handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], works on the threads of
 /// [`Threads::run`] if it is called there, otherwise on the default ones.
 ///
 /// ```

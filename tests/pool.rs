@@ -2,11 +2,11 @@
 #![cfg(feature = "script")]
 
 use glam::DVec3;
-use presight::acquire::features::{GenerateOptions, generate};
-use presight::compare::{Precision, candidates};
+use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{BoxOptions, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features};
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{self, ImportOptions};
+use presight::verify::{Precision, candidates};
 use presight::{Backend, FramePlan, Options, Output, Outputs, Pose, Predictor, Request, Threads, World, preset};
 use presight_testkit::{self as common, forbid_global_pool};
 use std::path::{Path, PathBuf};

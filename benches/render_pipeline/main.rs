@@ -7,10 +7,10 @@
 mod pipeline;
 
 use pipeline::{Order, Pipeline};
-use presight::compare::{Precision, Report, compare};
 use presight::free_poses::free_poses;
-use presight::gpu::{DeviceOptions, Engine};
+use presight::gpu::{DeviceOptions, GpuEngine};
 use presight::io::gltf::{ImportOptions, import};
+use presight::verify::{Precision, Report, compare};
 use presight::{FramePlan, Images, Pose, Request, Sensor, Stats, World, preset, reference};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -50,7 +50,7 @@ fn measure(scene: &str, world: &World) {
     let sensor = preset("video-camera").expect("a preset");
     let poses = free_poses(world, number("PRESIGHT_POSES", 10), 1).expect("free poses");
     let plan = FramePlan::new(world, &sensor, &poses[0], &Request::default()).expect("a sound pose");
-    let mut engine = Engine::new(DeviceOptions::default()).expect("an adapter");
+    let mut engine = GpuEngine::new(DeviceOptions::default()).expect("an adapter");
     let pipeline = std::cell::RefCell::new(Pipeline::new(&plan));
     println!("{scene}: engine on {}; pipeline on {}", engine.adapter(), pipeline.borrow().adapter);
     let by = |order| {

@@ -1,7 +1,7 @@
 //! All headings of a level scanner at once: it sees the same panorama whichever way it is turned, so that each heading is a
 //! cyclic shift of the sensed image over the panorama.
 
-use super::Sensed;
+use super::RangeLikelihood;
 use super::likelihood::BeamModel;
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, sin_cos_deg};
@@ -113,7 +113,7 @@ const NOWHERE: f32 = 1e18;
 
 /// Weighs all headings of a sensed image.
 #[derive(Clone, Debug)]
-pub(super) struct Weigher {
+pub(super) struct HeadingWeights {
     headings: Headings,
     model: BeamModel,
     rows: Vec<Row>,
@@ -145,8 +145,8 @@ pub(super) struct Panorama {
     steps: usize,
 }
 
-impl Weigher {
-    pub fn new(headings: &Headings, sensed: &Sensed) -> Self {
+impl HeadingWeights {
+    pub fn new(headings: &Headings, sensed: &RangeLikelihood) -> Self {
         let height = headings.panorama.height() as usize;
         let width = sensed.range().len() / height;
         let row = |range: &[f32]| {
@@ -208,7 +208,7 @@ impl Panorama {
 
 /// Adds a row's log-likelihoods of all headings. A type, so that it is compiled for each vector width.
 struct Shift<'a> {
-    weigher: &'a Weigher,
+    weigher: &'a HeadingWeights,
     row: &'a Row,
     panorama: &'a Panorama,
     sums: &'a mut [f64],

@@ -15,23 +15,23 @@ const LEAST: f64 = 1e-30;
 
 /// A sensed range image of a sensor, ready to be compared with predictions.
 #[derive(Clone, Debug)]
-pub struct Sensed {
+pub struct RangeLikelihood {
     sensor: Sensor,
     range: Vec<f32>,
     pub(super) model: BeamModel,
 }
 
-impl Sensed {
+impl RangeLikelihood {
     /// A range image of the sensor, row-major: metres, `+inf` where nothing was sensed, `-inf` where something was nearer than
-    /// `range_min`, NaN where there is no reading ([`crate::io::log::Frame::range`]).
+    /// `range_min`, NaN where there is no reading ([`crate::io::log::LogFrame::range`]).
     ///
     /// ```
-    /// use presight::batch::{PoseCell, Sensed};
+    /// use presight::batch::{PoseCell, RangeLikelihood};
     /// use presight::{Noise, Sensor, SensorSpec};
     /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
-    /// let sensed = Sensed::new(&sensor, vec![2.0; 361], PoseCell::default())?;
+    /// let sensed = RangeLikelihood::new(&sensor, vec![2.0; 361], PoseCell::default())?;
     /// let at = |range: f32| sensed.log_likelihood(&[range; 361], &[1.0; 361]);
     /// assert!(at(2.0) > at(2.05) && at(2.05) > at(1.0));
     /// # Ok::<(), presight::Error>(())

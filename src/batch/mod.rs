@@ -8,7 +8,7 @@ mod headings;
 mod likelihood;
 
 pub use headings::Headings;
-pub use likelihood::Sensed;
+pub use likelihood::RangeLikelihood;
 
 use crate::engine::Engine;
 use crate::error::{Error, Result};
@@ -20,7 +20,7 @@ use crate::row::{RowCuts, RowView, is_level};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
-use headings::{Panorama, Weigher};
+use headings::{HeadingWeights, Panorama};
 use rayon::prelude::*;
 use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
@@ -40,7 +40,7 @@ pub struct BatchRequest {
     /// Images, as single predictions make them.
     pub images: Option<ImageRequest>,
     /// The sensed image to weigh.
-    pub likelihood: Option<Sensed>,
+    pub likelihood: Option<RangeLikelihood>,
     /// Weigh it at all these headings of each place. The poses are places of the sensor; which way they look does not matter.
     pub headings: Option<Headings>,
     /// The height, metres, at which the world is cut for a level scanner of one row that is only weighed; `None` takes the first
@@ -62,7 +62,7 @@ pub struct BatchItem {
     pub world_from_sensor: Pose,
     /// Empty unless asked for. With headings they are the panorama's.
     pub images: Images,
-    /// Of the sensed image at this pose, see [`Sensed::log_likelihood`].
+    /// Of the sensed image at this pose, see [`RangeLikelihood::log_likelihood`].
     pub log_likelihood: Option<f64>,
     /// The same by heading; empty unless asked for.
     pub headings: Vec<f32>,
@@ -91,7 +91,7 @@ struct Task {
     sensor: Sensor,
     request: ImageRequest,
     wanted: Outputs,
-    weigh: Option<Weigh>,
+    weigh: Option<HeadingModel>,
     headings: Option<Headings>,
     statistics: bool,
     /// No image is asked for, and the sensor is one that a cut serves where it is level.
@@ -100,9 +100,9 @@ struct Task {
     height: Option<f64>,
 }
 
-enum Weigh {
-    Pose(Sensed),
-    Headings(Box<Weigher>),
+enum HeadingModel {
+    Pose(RangeLikelihood),
+    Headings(Box<HeadingWeights>),
 }
 
 /// What a thread works with.
@@ -128,12 +128,12 @@ impl Predictor {
     /// ([`BatchRequest::height`]), which is kept for the version of the world. The GPU engine makes single predictions, one after the other.
     ///
     /// ```
-    /// use presight::batch::{BatchRequest, PoseCell, Sensed};
+    /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
     /// use presight::{Environment, Noise, Options, Pose, Predictor, Sensor, World};
     /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
-    /// let nothing = Sensed::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
+    /// let nothing = RangeLikelihood::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
     /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let world = World::new(Environment::new());
@@ -200,8 +200,10 @@ impl Task {
                 let remedy = "give the likelihood's sensed image, or a pose for each heading";
                 return Err(Error::usage("all headings at once: there is no sensed image to weigh", remedy));
             }
-            (Some(sensed), Some(headings)) => Some(Weigh::Headings(Box::new(Weigher::new(headings, sensed)))),
-            (Some(sensed), None) => Some(Weigh::Pose(sensed.clone())),
+            (Some(sensed), Some(headings)) => {
+                Some(HeadingModel::Headings(Box::new(HeadingWeights::new(headings, sensed))))
+            }
+            (Some(sensed), None) => Some(HeadingModel::Pose(sensed.clone())),
             (None, None) => None,
         };
         let sensor = request.headings.as_ref().map_or(sensor, Headings::panorama).clone();
@@ -272,10 +274,10 @@ impl Task {
         let Lane { images, panorama, .. } = lane;
         let (mut log_likelihood, mut headings) = (None, Vec::new());
         match &self.weigh {
-            Some(Weigh::Pose(sensed)) => {
+            Some(HeadingModel::Pose(sensed)) => {
                 log_likelihood = Some(sensed.log_likelihood(&images.range, &images.cos_incidence));
             }
-            Some(Weigh::Headings(weigher)) => {
+            Some(HeadingModel::Headings(weigher)) => {
                 headings = weigher.weigh(&images.range, &images.cos_incidence, panorama);
             }
             None => {}

@@ -11,7 +11,7 @@
 //! have tripled are followed within some 200 frames. A weak pull towards careful defaults decides about counts that do not vary.
 //!
 //! An estimate is right on average; a deadline needs more. Beside the costs stand the last 200 ratios of measured over estimated
-//! time. [`Estimate::upper`] is the estimate times their 0.99 quantile, so that a machine that gets busy is planned for
+//! time. [`TimeEstimate::upper`] is the estimate times their 0.99 quantile, so that a machine that gets busy is planned for
 //! after three slow frames.
 //!
 //! Nothing here reads a clock: times come from the caller, so that recorded counts and times replay to the same numbers.
@@ -23,12 +23,12 @@ mod unit_costs;
 
 pub(crate) use controller::Controller;
 pub use key::{Forecast, Key};
-pub use model::{CostModel, Estimate, MAX_MODELS};
+pub use model::{CostModel, MAX_MODELS, TimeEstimate};
 pub(crate) use unit_costs::UnitCosts;
 
 /// What a frame consists of: every field counts one kind of work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct WorkCounts {
     /// Runs of polygons selected.
     pub runs: u64,
     /// Polygons set up.
@@ -52,7 +52,7 @@ pub struct Counts {
 /// Kinds of work, the frame itself among them.
 pub const KINDS: usize = 10;
 
-impl Counts {
+impl WorkCounts {
     /// Kinds of work as files name them; the first is the frame itself, which costs access and set-up.
     pub const NAMES: [&'static str; KINDS] = [
         "frame",
@@ -67,7 +67,7 @@ impl Counts {
         "region",
     ];
 
-    /// Counts by kind, in the order of [`Counts::NAMES`].
+    /// Counts by kind, in the order of [`WorkCounts::NAMES`].
     pub fn by_kind(&self) -> [f64; KINDS] {
         [
             1,

@@ -1,6 +1,6 @@
 //! Unit costs of all keys.
 
-use super::{Counts, Key, UnitCosts};
+use super::{Key, UnitCosts, WorkCounts};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ pub const MAX_MODELS: usize = 4096;
 
 /// Seconds that a frame will take.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
+pub struct TimeEstimate {
     /// Most likely, seconds.
     pub mean: f64,
     /// All but a hundredth of frames take less, seconds.
@@ -23,15 +23,15 @@ pub struct Estimate {
 /// What frames cost, by engine, adapter, threads, sensor geometry and outputs.
 ///
 /// ```
-/// use presight::cost::{CostModel, Counts, Forecast, Key};
+/// use presight::cost::{CostModel, WorkCounts, Forecast, Key};
 /// use presight::{Outputs, preset};
 /// let key = Key::new("cpu", None, 2, &preset("video-camera")?, Outputs::default(), Forecast::Finished);
 /// let mut model = CostModel::default();
 /// // Each polygon takes a microsecond.
 /// for polygons in (1000..3000).step_by(10) {
-///     model.observe(&key, &Counts { polygons, ..Counts::default() }, polygons as f64 * 1e-6)?;
+///     model.observe(&key, &WorkCounts { polygons, ..WorkCounts::default() }, polygons as f64 * 1e-6)?;
 /// }
-/// let estimate = model.estimate(&key, &Counts { polygons: 5000, ..Counts::default() });
+/// let estimate = model.estimate(&key, &WorkCounts { polygons: 5000, ..WorkCounts::default() });
 /// assert!((estimate.mean - 5e-3).abs() < 1e-4);
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -42,11 +42,11 @@ pub struct CostModel {
 
 impl CostModel {
     /// What a frame of these counts will take; from careful defaults for a key that was never observed.
-    pub fn estimate(&self, key: &Key, counts: &Counts) -> Estimate {
+    pub fn estimate(&self, key: &Key, counts: &WorkCounts) -> TimeEstimate {
         let of = |costs: &UnitCosts| {
             let mean = costs.mean(counts);
             let [low, high] = costs.factors();
-            Estimate { mean, upper: mean * high, lower: mean * low, frames: costs.frames }
+            TimeEstimate { mean, upper: mean * high, lower: mean * low, frames: costs.frames }
         };
         self.models.get(key).map_or_else(|| of(&UnitCosts::default()), of)
     }
@@ -56,7 +56,7 @@ impl CostModel {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for a time that is NaN, infinite or not above 0, as of a clock that was set back, and beyond
     /// [`MAX_MODELS`] keys. Nothing is learnt then.
-    pub fn observe(&mut self, key: &Key, counts: &Counts, seconds: f64) -> Result<()> {
+    pub fn observe(&mut self, key: &Key, counts: &WorkCounts, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= 1e9) {
             let what = format!("a frame that takes {seconds} s");
             return Err(Error::invalid(what, "measure with a clock that only goes forward"));
@@ -69,7 +69,7 @@ impl CostModel {
         Ok(())
     }
 
-    /// Seconds by kind of work ([`Counts::NAMES`]) of a key; `None` if it was never observed.
+    /// Seconds by kind of work ([`WorkCounts::NAMES`]) of a key; `None` if it was never observed.
     pub fn unit_costs(&self, key: &Key) -> Option<&[f64]> {
         self.models.get(key).map(|costs| costs.seconds.as_slice())
     }
@@ -97,14 +97,17 @@ mod tests {
         };
         let mut model = CostModel::default();
         for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert_eq!(model.observe(&key, &Counts::default(), seconds).unwrap_err().kind(), crate::ErrorKind::Invalid);
+            assert_eq!(
+                model.observe(&key, &WorkCounts::default(), seconds).unwrap_err().kind(),
+                crate::ErrorKind::Invalid
+            );
         }
         assert_eq!(model, CostModel::default());
         // Absurd counts and times leave numbers finite.
-        let most = Counts { polygons: u64::MAX, samples_tested: u64::MAX, ..Counts::default() };
+        let most = WorkCounts { polygons: u64::MAX, samples_tested: u64::MAX, ..WorkCounts::default() };
         for seconds in [1e-12, 1e9] {
             model.observe(&key, &most, seconds).unwrap();
-            model.observe(&key, &Counts::default(), seconds).unwrap();
+            model.observe(&key, &WorkCounts::default(), seconds).unwrap();
         }
         let estimate = model.estimate(&key, &most);
         assert!(estimate.mean.is_finite() && estimate.upper.is_finite(), "{estimate:?}");

@@ -1,6 +1,6 @@
 //! Unit costs of one key, learnt on line.
 
-use super::{Counts, KINDS};
+use super::{KINDS, WorkCounts};
 use std::collections::VecDeque;
 
 /// What a frame's weight is after another one.
@@ -53,7 +53,7 @@ impl Default for UnitCosts {
 
 impl UnitCosts {
     /// Sum of counts times costs, seconds; above 0.
-    pub fn mean(&self, counts: &Counts) -> f64 {
+    pub fn mean(&self, counts: &WorkCounts) -> f64 {
         let sum: f64 = counts.by_kind().iter().zip(&self.seconds).map(|(n, c)| n * c).sum();
         sum.max(1e-9)
     }
@@ -75,7 +75,7 @@ impl UnitCosts {
     }
 
     /// Learns from a frame that took `seconds`, above 0.
-    pub fn observe(&mut self, counts: &Counts, seconds: f64) {
+    pub fn observe(&mut self, counts: &WorkCounts, seconds: f64) {
         // How far the defaults were off says nothing of what was learnt since.
         if self.frames >= FIRST {
             self.ratios.push_back((seconds / self.mean(counts)).clamp(1e-6, 1e6));
@@ -122,16 +122,16 @@ mod tests {
     use crate::random::SplitMix64;
 
     /// A frame of a drive, and what it takes at these costs.
-    fn frame(random: &mut SplitMix64, costs: &[f64; KINDS]) -> (Counts, f64) {
+    fn frame(random: &mut SplitMix64, costs: &[f64; KINDS]) -> (WorkCounts, f64) {
         let mut many = |most: u64| (random.unit() * most as f64) as u64 + 1;
-        let counts = Counts {
+        let counts = WorkCounts {
             runs: many(2000),
             polygons: many(5000),
             waves: many(8),
             samples_tested: many(3_000_000),
             samples_written: many(1_000_000),
             pixels_resolved: 4 * 262_144,
-            ..Counts::default()
+            ..WorkCounts::default()
         };
         let seconds = counts.by_kind().iter().zip(costs).map(|(n, c)| n * c).sum();
         (counts, seconds)
@@ -140,7 +140,7 @@ mod tests {
     const COSTS: [f64; KINDS] = [2e-4, 2e-7, 9e-7, 1e-5, 8e-10, 5e-9, 1e-9, 0.0, 0.0, 0.0];
 
     /// Median and 95 % of the relative error of estimates made before each of these frames was seen.
-    fn errors(model: &mut UnitCosts, frames: usize, mut next: impl FnMut() -> (Counts, f64)) -> [f64; 2] {
+    fn errors(model: &mut UnitCosts, frames: usize, mut next: impl FnMut() -> (WorkCounts, f64)) -> [f64; 2] {
         let mut errors: Vec<f64> = (0..frames)
             .map(|_| {
                 let (counts, seconds) = next();
@@ -212,6 +212,6 @@ mod tests {
     fn without_frames_an_estimate_is_careful() {
         let model = UnitCosts::default();
         assert_eq!(model.factor(), UNKNOWN);
-        assert!(model.mean(&Counts::default()) > 0.0);
+        assert!(model.mean(&WorkCounts::default()) > 0.0);
     }
 }

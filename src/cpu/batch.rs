@@ -7,7 +7,7 @@ use std::ops::Range;
 
 /// A polygon that may cover a ray.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SetUp {
+pub(super) struct PolygonSetup {
     /// Inverse depth of a ray s is m . s, in the line frame (image frame for ray tables).
     pub m: DVec3,
     /// Lines it may cover.
@@ -35,7 +35,7 @@ pub(super) struct Shade {
 /// Polygons of some runs after setup.
 #[derive(Debug, Default)]
 pub(super) struct Batch {
-    pub polygons: Vec<SetUp>,
+    pub polygons: Vec<PolygonSetup>,
     /// By polygon, on their way to [`Winners`].
     pub shades: Vec<Shade>,
     pub slots: Vec<u32>,
@@ -95,7 +95,7 @@ impl Batch {
 
     /// Sorts the polygons into bands, keeping their order.
     pub fn bin(&mut self, bands: &Bands) {
-        let touched = |p: &SetUp| bands.touched(p.first_line as usize..p.end_line as usize);
+        let touched = |p: &PolygonSetup| bands.touched(p.first_line as usize..p.end_line as usize);
         self.band_start.clear();
         self.band_start.resize(bands.count() + 1, 0);
         for band in self.polygons.iter().flat_map(touched) {

@@ -12,13 +12,13 @@ pub(super) const LANES: usize = 8;
 pub(super) type Lanes = [f64; LANES];
 
 /// The lines that a polygon may cover: up to two ranges, the second one for polygons over the azimuth seam.
-pub(super) type Cover = [Range<u32>; 2];
+pub(super) type LineCover = [Range<u32>; 2];
 
 /// The pixels that a polygon, or any convex hull of corners, may cover.
 #[derive(Clone, Debug)]
 pub(super) struct Footprint {
     /// Lines; both ranges are empty if it covers no ray.
-    pub lines: Cover,
+    pub lines: LineCover,
     /// Samples on each of them.
     pub samples: Range<u32>,
 }
@@ -257,7 +257,7 @@ impl ScannerBounds<'_> {
     }
 
     #[inline(always)]
-    fn columns(&self, e: &Extent, columns: Option<&[Lanes; 2]>, l: usize) -> Cover {
+    fn columns(&self, e: &Extent, columns: Option<&[Lanes; 2]>, l: usize) -> LineCover {
         let n = self.grid.lines().len();
         let everything = [0..n as u32, 0..0];
         let (Some([low, high]), Some((_, step))) = (columns, self.uniform) else {

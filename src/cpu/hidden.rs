@@ -3,7 +3,7 @@
 
 use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
-use super::setup::Placed;
+use super::setup::RayInstance;
 use super::spans::{Buffer, EIGHT};
 use crate::environment::{Cluster, Mesh};
 use crate::geometry::Aabb;
@@ -29,14 +29,14 @@ pub(super) fn visible<S: Simd>(
     bands: &Bands,
 ) -> Vec<Run> {
     let mut kept = Vec::with_capacity(runs.len());
-    let mut placed: Option<(u32, Placed<'_>)> = None;
+    let mut placed: Option<(u32, RayInstance<'_>)> = None;
     for eight in runs.chunks(LANES) {
         let mut corners = [[[0.0; LANES]; 3]; 8];
         let mut nearest = [0.0; LANES];
         for (l, run) in eight.iter().enumerate() {
             let known = placed.take().filter(|(i, _)| *i == run.instance);
             let (_, at) = placed.insert(
-                known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))),
+                known.unwrap_or_else(|| (run.instance, RayInstance::new(plan, &plan.instances[run.instance as usize]))),
             );
             let around = place_box(at, run, l, &mut corners);
             nearest[l] = nearest_depth(&around, plan.sensor.grid());
@@ -54,7 +54,7 @@ pub(super) fn visible<S: Simd>(
 
 /// Puts a run's box into a lane; the answer is the box around it in the frame of the rays.
 #[inline(always)]
-fn place_box(at: &Placed<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8]) -> Aabb {
+fn place_box(at: &RayInstance<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8]) -> Aabb {
     let Aabb { min, max } = cluster_of(at.mesh, run.first).bounds;
     let mut around = Aabb::EMPTY;
     for (i, corner) in corners.iter_mut().enumerate() {

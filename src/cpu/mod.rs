@@ -19,15 +19,15 @@ mod resolve;
 mod setup;
 mod spans;
 
-use crate::deadline::{Kept, Watch};
+use crate::deadline::{DeadlineOutcome, Watch};
 use crate::error::{Error, Result};
-use crate::memory::{self, Frame};
+use crate::memory::{self, FrameMemory};
 use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
 use crate::sensor::{LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
-use progress::Progress;
+use progress::FrameProgress;
 use rayon::prelude::*;
 use spans::Buffer;
 use std::ops::Range;
@@ -35,7 +35,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// The CPU engine with its threads and buffers.
-pub struct Engine {
+pub struct CpuEngine {
     pool: Arc<rayon::ThreadPool>,
     /// All work of a frame is done by the thread that asks.
     alone: bool,
@@ -53,7 +53,7 @@ const FIRST_WAVE: usize = 4096;
 /// Runs that a task looks at to drop what is hidden.
 const SIFTED: usize = 64;
 
-impl Engine {
+impl CpuEngine {
     /// On these threads, or on so many; 0 takes all cores.
     ///
     /// # Errors
@@ -100,7 +100,7 @@ impl Engine {
             stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
             stats.count("polygons selected", 0);
             let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
-            stats.deadline = drawn_ms.map(|drawn_ms| Kept { drawn_ms, ..Kept::default() });
+            stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
             return Ok(());
         }
         if self.canvas.len() < bands.count() {
@@ -127,14 +127,14 @@ impl Engine {
 /// Images and buffers that take less are not asked for beforehand.
 const LITTLE: u64 = 64 << 20;
 
-impl Engine {
+impl CpuEngine {
     /// That there is room for what buffers and images do not hold yet.
     fn require_memory(&self, plan: &FramePlan, bands: &Bands, images: &Images) -> Result<()> {
-        let frame = Frame {
+        let frame = FrameMemory {
             pixels: (bands.lines * bands.samples) as u64,
             scanner: bands.axis == LineAxis::Columns,
             images: plan.drawn().iter().count() as u64,
-            ..Frame::default()
+            ..FrameMemory::default()
         };
         let held = self.canvas.iter().map(Buffer::bytes).sum::<u64>() + images.bytes();
         let missing = frame.bytes().saturating_sub(held);
@@ -158,14 +158,14 @@ fn draw_waves(
     winners.clear();
     let mut times = [Duration::ZERO; 3];
     let (mut done, mut used, mut hidden, mut waves) = (0, 0, 0, 0);
-    let mut progress = Progress::new(plan, bands.count());
+    let mut progress = FrameProgress::new(plan, bands.count());
     loop {
         let start = Instant::now();
         let wave = next_wave(&plan.runs, done, progress.most_polygons(done));
         let runs = if waves == 0 {
             plan.runs[wave.clone()].to_vec()
         } else {
-            let sift = |runs| arch.dispatch(Sift { plan, runs, canvas, bands });
+            let sift = |runs| arch.dispatch(Cull { plan, runs, canvas, bands });
             plan.runs[wave.clone()].par_chunks(SIFTED).with_min_len(least).map(sift).collect::<Vec<_>>().concat()
         };
         hidden += wave.len() - runs.len();
@@ -258,14 +258,14 @@ fn next_wave(runs: &[Run], start: usize, most: usize) -> Range<usize> {
 }
 
 /// Drops what is hidden from a wave. Tasks are types, not closures, so that they are compiled for each vector width.
-struct Sift<'a> {
+struct Cull<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
     canvas: &'a [Buffer],
     bands: &'a Bands,
 }
 
-impl pulp::WithSimd for Sift<'_> {
+impl pulp::WithSimd for Cull<'_> {
     type Output = Vec<Run>;
 
     #[inline(always)]

@@ -5,7 +5,7 @@
 //! it is not final and is not shown.
 
 use super::FIRST_WAVE;
-use crate::deadline::{GivenUp, Kept, Means, MeansTaken, Watch};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Watch};
 use crate::plan::{FramePlan, Stats};
 use std::time::Duration;
 
@@ -30,7 +30,7 @@ pub(super) struct Band {
 }
 
 /// How far a frame has come.
-pub(super) struct Progress<'a> {
+pub(super) struct FrameProgress<'a> {
     plan: &'a FramePlan,
     pub bands: Vec<Band>,
     /// Drawing began so long after the call.
@@ -40,7 +40,7 @@ pub(super) struct Progress<'a> {
     pub has_stopped: bool,
 }
 
-impl<'a> Progress<'a> {
+impl<'a> FrameProgress<'a> {
     pub fn new(plan: &'a FramePlan, bands: usize) -> Self {
         let begun = plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
         Self { plan, bands: vec![Band::default(); bands], begun, stopped_at: None, has_stopped: false }
@@ -75,11 +75,11 @@ impl<'a> Progress<'a> {
         let drawn_ms = drawn.as_secs_f64() * 1e3;
         let complete_to = f64::from(self.bands.iter().map(|band| band.complete_to).fold(f32::INFINITY, f32::min));
         let samples = sum(|band| band.given_up);
-        let stopped = MeansTaken { means: Means::Clock, at_ms: drawn_ms, metres: complete_to };
+        let stopped = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: complete_to };
         let by_clock = self.plan.radius.is_none_or(|radius| complete_to < f64::from(radius));
         let means = by_clock.then_some(stopped).into_iter().collect();
-        let given_up = (samples > 0).then_some(GivenUp { complete_to, samples, means });
-        stats.deadline = Some(Kept { drawn_ms, given_up, ..Kept::default() });
+        let given_up = (samples > 0).then_some(Degradation { complete_to, samples, means });
+        stats.deadline = Some(DeadlineOutcome { drawn_ms, given_up, ..DeadlineOutcome::default() });
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::bounds::{Extent, Footprint, LANES, Lanes, NOTHING, SLACK};
 use crate::limits;
-use crate::sensor::{Ahead, ConeTree, RayGrid, TILE_SIDE, View};
+use crate::sensor::{ConeTree, ForwardView, RayGrid, TILE_SIDE, TileLookup};
 use glam::DVec3;
 use pulp::Simd;
 use std::ops::Range;
@@ -16,8 +16,8 @@ pub(super) fn cover<S: Simd>(
     corners: &[[Lanes; 3]],
 ) -> [Footprint; LANES] {
     match grid.view() {
-        View::Ahead(view) => ahead(simd, grid, view, range_max_squared, corners),
-        View::Around(tree) => around(simd, grid, tree, range_max_squared, corners),
+        TileLookup::Ahead(view) => ahead(simd, grid, view, range_max_squared, corners),
+        TileLookup::Around(tree) => around(simd, grid, tree, range_max_squared, corners),
     }
 }
 
@@ -41,7 +41,7 @@ fn of_tiles(grid: &RayGrid, [first_row, end_row]: [u32; 2], [first_column, end_c
 fn ahead<S: Simd>(
     simd: S,
     grid: &RayGrid,
-    view: &Ahead,
+    view: &ForwardView,
     range_max_squared: f64,
     corners: &[[Lanes; 3]],
 ) -> [Footprint; LANES] {
@@ -226,9 +226,9 @@ mod tests {
     use crate::sensor::{Camera, Distortion, Geometry, PixelGrid, RayTable, Sensor, SensorSpec};
     use proptest::prelude::*;
 
-    struct Cover<'a>(&'a RayGrid, &'a [DVec3]);
+    struct RayCover<'a>(&'a RayGrid, &'a [DVec3]);
 
-    impl pulp::WithSimd for Cover<'_> {
+    impl pulp::WithSimd for RayCover<'_> {
         type Output = Footprint;
 
         fn with_simd<S: Simd>(self, simd: S) -> Footprint {
@@ -240,7 +240,7 @@ mod tests {
 
     fn footprint(sensor: &Sensor, corners: &[DVec3]) -> Footprint {
         let PixelGrid::Rays(grid) = sensor.grid() else { unreachable!() };
-        pulp::Arch::new().dispatch(Cover(grid, corners))
+        pulp::Arch::new().dispatch(RayCover(grid, corners))
     }
 
     fn sensor(geometry: Geometry) -> Sensor {

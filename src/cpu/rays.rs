@@ -2,7 +2,7 @@
 //! dropping those in which all is nearer, then ray by ray by the edges that the tile's cone does not decide.
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp};
+use super::batch::{Batch, NOTHING, PolygonSetup};
 use super::hidden::TILE;
 use super::spans::{Buffer, EIGHT};
 use crate::limits::MAX_CORNERS;
@@ -54,7 +54,7 @@ struct Polygon<'a> {
 
 /// What a polygon is to eight tiles.
 #[derive(Default)]
-struct Meeting {
+struct TileOverlap {
     /// Not zero: it may show.
     shows: [u64; EIGHT],
     /// A bit for each edge that does not hold all of the tile.
@@ -102,7 +102,7 @@ pub(super) fn rasterize<S: Simd>(
                             let drawn = inner(held.start)..inner(held.end);
                             octets += drawn.len();
                             let count = TILE.min(lines.end - row * TILE);
-                            let place = Place { first: row * TILE - lines.start, count, drawn, column };
+                            let place = TilePlace { first: row * TILE - lines.start, count, drawn, column };
                             let count = take(edges, meeting.open[column % EIGHT], &mut open);
                             if polygon.paint(simd, buffer, rays, &place, &open[..count]) {
                                 polygon.settle_ties(buffer, rays, &place, slots);
@@ -130,14 +130,14 @@ fn take(edges: &[DVec3], mut bits: u64, taken: &mut [DVec3; MAX_CORNERS]) -> usi
 
 /// Rows and columns of tiles of a polygon that are among some lines.
 #[inline(always)]
-fn tiles_of(polygon: &SetUp, lines: &Range<usize>) -> [Range<usize>; 2] {
+fn tiles_of(polygon: &PolygonSetup, lines: &Range<usize>) -> [Range<usize>; 2] {
     let (first, end) = (lines.start.max(polygon.first_line as usize), lines.end.min(polygon.end_line as usize));
     let columns = polygon.first_sample as usize / TILE..(polygon.end_sample as usize).div_ceil(TILE);
     [first / TILE..end.div_ceil(TILE), columns]
 }
 
 /// Where a tile is in a buffer.
-struct Place {
+struct TilePlace {
     /// Its first line, and how many there are.
     first: usize,
     count: usize,
@@ -150,8 +150,8 @@ struct Place {
 impl Polygon<'_> {
     /// What it is to eight tiles, in which all is as near as `farthest`.
     #[inline(always)]
-    fn meet<S: Simd>(&self, simd: S, cones: &Cones, farthest: &[f64; EIGHT]) -> Meeting {
-        let mut meeting = Meeting::default();
+    fn meet<S: Simd>(&self, simd: S, cones: &Cones, farthest: &[f64; EIGHT]) -> TileOverlap {
+        let mut meeting = TileOverlap::default();
         let (none, all) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX));
         for i in 0..EIGHT / S::F64_LANES {
             let of = |lanes: &[f64; EIGHT]| S::as_simd_f64s(lanes).0[i];
@@ -180,7 +180,14 @@ impl Polygon<'_> {
 
     /// Draws into a tile what is inside some edges. The answer is true if anywhere the buffer held the same depth.
     #[inline(always)]
-    fn paint<S: Simd>(&self, simd: S, buffer: &mut Buffer, rays: &TileRays, place: &Place, edges: &[DVec3]) -> bool {
+    fn paint<S: Simd>(
+        &self,
+        simd: S,
+        buffer: &mut Buffer,
+        rays: &TileRays,
+        place: &TilePlace,
+        edges: &[DVec3],
+    ) -> bool {
         let (number, zero) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(0.0));
         let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
         let (mut ties, mut written) = (none, none);
@@ -221,7 +228,7 @@ impl Polygon<'_> {
     /// On bit-equal inverse depth the lower slot wins.
     #[cold]
     #[inline(never)]
-    fn settle_ties(&self, buffer: &mut Buffer, rays: &TileRays, place: &Place, slots: &[u32]) {
+    fn settle_ties(&self, buffer: &mut Buffer, rays: &TileRays, place: &TilePlace, slots: &[u32]) {
         let own = slots[self.number as usize];
         for line in place.drawn.clone() {
             let at = buffer.at(place.first + line, place.column);
@@ -240,7 +247,7 @@ impl Polygon<'_> {
 
 /// Notes the farthest depth of a tile.
 #[inline(always)]
-fn measure<S: Simd>(simd: S, buffer: &mut Buffer, place: &Place) {
+fn measure<S: Simd>(simd: S, buffer: &mut Buffer, place: &TilePlace) {
     let mut farthest = simd.splat_f64s(f64::INFINITY);
     for line in 0..place.count {
         let at = buffer.at(place.first + line, place.column);
@@ -269,12 +276,12 @@ mod tests {
         some.prop_filter("no direction", |v| v.length() > 0.1).prop_map(DVec3::normalize)
     }
 
-    struct Meet<'a>(&'a Polygon<'a>, &'a Cones, &'a [f64; EIGHT]);
+    struct OverlapTest<'a>(&'a Polygon<'a>, &'a Cones, &'a [f64; EIGHT]);
 
-    impl pulp::WithSimd for Meet<'_> {
-        type Output = Meeting;
+    impl pulp::WithSimd for OverlapTest<'_> {
+        type Output = TileOverlap;
 
-        fn with_simd<S: Simd>(self, simd: S) -> Meeting {
+        fn with_simd<S: Simd>(self, simd: S) -> TileOverlap {
             self.0.meet(simd, self.1, self.2)
         }
     }
@@ -308,7 +315,7 @@ mod tests {
             let m = m.0 * m.1;
             let polygon = Polygon { m, length: m.length(), edges: &edges, squares: &squares, number: 1 };
             let farthest: [f64; EIGHT] = std::array::from_fn(|t| m.dot(grid.tiles()[t].axis) + nearer * m.length() * spread);
-            let meeting = pulp::Arch::new().dispatch(Meet(&polygon, &grid.cones_of_row(0)[0], &farthest));
+            let meeting = pulp::Arch::new().dispatch(OverlapTest(&polygon, &grid.cones_of_row(0)[0], &farthest));
             for (row, column) in (0..7).flat_map(|r| (0..60).map(move |c| (r, c))) {
                 let Some(ray) = sensor.ray(column, row) else { continue };
                 let t = column as usize / TILE;
@@ -336,7 +343,7 @@ mod tests {
         let polygon = Polygon { m: DVec3::X * 0.5, length: 0.5, edges: &edges, squares: &[1.04], number: 1 };
         let mut farthest = [0.0; EIGHT];
         farthest[6] = 0.51;
-        let meeting = pulp::Arch::new().dispatch(Meet(&polygon, &grid.cones_of_row(0)[0], &farthest));
+        let meeting = pulp::Arch::new().dispatch(OverlapTest(&polygon, &grid.cones_of_row(0)[0], &farthest));
         let shows = meeting.shows.map(|s| s != 0);
         assert_eq!(shows, [false, false, true, true, true, true, false, true]);
         assert_eq!(meeting.open.map(|o| o & 1)[2..], [1, 0, 0, 0, 0, 0]);

@@ -1,7 +1,7 @@
 //! Setup: from runs of mesh polygons to planes and edges in the frame of the rays, dropping early what covers none.
 
 use super::Bands;
-use super::batch::{Batch, SetUp, Shade};
+use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
@@ -12,13 +12,13 @@ use pulp::Simd;
 use std::ops::Range;
 
 /// One instance in the frame of the rays.
-pub(super) struct Placed<'a> {
+pub(super) struct RayInstance<'a> {
     pub mesh: &'a Mesh,
     pub ray_from_mesh: DMat3,
     /// Turns a mesh normal over its plane distance into m.
     m_from_normal: DMat3,
     normal_from_mesh: DMat3,
-    /// What [`Placed::length_per_distance`] is for every normal, if it is.
+    /// What [`RayInstance::length_per_distance`] is for every normal, if it is.
     uniform: Option<f64>,
     pub center: DVec3,
     mirrored: bool,
@@ -27,7 +27,7 @@ pub(super) struct Placed<'a> {
     first_slot: u32,
 }
 
-impl<'a> Placed<'a> {
+impl<'a> RayInstance<'a> {
     pub fn new(plan: &'a FramePlan, instance: &Instance) -> Self {
         let (ray_from_image, image_from_ray) = match plan.sensor.grid() {
             PixelGrid::Lines(grid) => (grid.line_from_image(), grid.image_from_line()),
@@ -75,11 +75,12 @@ pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: 
     let bounds = Bounds::new(&plan.sensor);
     let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
     let mut outline = Outline::new();
-    let mut placed: Option<(u32, Placed<'_>)> = None;
+    let mut placed: Option<(u32, RayInstance<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
-        let (_, at) = placed
-            .insert(known.unwrap_or_else(|| (run.instance, Placed::new(plan, &plan.instances[run.instance as usize]))));
+        let (_, at) = placed.insert(
+            known.unwrap_or_else(|| (run.instance, RayInstance::new(plan, &plan.instances[run.instance as usize]))),
+        );
         let end = run.first + run.count;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
@@ -119,7 +120,7 @@ type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
 fn cover_lanes<S: Simd>(
     simd: S,
     bounds: &Bounds<'_>,
-    at: &Placed<'_>,
+    at: &RayInstance<'_>,
     records: &[PolygonRecord],
     corners: &mut CornerLanes,
 ) -> [Footprint; LANES] {
@@ -149,7 +150,7 @@ fn cover_lanes<S: Simd>(
 fn set_up(
     batch: &mut Batch,
     plan: &FramePlan,
-    at: &Placed<'_>,
+    at: &RayInstance<'_>,
     polygon: u32,
     footprint: Footprint,
     corner_in_ray_frame: impl Fn(usize) -> DVec3,
@@ -201,7 +202,7 @@ fn set_up(
     let Range { start: first_sample, end: end_sample } = footprint.samples;
     for lines in footprint.lines.into_iter().filter(|lines| !lines.is_empty()) {
         let Range { start: first_line, end: end_line } = lines;
-        batch.polygons.push(SetUp {
+        batch.polygons.push(PolygonSetup {
             m,
             first_line,
             end_line,
@@ -218,7 +219,7 @@ fn set_up(
 }
 
 #[inline(always)]
-fn corner_indices<'a>(at: &Placed<'a>, record: &PolygonRecord) -> &'a [u32] {
+fn corner_indices<'a>(at: &RayInstance<'a>, record: &PolygonRecord) -> &'a [u32] {
     let first = record.first_corner as usize;
     &at.mesh.all_corners()[first..first + usize::from(record.corner_count)]
 }

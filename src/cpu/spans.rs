@@ -1,7 +1,7 @@
 //! Spans: one interval of samples per polygon and line, then inverse depth along it (paper section 3.2, Fig. 6).
 
 use super::Bands;
-use super::batch::{Batch, NOTHING, SetUp};
+use super::batch::{Batch, NOTHING, PolygonSetup};
 use super::hidden::TILE;
 use crate::error::Result;
 use crate::memory;
@@ -170,7 +170,7 @@ pub(super) fn rasterize<S: Simd>(
 /// Where the polygon's cone begins and ends on [`TOGETHER`] lines, as positions t.
 #[inline(always)]
 fn bounds_of_lines(
-    polygon: &SetUp,
+    polygon: &PolygonSetup,
     edges: &[[f64; 2]],
     a: &[f64; TOGETHER],
     b: &[f64; TOGETHER],

@@ -44,7 +44,7 @@ fn world(triangles: &[[Vec3; 3]]) -> World {
 
 fn render(plan: &FramePlan, threads: usize) -> Images {
     let mut images = Images::default();
-    Engine::new(threads).unwrap().render(plan, &mut images, &mut Stats::default()).unwrap();
+    CpuEngine::new(threads).unwrap().render(plan, &mut images, &mut Stats::default()).unwrap();
     images
 }
 

@@ -30,18 +30,18 @@ mod without_gpu {
 #[cfg(feature = "gpu")]
 mod with_gpu {
     use super::*;
-    use crate::compare::Precision;
     use crate::engine::Device;
     use crate::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
     use crate::geometry::Pose;
     use crate::gpu::{self, DeviceOptions, testing};
     use crate::plan::{FramePlan, Images, Stats, Work};
     use crate::sensor::Sensor;
+    use crate::verify::Precision;
     use crate::world::World;
 
     /// On the most capable adapter; on hardware or none, if asked.
     pub(crate) fn open_gpu(threads: &Threads, hardware_only: bool) -> Result<Box<dyn Engine>> {
-        let engine = gpu::Engine::new(DeviceOptions { hardware_only, ..DeviceOptions::default() })?;
+        let engine = gpu::GpuEngine::new(DeviceOptions { hardware_only, ..DeviceOptions::default() })?;
         Ok(Box::new(engine.with_threads(threads.clone())))
     }
 
@@ -52,7 +52,7 @@ mod with_gpu {
         Ok(Box::new(engine.with_threads(threads.clone())))
     }
 
-    impl Engine for gpu::Engine {
+    impl Engine for gpu::GpuEngine {
         fn name(&self) -> String {
             format!("gpu ({})", self.adapter())
         }
@@ -70,7 +70,7 @@ mod with_gpu {
         }
     }
 
-    impl Device for gpu::Engine {
+    impl Device for gpu::GpuEngine {
         fn adapter(&self) -> String {
             Self::adapter(self).to_string()
         }

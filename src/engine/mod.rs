@@ -4,7 +4,6 @@ mod backend;
 
 pub(crate) use backend::open_gpu;
 
-use crate::compare::Precision;
 use crate::cpu;
 use crate::error::Result;
 use crate::features::{self, BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
@@ -13,6 +12,7 @@ use crate::plan::{EDGE_ON, FramePlan, Images, Stats, Work};
 use crate::reference;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
+use crate::verify::Precision;
 use crate::world::World;
 use std::any::Any;
 use std::time::Instant;
@@ -143,7 +143,7 @@ impl EngineKind {
     pub fn open(self, threads: &Threads) -> Result<Box<dyn Engine>> {
         match self {
             Self::Reference => Ok(Box::new(Reference { threads: threads.clone() })),
-            Self::Cpu => Ok(Box::new(cpu::Engine::new(threads.clone())?)),
+            Self::Cpu => Ok(Box::new(cpu::CpuEngine::new(threads.clone())?)),
             Self::Gpu => open_gpu(threads, false),
             Self::GpuNarrow => backend::open_narrow_gpu(threads),
         }
@@ -175,7 +175,7 @@ impl Engine for Reference {
     }
 }
 
-impl Engine for cpu::Engine {
+impl Engine for cpu::CpuEngine {
     fn name(&self) -> String {
         "cpu".into()
     }

@@ -316,7 +316,7 @@ mod tests {
                 e.add_material(Material::named("paint")).unwrap();
                 e.insert(NewObject::new("a/b/c", at(0.0), triangle(0))).unwrap();
                 for (path, x) in frames {
-                    e.set_group(path, Some(at(*x))).unwrap();
+                    e.set_frame(path, Some(at(*x))).unwrap();
                 }
             })
         };
@@ -350,7 +350,7 @@ mod tests {
         let second = [text("presight content 2"), count.clone(), object, count, text("g"), pose, none].concat();
         let framed = of(|e| {
             one(e);
-            e.set_group("g", Some(at(0.0))).unwrap();
+            e.set_frame("g", Some(at(0.0))).unwrap();
         });
         assert_eq!(framed.0, *blake3::hash(&second).as_bytes());
     }

@@ -33,7 +33,7 @@ impl Environment {
     /// let mesh = Mesh::new("sign", corners, vec![Polygon::new(vec![0, 1, 2], paint)], PolygonOrder::Given)?;
     /// environment.insert(NewObject::new("hall/door/sign", Pose::IDENTITY, mesh.into()))?;
     /// let door = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.0);
-    /// environment.set_group("hall/door", Some(door))?;
+    /// environment.set_frame("hall/door", Some(door))?;
     /// assert_eq!(environment.groups(), [("hall", Pose::IDENTITY), ("hall/door", door)].into());
     /// # Ok::<(), presight::Error>(())
     /// ```
@@ -89,7 +89,7 @@ impl Environment {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the path is that of an object, empty or too long, or the pose is not finite or out
     /// of bounds.
-    pub fn set_group(&mut self, path: &str, world_from_group: Option<Pose>) -> Result<Option<Pose>> {
+    pub fn set_frame(&mut self, path: &str, world_from_group: Option<Pose>) -> Result<Option<Pose>> {
         let place = || format!("group {path:?}");
         let Some(pose) = world_from_group else { return Ok(self.groups.remove(path)) };
         check_pose(&pose).map_err(|e| e.at(place()))?;
@@ -103,7 +103,7 @@ impl Environment {
         Ok(self.keep_frame(path.to_owned(), pose))
     }
 
-    /// [`Environment::set_group`] of a path that something is below and a pose that was checked.
+    /// [`Environment::set_frame`] of a path that something is below and a pose that was checked.
     pub(crate) fn keep_frame(&mut self, path: String, world_from_group: Pose) -> Option<Pose> {
         self.groups.insert(path, world_from_group)
     }
@@ -148,11 +148,11 @@ impl Environment {
     /// Takes in frames of poses that were checked.
     ///
     /// # Errors
-    /// As [`Environment::set_group`].
+    /// As [`Environment::set_frame`].
     #[cfg(feature = "store")]
     pub(crate) fn restore_groups(&mut self, groups: Vec<(String, Pose)>) -> Result<()> {
         match groups.iter().find(|(path, _)| self.names.contains_key(path)) {
-            Some((path, pose)) => self.set_group(path, Some(*pose)).map(drop),
+            Some((path, pose)) => self.set_frame(path, Some(*pose)).map(drop),
             None => {
                 // At once: they come in order.
                 self.groups = groups.into_iter().collect();
@@ -194,7 +194,7 @@ mod tests {
     fn a_frame_is_given_or_that_of_what_is_above() {
         let mut e = environment(&["a/b/c/d", "x", "x/y/z"]);
         assert_eq!(e.frame("a/b"), Some(Pose::IDENTITY));
-        assert_eq!(e.set_group("a", Some(at(7.0))).unwrap(), None);
+        assert_eq!(e.set_frame("a", Some(at(7.0))).unwrap(), None);
         assert_eq!(e.frame("a/b/c"), Some(at(7.0)));
         assert_eq!(e.frame("x/y"), Some(at(2.0)), "that of the object above");
         assert_eq!(e.frame("x"), Some(at(2.0)));
@@ -202,7 +202,7 @@ mod tests {
         assert_eq!(environment(&["/odd"]).frame(""), None);
         let all = e.groups();
         assert!(["a", "a/b", "a/b/c"].iter().all(|path| all[path] == at(7.0)) && all["x/y"] == at(2.0), "{all:?}");
-        assert_eq!(e.set_group("a", None).unwrap(), Some(at(7.0)));
+        assert_eq!(e.set_frame("a", None).unwrap(), Some(at(7.0)));
         assert_eq!(e.frame("a/b/c"), Some(Pose::IDENTITY));
     }
 
@@ -211,10 +211,10 @@ mod tests {
         let mut e = environment(&["a", "a/b"]);
         let far = Pose { translation: DVec3::splat(1e13), ..Pose::IDENTITY };
         for (path, pose) in [("a", at(1.0)), ("", at(1.0)), ("g", far)] {
-            assert!(!e.set_group(path, Some(pose)).unwrap_err().remedy().is_empty());
+            assert!(!e.set_frame(path, Some(pose)).unwrap_err().remedy().is_empty());
         }
-        e.set_group("g", Some(at(1.0))).unwrap();
-        e.set_group("a#2", Some(at(1.0))).unwrap();
+        e.set_frame("g", Some(at(1.0))).unwrap();
+        e.set_frame("a#2", Some(at(1.0))).unwrap();
         let mesh = e.objects()[0].mesh.clone();
         e.insert(NewObject::new("g", at(2.0), mesh.clone())).unwrap();
         assert!(e.group("g").is_none(), "the object takes its place");
@@ -229,9 +229,9 @@ mod tests {
         let mut e = environment(&["a/b/c/d", "x", "x/y/z", "w/v"]);
         let frames = [("a", 1.0), ("a/b", 1.0), ("a/b/c", 2.0), ("x/y", 2.0), ("w", 0.5), ("nothing", 1.0)];
         for (path, x) in frames {
-            e.set_group(path, Some(at(x))).unwrap();
+            e.set_frame(path, Some(at(x))).unwrap();
         }
-        e.set_group("w", Some(Pose::IDENTITY)).unwrap();
+        e.set_frame("w", Some(Pose::IDENTITY)).unwrap();
         let before: Vec<_> = e.groups().into_iter().map(|(path, pose)| (path.to_owned(), pose)).collect();
         e.settle_groups();
         assert_eq!(e.framed_groups().map(|(path, _)| path).collect::<Vec<_>>(), ["a", "a/b/c"]);

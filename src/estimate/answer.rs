@@ -1,6 +1,6 @@
 //! What an estimate tells.
 
-use super::normal::{Freedom, Normal, Shared};
+use super::normal::{CommonError, Freedom, Normal};
 use crate::geometry::Pose;
 use crate::motion::{add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed};
 use crate::verdict::Verdicts;
@@ -11,7 +11,7 @@ const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 
 /// Whether an estimate may be used.
 #[derive(Clone, Debug, PartialEq)]
-pub enum State {
+pub enum EstimateState {
     /// The measurement is explained, by one pose.
     Determined,
     /// It is not, for this reason; the pose is the best one found.
@@ -64,7 +64,7 @@ pub struct Estimate {
     /// All poses that explain the measurement about as well, the best first.
     pub hypotheses: Vec<Hypothesis>,
     /// Whether the estimate may be used.
-    pub state: State,
+    pub state: EstimateState,
     /// Full predictions that it took.
     pub predictions: usize,
 }
@@ -72,7 +72,7 @@ pub struct Estimate {
 impl Estimate {
     /// True if the estimate may be used.
     pub fn is_determined(&self) -> bool {
-        self.state == State::Determined
+        self.state == EstimateState::Determined
     }
 }
 
@@ -85,7 +85,7 @@ pub(crate) fn covariance(
     prior: Option<&Matrix>,
     freedom: Freedom,
     spread: f64,
-    shared: &impl Fn(Shared) -> Matrix,
+    shared: &impl Fn(CommonError) -> Matrix,
 ) -> Matrix {
     let axes = freedom.axes();
     let mut information = restricted(&normal.information, axes);
@@ -99,7 +99,7 @@ pub(crate) fn covariance(
 }
 
 /// Noise and shared errors, as pulls on the gradient.
-fn middle_of(normal: &Normal, spread: f64, shared: &impl Fn(Shared) -> Matrix) -> Matrix {
+fn middle_of(normal: &Normal, spread: f64, shared: &impl Fn(CommonError) -> Matrix) -> Matrix {
     let mut middle = scaled(&normal.noise, spread * spread);
     for (error, sum) in &normal.groups {
         add_to(&mut middle, &product(&product(&sum.pull, &shared(*error)), &transposed(&sum.pull)));
@@ -119,7 +119,7 @@ pub(crate) fn weak_directions(
     reach: f64,
     spread: f64,
     loosest: f64,
-    shared: &impl Fn(Shared) -> Matrix,
+    shared: &impl Fn(CommonError) -> Matrix,
 ) -> Vec<WeakDirection> {
     let axes = freedom.axes();
     let middle = middle_of(normal, spread, shared);

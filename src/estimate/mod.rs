@@ -40,8 +40,8 @@ mod range;
 mod solve;
 
 pub use crate::motion::{Vector, motion_between, moved};
-pub use answer::{Estimate, Hypothesis, State, WeakDirection};
-pub use normal::{Freedom, GroupSum, Normal, Shared};
+pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
+pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::{EstimateOptions, Estimator, Prior};
 

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 /// Errors that many residuals share: all surfaces of one object, or the polygons that lie about in one plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Shared {
+pub enum CommonError {
     /// The error of an object's pose, by index; six numbers.
     Object(u32),
     /// The offset of polygons along their normal, by [`crate::verdict::Surface::group`]; one number.
@@ -34,7 +34,7 @@ pub struct Normal {
     /// Median of |e| / s of those that were compared.
     pub spread: f64,
     /// What residuals with a shared error add up to.
-    pub groups: BTreeMap<Shared, GroupSum>,
+    pub groups: BTreeMap<CommonError, GroupSum>,
 }
 
 /// Sums over the residuals that share one error.

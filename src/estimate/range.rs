@@ -4,12 +4,12 @@
 //! as wide as the pose is uncertain. Its residual is e = n x - d, with the exact plane (n, d) of that polygon; by a motion of the
 //! robot at c it changes by J = [n, (x - c) cross n]. Its variance is that of the measurement along n.
 
-use super::normal::{GroupSum, Normal, Shared};
+use super::normal::{CommonError, GroupSum, Normal};
 use super::{Gate, Kernel, Residuals};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
 use crate::motion::{add_to, apply, product, sandwich, turn};
-use crate::verdict::{Expected, body_from_image};
+use crate::verdict::{ExpectedImage, body_from_image};
 use crate::virtual_sensors::symmetric::Matrix;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -28,7 +28,7 @@ const CHUNK: usize = 512;
 
 /// A range image and what was expected of it.
 pub struct RangeSource<'a> {
-    expected: &'a Expected,
+    expected: &'a ExpectedImage,
     noise: RangeNoise,
     robot_from_image: Pose,
     /// Measured points that are worth looking at, image frame.
@@ -94,7 +94,7 @@ struct Sum {
     cost: f64,
     explained: usize,
     normalized: Vec<f32>,
-    groups: HashMap<Shared, GroupSum>,
+    groups: HashMap<CommonError, GroupSum>,
 }
 
 impl Default for Sum {
@@ -115,7 +115,7 @@ impl Default for Sum {
 impl<'a> RangeSource<'a> {
     /// A source of measured points (see [`measured_points`]) and what is expected of them. `robot_from_sensor` is the sensor's
     /// mount.
-    pub fn new(expected: &'a Expected, points: &'a [MeasuredPoint], noise: RangeNoise) -> Self {
+    pub fn new(expected: &'a ExpectedImage, points: &'a [MeasuredPoint], noise: RangeNoise) -> Self {
         let mount = expected.sensor.spec().mount;
         Self { expected, noise, robot_from_image: mount * body_from_image(&expected.sensor), points, only: None }
     }
@@ -183,7 +183,7 @@ impl<'a> RangeSource<'a> {
         self.expected.sensor.project(q.as_dvec3()).map(|(u, v)| (u as f32, v as f32))
     }
 
-    fn add_point(&self, sum: &mut Sum, p: MeasuredPoint, moved: &Moved, gate: &Gate) {
+    fn add_point(&self, sum: &mut Sum, p: MeasuredPoint, moved: &FramePoses, gate: &Gate) {
         let (p, m) = (p.point, p.normal);
         let q = moved.expected_from_now.transform_point3(p.as_dvec3());
         let range = f64::from(p.length());
@@ -238,7 +238,7 @@ impl<'a> RangeSource<'a> {
                 }
             }
             // An offset of the plane takes e down by as much.
-            let group = sum.groups.entry(Shared::Offset(pixel.group)).or_default();
+            let group = sum.groups.entry(CommonError::Offset(pixel.group)).or_default();
             (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
             group.weight += w;
             group.residual += w * e;
@@ -248,7 +248,7 @@ impl<'a> RangeSource<'a> {
 }
 
 /// Where things are in the expected image's frame.
-struct Moved {
+struct FramePoses {
     expected_from_now: DAffine3,
     centre: DVec3,
     robot: DVec3,
@@ -258,7 +258,7 @@ impl Residuals for RangeSource<'_> {
     fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
         let expected_from_world = self.expected.world_from_image.inverse();
         let now = expected_from_world * *world_from_robot * self.robot_from_image;
-        let moved = Moved {
+        let moved = FramePoses {
             expected_from_now: now.to_affine(),
             centre: now.translation,
             robot: expected_from_world.transform_point(world_from_robot.translation),

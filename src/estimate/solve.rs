@@ -1,7 +1,7 @@
 //! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
 
-use super::answer::{Estimate, Hypothesis, State, covariance, weak_directions};
-use super::normal::{Freedom, Normal, Shared};
+use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
+use super::normal::{CommonError, Freedom, Normal};
 use super::range::{MeasuredPoint, RangeSource, measured_points};
 use super::{Gate, Kernel, Residuals};
 use crate::error::{Error, Result};
@@ -10,7 +10,7 @@ use crate::geometry::Pose;
 use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, scaled};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
-use crate::verdict::{Expected, Surfaces, Uncertainty, Verdicts, judge};
+use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
 use crate::virtual_sensors::symmetric::{Matrix, eigen};
 use crate::world::World;
 use std::sync::Arc;
@@ -114,7 +114,7 @@ const LOOSE: (f64, f64) = (0.05, 0.05);
 const LEAD: f64 = 0.05;
 
 /// A frame as the iteration needs it.
-struct Measured<'a> {
+struct FrameMeasurement<'a> {
     frame: &'a Frame,
     points: Vec<MeasuredPoint>,
     noise: RangeNoise,
@@ -125,7 +125,7 @@ struct Measured<'a> {
 struct Minimum {
     pose: Pose,
     /// What was expected in the prediction that it was found with.
-    expected: Arc<Vec<Expected>>,
+    expected: Arc<Vec<ExpectedImage>>,
     normal: Normal,
     spread: f64,
 }
@@ -140,7 +140,7 @@ impl Minimum {
 /// One estimate under way.
 struct Run<'a> {
     world: &'a World,
-    measured: Vec<Measured<'a>>,
+    measured: Vec<FrameMeasurement<'a>>,
     prior: Prior,
     prior_information: Matrix,
     /// Metres and radians that the pose may be off.
@@ -181,7 +181,7 @@ impl Estimator {
         let measured = frames.iter().map(|frame| {
             let mut noise = RangeNoise::of(frame.sensor());
             noise.sigma = noise.sigma.hypot(self.options.model_sigma);
-            Measured { frame, points: measured_points(frame), noise }
+            FrameMeasurement { frame, points: measured_points(frame), noise }
         });
         let axes = self.options.freedom.axes();
         let sigma =
@@ -241,14 +241,14 @@ impl Estimator {
         metres < 0.1 * run.extent.0 + 3.0 * self.offset_sigma && radians < 0.1 * run.extent.1
     }
 
-    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose) -> Result<Arc<Vec<Expected>>> {
+    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose) -> Result<Arc<Vec<ExpectedImage>>> {
         run.predictions += 1;
-        let one = |m: &Measured<'_>| {
+        let one = |m: &FrameMeasurement<'_>| {
             let sensor = m.frame.sensor();
             let world_from_sensor = *pose * sensor.spec().mount;
-            Expected::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
+            ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
         };
-        let all: Result<Vec<Expected>> = run.measured.iter().map(one).collect();
+        let all: Result<Vec<ExpectedImage>> = run.measured.iter().map(one).collect();
         all.map(Arc::new)
     }
 
@@ -259,7 +259,7 @@ impl Estimator {
     }
 
     /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew.
-    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Vec<Expected>>, best: Minimum) -> Result<Minimum> {
+    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Vec<ExpectedImage>>, best: Minimum) -> Result<Minimum> {
         let mut best = best;
         let mut random = SplitMix64(0x5eed);
         while run.predictions + 3 <= self.options.most_predictions {
@@ -281,7 +281,13 @@ impl Estimator {
     }
 
     /// Steps from a start to rest, without a new prediction.
-    fn descend(&mut self, run: &Run<'_>, expected: &Arc<Vec<Expected>>, start: Pose, schedule: &Schedule) -> Minimum {
+    fn descend(
+        &mut self,
+        run: &Run<'_>,
+        expected: &Arc<Vec<ExpectedImage>>,
+        start: Pose,
+        schedule: &Schedule,
+    ) -> Minimum {
         let at_once = || descend(run, expected, start, schedule, self.options.freedom);
         self.predictor
             .on_threads(at_once)
@@ -292,7 +298,7 @@ impl Estimator {
         let freedom = self.options.freedom;
         self.learn_offsets(&best.normal);
         let offset = self.offset_sigma * self.offset_sigma;
-        let shared = |_: Shared| {
+        let shared = |_: CommonError| {
             let mut m = [[0.0; 6]; 6];
             m[0][0] = offset;
             m
@@ -337,7 +343,7 @@ impl Estimator {
 
     fn verdicts(&self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
         let polygons = self.options.model_sigma.hypot(self.offset_sigma);
-        let one = |(m, expected): (&Measured<'_>, &Expected)| {
+        let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
             let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
             judge(m.frame, expected, &best.pose, &known)
         };
@@ -383,7 +389,7 @@ impl Estimator {
             spread: 1.0,
             offset_sigma: self.offset_sigma,
             hypotheses: Vec::new(),
-            state: State::Undetermined("no pixel measured a range within the sensor's limits".into()),
+            state: EstimateState::Undetermined("no pixel measured a range within the sensor's limits".into()),
             predictions: 0,
         }
     }
@@ -405,7 +411,7 @@ fn length(v: &[f64]) -> f64 {
 
 fn descend(
     run: &Run<'_>,
-    expected: &Arc<Vec<Expected>>,
+    expected: &Arc<Vec<ExpectedImage>>,
     start: Pose,
     schedule: &Schedule,
     freedom: Freedom,
@@ -449,18 +455,18 @@ fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector
     apply(&inverse(&h, axes), &g).map(|x| -x)
 }
 
-fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> State {
+fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     if best.explained < least {
-        return State::Undetermined(format!(
+        return EstimateState::Undetermined(format!(
             "{} of the measured points are explained, less than {}",
             percent(best.explained),
             percent(least)
         ));
     }
-    let Some(other) = others.first() else { return State::Determined };
+    let Some(other) = others.first() else { return EstimateState::Determined };
     let off = motion_between(&best.pose, &other.pose);
-    State::Undetermined(format!(
+    EstimateState::Undetermined(format!(
         "a pose {:.3} m and {:.2} deg off explains {}, the best one {}",
         length(&off[..3]),
         length(&off[3..]).to_degrees(),
@@ -483,7 +489,7 @@ fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
 }
 
 /// How far away points are measured, root of the mean square, metres.
-fn reach_of(measured: &[Measured<'_>]) -> f64 {
+fn reach_of(measured: &[FrameMeasurement<'_>]) -> f64 {
     let squares = measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
     let (sum, count) = squares.fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
     (sum / f64::max(count, 1.0)).sqrt().max(1e-3)

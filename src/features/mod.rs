@@ -3,6 +3,7 @@
 mod boxes;
 mod choose;
 mod columns;
+pub mod generate;
 pub(crate) mod normal;
 mod options;
 mod place;
@@ -18,7 +19,7 @@ mod visible;
 #[doc(hidden)]
 pub use boxes::add_boxes;
 #[cfg(feature = "gpu")]
-pub(crate) use boxes::{BoxFrame, Kind as ImageKind, Room};
+pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 pub(crate) use choose::choose;
 #[cfg(all(feature = "gpu", test))]
@@ -33,7 +34,7 @@ pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, 
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
 pub(crate) use tree::{FeatureTree, check_placed};
-pub(crate) use visible::Prepared;
+pub(crate) use visible::PreparedFeatures;
 pub use visible::{FeatureSamples, OcclusionHint, Visibility};
 #[doc(hidden)]
 pub use visible::{FeatureSettings, predict_features};

@@ -13,14 +13,14 @@ use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorS
 
 /// What a sensor measured, row by row.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Sensed {
+pub enum Measurement {
     /// Metres along each ray.
     Range(Vec<f32>),
     /// Metres along the optical axis of a camera (REP-118).
     DepthZ(Vec<f32>),
 }
 
-impl Sensed {
+impl Measurement {
     /// The values, row by row.
     pub fn values(&self) -> &[f32] {
         match self {
@@ -42,12 +42,12 @@ pub struct Motion {
 ///
 /// # Examples
 /// ```
-/// use presight::frame::{Frame, Sensed};
+/// use presight::frame::{Frame, Measurement};
 /// let scanner = presight::preset("laser-scanner")?; // 361 beams
-/// let frame = Frame::new(0.0, scanner.clone(), Sensed::Range(vec![2.0; 361]))?;
+/// let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![2.0; 361]))?;
 /// assert_eq!(frame.ranges()[180], 2.0);
 /// // Of another size than the sensor's image:
-/// assert!(Frame::new(0.0, scanner, Sensed::Range(vec![2.0; 360])).is_err());
+/// assert!(Frame::new(0.0, scanner, Measurement::Range(vec![2.0; 360])).is_err());
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -57,7 +57,7 @@ pub struct Frame {
     /// Since the frame before; `None` if nothing was told.
     pub motion: Option<Motion>,
     sensor: Sensor,
-    sensed: Sensed,
+    sensed: Measurement,
     ranges: Vec<f32>,
 }
 
@@ -67,7 +67,7 @@ impl Frame {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a value is negative, if the
     /// stamp is no number, or if depth is given for a sensor that is no camera.
-    pub fn new(stamp: f64, sensor: Sensor, sensed: Sensed) -> Result<Self> {
+    pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = sensed.values();
         if !stamp.is_finite() {
@@ -87,8 +87,8 @@ impl Frame {
             ));
         }
         let mut ranges = match &sensed {
-            Sensed::Range(values) => values.clone(),
-            Sensed::DepthZ(values) => ranges_of_depth(&sensor, values)?,
+            Measurement::Range(values) => values.clone(),
+            Measurement::DepthZ(values) => ranges_of_depth(&sensor, values)?,
         };
         ranges.iter_mut().filter(|r| **r == 0.0).for_each(|r| *r = f32::NAN);
         Ok(Self { stamp, motion: None, sensor, sensed, ranges })
@@ -100,7 +100,7 @@ impl Frame {
     }
 
     /// What was measured.
-    pub fn sensed(&self) -> &Sensed {
+    pub fn sensed(&self) -> &Measurement {
         &self.sensed
     }
 
@@ -119,7 +119,7 @@ impl Frame {
             return Err(Error::usage("a stride of 0", "give 1 for every pixel"));
         }
         let (width, height) = (self.sensor.width(), self.sensor.height());
-        let (columns, rows) = (Kept::of(width, stride), Kept::of(height, stride));
+        let (columns, rows) = (PixelStride::of(width, stride), PixelStride::of(height, stride));
         let spec = thinned_spec(self.sensor.spec(), columns, rows)?;
         let pick = |values: &[f32]| {
             let row = |r: u32| (0..columns.count).map(move |c| (columns.at(c), r));
@@ -127,8 +127,8 @@ impl Frame {
             pixels.map(|(c, r)| values[r as usize * width as usize + c as usize]).collect::<Vec<f32>>()
         };
         let sensed = match &self.sensed {
-            Sensed::Range(values) => Sensed::Range(pick(values)),
-            Sensed::DepthZ(values) => Sensed::DepthZ(pick(values)),
+            Measurement::Range(values) => Measurement::Range(pick(values)),
+            Measurement::DepthZ(values) => Measurement::DepthZ(pick(values)),
         };
         Ok(Self {
             stamp: self.stamp,
@@ -142,13 +142,13 @@ impl Frame {
 
 /// The pixels of one side that are kept.
 #[derive(Clone, Copy)]
-struct Kept {
+struct PixelStride {
     first: u32,
     stride: u32,
     count: u32,
 }
 
-impl Kept {
+impl PixelStride {
     /// In the middle of each stretch, as far as the side goes.
     fn of(side: u32, stride: u32) -> Self {
         let stride = stride.min(side);
@@ -161,9 +161,10 @@ impl Kept {
     }
 }
 
-fn thinned_spec(spec: &SensorSpec, columns: Kept, rows: Kept) -> Result<SensorSpec> {
-    let scaled =
-        |f: f64, c: f64, kept: Kept| (f / f64::from(kept.stride), (c - f64::from(kept.first)) / f64::from(kept.stride));
+fn thinned_spec(spec: &SensorSpec, columns: PixelStride, rows: PixelStride) -> Result<SensorSpec> {
+    let scaled = |f: f64, c: f64, kept: PixelStride| {
+        (f / f64::from(kept.stride), (c - f64::from(kept.first)) / f64::from(kept.stride))
+    };
     let geometry = match &spec.geometry {
         Geometry::Camera(camera) => {
             let ((fx, cx), (fy, cy)) = (scaled(camera.fx, camera.cx, columns), scaled(camera.fy, camera.cy, rows));

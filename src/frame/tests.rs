@@ -9,12 +9,12 @@ fn camera() -> Sensor {
 
 #[test]
 fn depth_is_told_as_range() {
-    let frame = Frame::new(1.0, camera(), Sensed::DepthZ(vec![2.0; 24])).unwrap();
+    let frame = Frame::new(1.0, camera(), Measurement::DepthZ(vec![2.0; 24])).unwrap();
     // Pixel (0, 0) looks along (-0.5, -0.375, 1).
     let length = DVec3::new(-0.5, -0.375, 1.0).length();
     assert!((f64::from(frame.ranges()[0]) - 2.0 * length).abs() < 1e-6);
     let scanner = crate::preset("laser-scanner").unwrap();
-    assert!(Frame::new(0.0, scanner, Sensed::DepthZ(vec![1.0; 361])).is_err());
+    assert!(Frame::new(0.0, scanner, Measurement::DepthZ(vec![1.0; 361])).is_err());
 }
 
 #[test]
@@ -22,7 +22,7 @@ fn what_is_no_measurement_is_refused_or_nan() {
     let with = |value: f32| {
         let mut values = vec![1.0; 24];
         values[9] = value;
-        Frame::new(0.0, camera(), Sensed::Range(values))
+        Frame::new(0.0, camera(), Measurement::Range(values))
     };
     let e = with(-0.5).unwrap_err().to_string();
     assert!(e.contains("pixel 3,1"), "{e}");
@@ -30,8 +30,8 @@ fn what_is_no_measurement_is_refused_or_nan() {
         assert_eq!(with(kept).unwrap().ranges()[9].to_bits(), kept.to_bits());
     }
     assert!(with(0.0).unwrap().ranges()[9].is_nan());
-    assert!(Frame::new(f64::NAN, camera(), Sensed::Range(vec![1.0; 24])).is_err());
-    assert!(Frame::new(0.0, camera(), Sensed::Range(vec![1.0; 23])).is_err());
+    assert!(Frame::new(f64::NAN, camera(), Measurement::Range(vec![1.0; 24])).is_err());
+    assert!(Frame::new(0.0, camera(), Measurement::Range(vec![1.0; 23])).is_err());
 }
 
 /// Every pixel that is kept has its ray and its value, whatever the geometry.
@@ -46,7 +46,7 @@ fn thinned_pixels_keep_their_rays() {
     {
         let (width, height) = (sensor.width(), sensor.height());
         let values: Vec<f32> = (0..width * height).map(|i| 1.0 + i as f32).collect();
-        let frame = Frame::new(0.0, sensor.clone(), Sensed::Range(values)).unwrap();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(values)).unwrap();
         for stride in [1, 2, 3, 5] {
             let thin = frame.thinned(stride).unwrap();
             let (w, h) = (thin.sensor().width(), thin.sensor().height());

@@ -52,7 +52,7 @@ pub struct DeviceOptions {
 /// What wgpu makes by itself for each submission (a command buffer, its book of the resources in use, a closure for each
 /// mapping) is not counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Made {
+pub struct DeviceAllocations {
     /// Buffers, and sets of time stamps.
     pub buffers: u64,
     /// Bytes of these buffers.
@@ -67,9 +67,9 @@ pub struct Made {
 
 /// Counts from behind a shared reference.
 #[derive(Default)]
-pub(super) struct Count(AtomicU64);
+pub(super) struct Counter(AtomicU64);
 
-impl Count {
+impl Counter {
     pub fn add(&self) {
         self.add_many(1);
     }
@@ -83,19 +83,19 @@ impl Count {
     }
 }
 
-/// [`Made`] while it is counted.
+/// [`DeviceAllocations`] while it is counted.
 #[derive(Default)]
-pub(super) struct Making {
-    pub buffers: Count,
-    pub bytes: Count,
-    pub bind_groups: Count,
-    pub pipelines: Count,
-    pub staged: Count,
+pub(super) struct AllocationCounters {
+    pub buffers: Counter,
+    pub bytes: Counter,
+    pub bind_groups: Counter,
+    pub pipelines: Counter,
+    pub staged: Counter,
 }
 
-impl Making {
-    pub fn so_far(&self) -> Made {
-        Made {
+impl AllocationCounters {
+    pub fn so_far(&self) -> DeviceAllocations {
+        DeviceAllocations {
             buffers: self.buffers.get(),
             bytes: self.bytes.get(),
             bind_groups: self.bind_groups.get(),
@@ -107,11 +107,11 @@ impl Making {
 
 /// What the device was given to do, while it is counted.
 #[derive(Default)]
-pub(super) struct Doing {
-    pub passes: Count,
-    pub workgroups: Count,
-    pub bytes_written: Count,
-    pub bytes_read: Count,
+pub(super) struct WorkCounters {
+    pub passes: Counter,
+    pub workgroups: Counter,
+    pub bytes_written: Counter,
+    pub bytes_read: Counter,
 }
 
 /// A device with its queue and what it can do.
@@ -123,8 +123,8 @@ pub(super) struct Gpu {
     pub int64: bool,
     /// Times of stages can be asked for.
     pub timestamps: bool,
-    pub made: Making,
-    pub done: Doing,
+    pub made: AllocationCounters,
+    pub done: WorkCounters,
     fault: Arc<Mutex<Option<(ErrorKind, String)>>>,
 }
 
@@ -171,8 +171,8 @@ impl Gpu {
             adapter: described,
             int64: features.contains(int64),
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
-            made: Making::default(),
-            done: Doing::default(),
+            made: AllocationCounters::default(),
+            done: WorkCounters::default(),
             fault,
         })
     }

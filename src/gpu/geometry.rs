@@ -11,7 +11,7 @@ use std::sync::{Arc, Weak};
 
 /// Where a mesh lies in the arena, words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct MeshLocation {
     pub polygons_at: u32,
     pub corners_at: u32,
     pub vertices_at: u32,
@@ -20,7 +20,7 @@ pub(super) struct Place {
 struct Resident {
     /// Keeps the address from being used again, and tells when the mesh is gone.
     mesh: Weak<Mesh>,
-    place: Place,
+    place: MeshLocation,
 }
 
 /// All meshes in one buffer of words.
@@ -41,7 +41,7 @@ impl Arena {
     }
 
     /// Where a mesh that [`Arena::admit`] took lies.
-    pub fn place(&self, mesh: &Arc<Mesh>) -> Option<Place> {
+    pub fn place(&self, mesh: &Arc<Mesh>) -> Option<MeshLocation> {
         self.residents.get(&key(mesh)).map(|r| r.place)
     }
 
@@ -104,7 +104,7 @@ impl Arena {
         let polygons_at = self.used as u32;
         let corners_at = polygons_at + mesh.polygon_count() as u32 * POLYGON_WORDS;
         let vertices_at = corners_at + mesh.all_corners().len() as u32 * CORNER_WORDS;
-        let place = Place { polygons_at, corners_at, vertices_at };
+        let place = MeshLocation { polygons_at, corners_at, vertices_at };
         self.residents.insert(key(mesh), Resident { mesh: Arc::downgrade(mesh), place });
         self.used += words;
         Ok(())

@@ -5,7 +5,7 @@
 
 mod buffers;
 mod device;
-mod frame;
+mod frame_buffers;
 mod geometry;
 mod grid;
 mod layout;
@@ -15,12 +15,12 @@ mod roi;
 mod shaders;
 mod stage;
 mod stages;
-mod store;
 #[doc(hidden)]
 pub mod testing;
+mod uploads;
 mod visible;
 
-pub use device::{Abilities, Adapter, DeviceOptions, Made, adapters, preferred};
+pub use device::{Abilities, Adapter, DeviceAllocations, DeviceOptions, adapters, preferred};
 pub use visible::OcclusionQuery;
 
 use crate::error::{ErrorKind, Result};
@@ -29,13 +29,13 @@ use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Wo
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use device::Gpu;
-use frame::Frame;
+use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
 use layout::Counters;
 use stages::{Stages, Variants};
 use std::time::Instant;
-use store::{Readback, Store};
+use uploads::FrameUploads;
 use visible::Visible;
 
 /// Most sensors whose tables are kept.
@@ -44,21 +44,21 @@ const MOST_SENSORS: usize = 8;
 /// The GPU engine with its device and buffers.
 ///
 /// ```no_run
-/// use presight::gpu::{DeviceOptions, Engine};
-/// let engine = Engine::new(DeviceOptions { hardware_only: true, ..Default::default() })?;
+/// use presight::gpu::{DeviceOptions, GpuEngine};
+/// let engine = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() })?;
 /// println!("predicting on {}", engine.adapter());
 /// # Ok::<(), presight::Error>(())
 /// ```
-pub struct Engine {
+pub struct GpuEngine {
     gpu: Gpu,
     stages: Stages,
     /// Made when samples of features are first asked about.
     visible: Option<Visible>,
     /// The buffers hold what the last prediction drew.
     drawn: bool,
-    store: Store,
+    store: FrameBuffers,
     arena: Arena,
-    frame: Frame,
+    frame: FrameUploads,
     /// The sensors of late, the first the one whose tables are on the device; held, so that its address is its identity.
     sensors: Vec<(Sensor, Tables)>,
     /// The tables of the first sensor are on the device.
@@ -75,7 +75,7 @@ pub struct Engine {
     opened: (DeviceOptions, testing::Setup),
 }
 
-impl Engine {
+impl GpuEngine {
     /// Opens the most capable adapter.
     ///
     /// # Errors
@@ -86,7 +86,7 @@ impl Engine {
 
     fn open(options: DeviceOptions, setup: testing::Setup) -> Result<Self> {
         let gpu = Gpu::open(options, setup.largest_binding)?;
-        let (stages, store, arena) = (Stages::new(&gpu), Store::new(&gpu), Arena::new(&gpu));
+        let (stages, store, arena) = (Stages::new(&gpu), FrameBuffers::new(&gpu), Arena::new(&gpu));
         gpu.check()?;
         let software = !gpu.adapter.hardware && !setup.all_on_device;
         Ok(Self {
@@ -96,7 +96,7 @@ impl Engine {
             drawn: false,
             store,
             arena,
-            frame: Frame::default(),
+            frame: FrameUploads::default(),
             sensors: Vec::new(),
             placed: false,
             rebind: true,
@@ -110,7 +110,7 @@ impl Engine {
     /// Opens the device again, as it was opened first; nothing of the old one is used any more.
     ///
     /// # Errors
-    /// As [`Engine::new`]; the engine is then as it was.
+    /// As [`GpuEngine::new`]; the engine is then as it was.
     pub fn reopen(&mut self) -> Result<()> {
         let (options, setup) = self.opened;
         *self = Self::open(options, setup)?.with_threads(self.threads.clone());
@@ -138,7 +138,7 @@ impl Engine {
     }
 
     /// What it has made on the device so far.
-    pub fn made(&self) -> Made {
+    pub fn allocations(&self) -> DeviceAllocations {
         self.gpu.made.so_far()
     }
 
@@ -202,7 +202,7 @@ impl Engine {
     /// What the pixels of the last frame that was rendered say of samples of features, in the order they were pushed.
     ///
     /// # Errors
-    /// As [`Engine::render`].
+    /// As [`GpuEngine::render`].
     pub fn query_occlusion(&mut self, query: &OcclusionQuery) -> Result<Vec<OcclusionHint>> {
         let Some((_, tables)) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;

@@ -1,13 +1,13 @@
 //! Polygons so flat to the sensor that f32 may not prove their side, or would leave too little of their distance, set up in
-//! f64: `compare::bound` counts on it. There are few: only clusters around the sensor are looked at; what lies farther off
+//! f64: `verify::bound` counts on it. There are few: only clusters around the sensor are looked at; what lies farther off
 //! and is as flat is hardly thicker than a ray.
 
 use super::geometry::spread;
 use super::grid::Tables;
 use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS, SLOT_WORDS};
-use crate::compare::SET_UP_FINELY;
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
+use crate::verify::SET_UP_FINELY;
 use glam::{DMat3, DVec3};
 
 /// |d| / |v| below which the CPU takes over, far above where the shader leaves off: what is counted on, and rounding.
@@ -161,9 +161,9 @@ fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::is_set_up_finely;
     use crate::plan::ImageRequest;
     use crate::reference::Face;
+    use crate::verify::is_set_up_finely;
     use crate::{Environment, Material, NewObject, Polygon, PolygonOrder, Pose, World, preset};
     use glam::{DAffine3, Vec3};
     use proptest::prelude::*;

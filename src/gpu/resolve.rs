@@ -8,7 +8,7 @@ use crate::sensor::{LineAxis, PixelGrid};
 type Slot = [u32; SLOT_WORDS as usize];
 
 /// What a pixel shows.
-enum Seen {
+enum PixelContent {
     NoRay,
     Nothing,
     Hit(Hit),
@@ -39,18 +39,18 @@ impl Keys<'_> {
         }
     }
 
-    fn seen(&self, column: u32, row: u32) -> Seen {
-        let Some((ray, depth, index)) = self.scale(column, row) else { return Seen::NoRay };
+    fn seen(&self, column: u32, row: u32) -> PixelContent {
+        let Some((ray, depth, index)) = self.scale(column, row) else { return PixelContent::NoRay };
         let [id, bits] = self.keys[index];
         if bits == 0 || id == 0 {
-            return Seen::Nothing;
+            return PixelContent::Nothing;
         }
         let k = f32::from_bits(bits);
         let range = ray / k;
         if range > self.params.range_max {
-            return Seen::Nothing;
+            return PixelContent::Nothing;
         }
-        Seen::Hit(Hit { slot: !id, k, ray, depth, below: range < self.params.range_min })
+        PixelContent::Hit(Hit { slot: !id, k, ray, depth, below: range < self.params.range_min })
     }
 }
 
@@ -157,9 +157,9 @@ fn fill(keys: &Keys<'_>, slots: &[Slot], mut rows: Rows<'_>) {
     for row in 0..rows.count {
         for column in 0..width {
             let (length, depth, ids, cosine) = match keys.seen(column, rows.first + row) {
-                Seen::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
-                Seen::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
-                Seen::Hit(h) => {
+                PixelContent::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
+                PixelContent::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
+                PixelContent::Hit(h) => {
                     let [distance, object, source_id, _] = slots[h.slot as usize];
                     let id = if source { source_id } else { h.slot + 1 };
                     let cosine = (h.k * f32::from_bits(distance) / h.ray).min(1.0);

@@ -10,12 +10,12 @@
 //! Resolve has a CPU twin of the same name, which runs in its place on software adapters.
 
 use super::device::Gpu;
-use super::frame::Frame;
+use super::frame_buffers::FrameBuffers;
 use super::grid::Tables;
 use super::layout::{self, Counters, GridKind};
 use super::shaders;
 use super::stage::{Binding, Stage, Variant};
-use super::store::Store;
+use super::uploads::FrameUploads;
 use crate::error::Result;
 use crate::plan::Output;
 use std::mem::offset_of;
@@ -59,7 +59,7 @@ impl Stages {
     ///
     /// # Errors
     /// The device's.
-    pub fn prepare(&mut self, gpu: &Gpu, tables: &Tables, frame: &Frame) -> Result<Variants> {
+    pub fn prepare(&mut self, gpu: &Gpu, tables: &Tables, frame: &FrameUploads) -> Result<Variants> {
         let kind = tables.kind;
         let grid = ("GRID", f64::from(kind as u32));
         let few = ("FEW", f64::from(u32::from(frame.few())));
@@ -117,7 +117,7 @@ impl Stages {
     }
 
     /// Binds the buffers as they are now.
-    pub fn bind(&mut self, gpu: &Gpu, arena: &wgpu::Buffer, s: &Store) {
+    pub fn bind(&mut self, gpu: &Gpu, arena: &wgpu::Buffer, s: &FrameBuffers) {
         let (params, grid, counters) = (s.params.buffer(), s.grid.buffer(), s.counters.buffer());
         let (instances, survivors) = (s.instances.buffer(), s.survivors.buffer());
         let (few, short) = (s.few_instances.buffer(), s.short_grid.buffer());
@@ -130,7 +130,14 @@ impl Stages {
     }
 
     /// Encodes a frame of at least one polygon, from cleared keys to outputs.
-    pub fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, v: &Variants, frame: &Frame, store: &Store) {
+    pub fn encode(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        v: &Variants,
+        frame: &FrameUploads,
+        store: &FrameBuffers,
+    ) {
         debug_assert!(frame.params.polygon_count > 0, "nothing is in view");
         let pixels = frame.params.width * frame.params.height;
         encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));

@@ -1,6 +1,6 @@
 //! What tests of the real device need, and `doctor`: a device that has less, does more, or goes away.
 
-use super::{DeviceOptions, Engine, Made};
+use super::{DeviceAllocations, DeviceOptions, GpuEngine};
 use crate::error::Result;
 use std::any::Any;
 
@@ -18,22 +18,22 @@ impl Setup {
     pub const ALL_ON_DEVICE: Self = Self { largest_binding: None, all_on_device: true };
 }
 
-/// [`Engine::new`] with a setup for tests.
+/// [`GpuEngine::new`] with a setup for tests.
 ///
 /// # Errors
-/// As [`Engine::new`].
-pub fn open(options: DeviceOptions, setup: Setup) -> Result<Engine> {
-    Engine::open(options, setup)
+/// As [`GpuEngine::new`].
+pub fn open(options: DeviceOptions, setup: Setup) -> Result<GpuEngine> {
+    GpuEngine::open(options, setup)
 }
 
 /// Returns a function that destroys the present device, as a driver's reset would, from any thread and in the midst of a
 /// prediction, too.
-pub fn device_loss(engine: &Engine) -> impl Fn() + Send + use<> {
+pub fn device_loss(engine: &GpuEngine) -> impl Fn() + Send + use<> {
     let device = engine.gpu.device.clone();
     move || device.destroy()
 }
 
 /// What a GPU engine has made on its device so far; `None` of another engine.
-pub fn made(engine: &dyn Any) -> Option<Made> {
-    engine.downcast_ref::<Engine>().map(Engine::made)
+pub fn allocations(engine: &dyn Any) -> Option<DeviceAllocations> {
+    engine.downcast_ref::<GpuEngine>().map(GpuEngine::allocations)
 }

@@ -34,7 +34,7 @@ pub(super) struct FrameInnovations {
 
 /// How the motion has changed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Change {
+pub(super) struct MotionChange {
     /// Variances are so many times what was predicted; 1 unless the motion changed.
     pub inflation: f64,
     /// Features are displaced from their windows as if variances were so many times what was predicted; 1 unless they are.
@@ -70,7 +70,7 @@ impl Adaptation {
     }
 
     /// Learns from a frame.
-    pub fn observe(&mut self, frame: &FrameInnovations) -> Change {
+    pub fn observe(&mut self, frame: &FrameInnovations) -> MotionChange {
         if frame.area > 0.0 {
             let density = f64::from(frame.clutter) / frame.area;
             self.clutter += 0.1 * (density - self.clutter);
@@ -92,7 +92,7 @@ impl Adaptation {
                 self.scale = (self.scale * step.exp()).clamp(1.0, 100.0);
             }
         }
-        Change { inflation, displacement: self.observe_misses(frame).min(MOST_DISPLACEMENT) }
+        MotionChange { inflation, displacement: self.observe_misses(frame).min(MOST_DISPLACEMENT) }
     }
 
     /// Where far fewer are seen than usual, the windows are at the wrong place.

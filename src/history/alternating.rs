@@ -1,7 +1,7 @@
 //! Full predictions and history in turn.
 
-use super::health::Want;
-use super::outcome::{Matches, Seeded, Window};
+use super::health::PredictionTrigger;
+use super::outcome::{MatchOutcome, SeedOutcome, Window};
 use super::track::Seed;
 use super::tracker::Tracker;
 use crate::error::Result;
@@ -16,18 +16,18 @@ pub enum Source {
     /// A full prediction.
     Full {
         /// Why it was made.
-        why: Want,
+        why: PredictionTrigger,
         /// What it did to the tracks.
-        seeded: Seeded,
+        seeded: SeedOutcome,
     },
 }
 
 /// Gives the pixel (column, row) of a point in the world, metres; see [`super::view`].
-pub type View<'a> = &'a dyn Fn(DVec3) -> Option<DVec2>;
+pub type PointProjection<'a> = &'a dyn Fn(DVec3) -> Option<DVec2>;
 
 /// One frame's windows.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct FrameWindows {
     /// Where they are from.
     pub source: Source,
     /// Where every tracked feature will be found.
@@ -38,7 +38,7 @@ pub struct Frame {
 ///
 /// ```
 /// use glam::{DMat2, DVec2};
-/// use presight::history::{Alternating, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+/// use presight::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
 /// use presight::matching::{Detection, ExpectedProperties, Shape};
 ///
 /// // Twenty points that move to the right, 60 pixels a second. A full prediction knows where they are.
@@ -54,7 +54,7 @@ pub struct Frame {
 ///     Ok((0..20).map(seed).collect())
 /// };
 /// let tracker = Tracker::new(TrackerOptions { least_spread: 2, ..TrackerOptions::new(ImageExtent::new(640, 480)) })?;
-/// let mut alternating = Alternating::new(tracker, None);
+/// let mut alternating = AlternatingTracker::new(tracker, None);
 /// for k in 0..20 {
 ///     let time = 0.05 * f64::from(k);
 ///     let frame = alternating.predict(time, None, || full(time))?;
@@ -67,7 +67,7 @@ pub struct Frame {
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct Alternating {
+pub struct AlternatingTracker {
     tracker: Tracker,
     /// Most frames from one full prediction to the next.
     every: Option<u32>,
@@ -76,7 +76,7 @@ pub struct Alternating {
     history: u64,
 }
 
-impl Alternating {
+impl AlternatingTracker {
     /// With a full prediction whenever the tracker's health asks for one, and at the latest every `every` frames.
     pub fn new(tracker: Tracker, every: Option<u32>) -> Self {
         Self { tracker, every, since: 0, full: 0, history: 0 }
@@ -95,15 +95,20 @@ impl Alternating {
     pub fn predict(
         &mut self,
         time: f64,
-        view: Option<View<'_>>,
+        view: Option<PointProjection<'_>>,
         full: impl FnOnce() -> Result<Vec<Seed>>,
-    ) -> Result<Frame> {
+    ) -> Result<FrameWindows> {
         if let Some(view) = view {
             self.tracker.set_view(view);
         }
         let due = self.every.is_some_and(|every| self.since + 1 >= every);
         let gap = self.tracker.time().is_some_and(|last| time - last > self.tracker.options().longest_gap);
-        let why = self.tracker.health().wants.or(gap.then_some(Want::Gap)).or(due.then_some(Want::Due));
+        let why = self
+            .tracker
+            .health()
+            .wants
+            .or(gap.then_some(PredictionTrigger::Gap))
+            .or(due.then_some(PredictionTrigger::Due));
         let source = match why {
             Some(why) => {
                 let seeded = self.tracker.seed(time, full()?)?;
@@ -119,14 +124,14 @@ impl Alternating {
                 Source::History
             }
         };
-        Ok(Frame { source, windows: self.tracker.predict(time)? })
+        Ok(FrameWindows { source, windows: self.tracker.predict(time)? })
     }
 
     /// See [`Tracker::correct`].
     ///
     /// # Errors
     /// Those of [`Tracker::correct`].
-    pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<Matches> {
+    pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<MatchOutcome> {
         self.tracker.correct(time, found)
     }
 

@@ -28,7 +28,7 @@ const OUTLIER: f64 = 2.0;
 
 /// What one track's point tells.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Witness {
+pub(super) struct PointEvidence {
     /// Measured less predicted position.
     pub innovation: DVec2,
     /// Inverse of its covariance; 0 in directions that tell nothing.
@@ -92,7 +92,7 @@ impl CommonMotion {
 
     /// Takes in what tracks tell after a frame of `interval` seconds. Tells by what this frame's detections are displaced from where
     /// they were predicted, shaking included.
-    pub fn correct(&mut self, witnesses: &[Witness], interval: f64) -> DVec2 {
+    pub fn correct(&mut self, witnesses: &[PointEvidence], interval: f64) -> DVec2 {
         if interval <= 0.0 {
             return DVec2::ZERO;
         }
@@ -119,7 +119,7 @@ impl CommonMotion {
 }
 
 /// The mean innovation by weight, and the variance of a coordinate of it; those far from `before` count less.
-fn weigh(witnesses: &[Witness], before: Option<DVec2>) -> (DVec2, f64) {
+fn weigh(witnesses: &[PointEvidence], before: Option<DVec2>) -> (DVec2, f64) {
     let (mut sum, mut pulled) = (DMat2::ZERO, DVec2::ZERO);
     for w in witnesses {
         let mut information = w.information;
@@ -144,9 +144,9 @@ mod tests {
 
     const FRAME: f64 = 0.05;
 
-    fn witnesses(shift: DVec2) -> Vec<Witness> {
-        let wild = Witness { innovation: DVec2::new(-5.0, 9.0), information: isotropic(4.0) };
-        let seen = Witness { innovation: shift, information: isotropic(4.0) };
+    fn witnesses(shift: DVec2) -> Vec<PointEvidence> {
+        let wild = PointEvidence { innovation: DVec2::new(-5.0, 9.0), information: isotropic(4.0) };
+        let seen = PointEvidence { innovation: shift, information: isotropic(4.0) };
         std::iter::repeat_n(seen, 60).chain(std::iter::once(wild)).collect()
     }
 

@@ -6,7 +6,7 @@ use std::fmt;
 
 /// Why a full prediction is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Want {
+pub enum PredictionTrigger {
     /// There was none yet.
     Start,
     /// The last two frames were too far apart in time.
@@ -21,7 +21,7 @@ pub enum Want {
     Due,
 }
 
-impl fmt::Display for Want {
+impl fmt::Display for PredictionTrigger {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Start => "there was no full prediction yet",
@@ -46,7 +46,7 @@ pub struct Health {
     /// Mean square of innovations by their predicted variances, as learnt: 1 where the noise is as detections say.
     pub noise_scale: f64,
     /// Why a full prediction is wanted; `None` if it is not.
-    pub wants: Option<Want>,
+    pub wants: Option<PredictionTrigger>,
 }
 
 /// Ninths of the image that hold a track.

@@ -12,7 +12,7 @@
 //! | [`Tracker::correct`] | finds each track's detection, corrects tracks, drops those missed three times in a row |
 //! | [`Tracker::health`] | whether a full prediction is wanted, and why |
 //!
-//! [`Alternating`] does all of it in turn. The mathematics and what was measured: `docs/history.md`.
+//! [`AlternatingTracker`] does all of it in turn. The mathematics and what was measured: `docs/history.md`.
 //!
 //! ```
 //! use glam::{DMat2, DVec2};
@@ -57,10 +57,10 @@ mod track;
 mod tracker;
 mod window;
 
-pub use alternating::{Alternating, Frame, Source, View};
-pub use health::{Health, Want};
+pub use alternating::{AlternatingTracker, FrameWindows, PointProjection, Source};
+pub use health::{Health, PredictionTrigger};
 pub use options::{ImageExtent, TrackerOptions};
-pub use outcome::{End, Match, Matches, Seeded, Window};
+pub use outcome::{End, Match, MatchOutcome, SeedOutcome, Window};
 pub use seed::view;
 pub use track::{Seed, Track};
 pub use tracker::{MAX_DETECTIONS, MAX_TRACKS, Tracker};

@@ -45,7 +45,7 @@ pub enum End {
 
 /// What became of a frame's detections and of the tracks.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Matches {
+pub struct MatchOutcome {
     /// Features found.
     pub matched: Vec<Match>,
     /// Features not found: their histories are extrapolated.
@@ -62,7 +62,7 @@ pub struct Matches {
 
 /// What a full prediction did to the tracks.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Seeded {
+pub struct SeedOutcome {
     /// Tracks begun.
     pub begun: Vec<u32>,
     /// Tracks that go on: their histories know more than the prediction.

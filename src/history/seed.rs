@@ -4,7 +4,7 @@ use super::track::Seed;
 use crate::environment::{FeatureShape, Properties};
 use crate::features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use crate::geometry::Pose;
-use crate::matching::{Estimate, ExpectedProperties, Marker, Shape};
+use crate::matching::{ExpectedProperties, Marker, Shape, UncertainValue};
 use crate::sensor::Sensor;
 use glam::{DMat2, DVec2, DVec3};
 
@@ -94,7 +94,7 @@ impl Seed {
 }
 
 fn properties(seen: &SeenFeature) -> ExpectedProperties {
-    let estimate = |mean: f64| Estimate { mean, variance: LAYER_SIGMA * LAYER_SIGMA };
+    let estimate = |mean: f64| UncertainValue { mean, variance: LAYER_SIGMA * LAYER_SIGMA };
     let marker = match &seen.feature.shape {
         FeatureShape::Fiducial { family, code, .. } => Some(Marker { family: family.clone(), code: *code }),
         _ => None,

@@ -1,10 +1,10 @@
 //! Where tracks are predicted, and what was measured of them.
 
-use super::common::{CommonMotion, Witness};
+use super::common::{CommonMotion, PointEvidence};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
 use super::track::Track;
-use crate::matching::{Aligned, Assignment, Detection, Expected, align};
+use crate::matching::{Aligned, Assignment, Detection, ExpectedFeature, align};
 use glam::{DMat2, DVec2};
 
 /// The points of all tracks, one track after the other, and what they share.
@@ -43,7 +43,12 @@ pub(super) struct Sightings {
 }
 
 impl Sightings {
-    pub fn new(expected: &[Expected], found: &[Detection], assignment: &Assignment, options: &TrackerOptions) -> Self {
+    pub fn new(
+        expected: &[ExpectedFeature],
+        found: &[Detection],
+        assignment: &Assignment,
+        options: &TrackerOptions,
+    ) -> Self {
         let mut all = Self { points: Vec::with_capacity(expected.len()), starts: vec![0] };
         let mut aligned: Vec<Aligned> = Vec::new();
         for (expected, column) in expected.iter().zip(&assignment.columns) {
@@ -65,12 +70,12 @@ impl Sightings {
     }
 
     /// What tracks that are known well enough tell about the motion that all share.
-    pub fn witnesses(&self, tracks: &[Track], moved: &Motions, scale: f64) -> Vec<Witness> {
+    pub fn witnesses(&self, tracks: &[Track], moved: &Motions, scale: f64) -> Vec<PointEvidence> {
         let mut witnesses = Vec::with_capacity(self.points.len());
         for (row, _) in tracks.iter().enumerate().filter(|(_, t)| t.seen >= super::tracker::OLD_ENOUGH) {
             for (seen, motion) in self.of(row).iter().zip(moved.of(row)) {
                 let information = ((motion.pp + seen.covariance) * scale).inverse();
-                witnesses.push(Witness { innovation: seen.innovation, information });
+                witnesses.push(PointEvidence { innovation: seen.innovation, information });
             }
         }
         witnesses

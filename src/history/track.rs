@@ -4,7 +4,8 @@ use super::common::CommonMotion;
 use super::motion::{PointMotion, isotropic};
 use super::options::TrackerOptions;
 use crate::matching::{
-    Detection, Estimate, Expected, ExpectedProperties, Properties, PropertyNoise, Shape, turn_apart, unwrap,
+    Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, PropertyNoise, Shape, UncertainValue,
+    turn_apart, unwrap,
 };
 use glam::{DMat2, DVec2, DVec3};
 use std::f64::consts::PI;
@@ -185,23 +186,23 @@ impl Track {
     }
 
     /// What is expected of it where its points are `motions`, without a window.
-    pub(super) fn expected(&self, motions: &[PointMotion], scale: f64, common: &CommonMotion) -> Expected {
+    pub(super) fn expected(&self, motions: &[PointMotion], scale: f64, common: &CommonMotion) -> ExpectedFeature {
         let mut shape = self.shape.clone();
         for (p, motion) in shape.points_mut().iter_mut().zip(motions) {
             *p = motion.position;
         }
         let covariances = motions.iter().map(|m| m.pp * scale + common.covariance()).collect();
-        Expected { shape, covariances, window: [0.0; 4], properties: self.properties.clone() }
+        ExpectedFeature { shape, covariances, window: [0.0; 4], properties: self.properties.clone() }
     }
 
     /// Takes a detection's properties in.
     pub(super) fn learn_properties(&mut self, found: &Detection, noise: &PropertyNoise) {
-        let Properties { strength, contrast, direction, marker } = &found.properties;
+        let DetectionProperties { strength, contrast, direction, marker } = &found.properties;
         let known = &mut self.properties;
         learn(&mut known.strength, *strength, noise.strength, |a, b| a - b);
         learn(&mut known.contrast, *contrast, noise.contrast, |a, b| a - b);
         learn(&mut known.direction, *direction, noise.direction, turn_apart);
-        if let Some(Estimate { mean, .. }) = &mut known.direction {
+        if let Some(UncertainValue { mean, .. }) = &mut known.direction {
             *mean = mean.rem_euclid(PI);
         }
         if known.marker.is_none() {
@@ -210,15 +211,15 @@ impl Track {
     }
 }
 
-fn learn(known: &mut Option<Estimate>, told: Option<f64>, sigma: f64, apart: impl Fn(f64, f64) -> f64) {
+fn learn(known: &mut Option<UncertainValue>, told: Option<f64>, sigma: f64, apart: impl Fn(f64, f64) -> f64) {
     let Some(told) = told else { return };
     let noise = sigma * sigma;
     *known = Some(match known {
-        None => Estimate { mean: told, variance: noise },
-        Some(Estimate { mean, variance }) => {
+        None => UncertainValue { mean: told, variance: noise },
+        Some(UncertainValue { mean, variance }) => {
             let before = *variance + WANDER * WANDER * noise;
             let gain = before / (before + noise);
-            Estimate { mean: *mean + gain * apart(told, *mean), variance: (1.0 - gain) * before }
+            UncertainValue { mean: *mean + gain * apart(told, *mean), variance: (1.0 - gain) * before }
         }
     });
 }

@@ -3,15 +3,15 @@
 use super::adapt::{Adaptation, FrameInnovations};
 use super::border::{is_within, place, stay_within};
 use super::common::CommonMotion;
-use super::health::{Health, Want, spread};
+use super::health::{Health, PredictionTrigger, spread};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
-use super::outcome::{End, Match, Matches, Seeded, Window};
+use super::outcome::{End, Match, MatchOutcome, SeedOutcome, Window};
 use super::sightings::{Motions, Sightings, squares};
 use super::track::{Seed, Track};
 use super::window::BoxLevel;
 use crate::error::{Error, Result};
-use crate::matching::{Assignment, Candidates, Detection, Expected, Matcher, Rejection, assign, floored};
+use crate::matching::{Assignment, Candidates, Detection, ExpectedFeature, Matcher, Rejection, assign, floored};
 use glam::{DMat2, DVec2, DVec3};
 
 /// Most tracks at a time.
@@ -100,7 +100,7 @@ impl Tracker {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for a time that is not finite or before the last, for two seeds of one number, and for more
     /// than [`MAX_TRACKS`].
-    pub fn seed(&mut self, time: f64, mut seeds: Vec<Seed>) -> Result<Seeded> {
+    pub fn seed(&mut self, time: f64, mut seeds: Vec<Seed>) -> Result<SeedOutcome> {
         let interval = self.interval(time)?;
         if seeds.len() > MAX_TRACKS {
             let what = format!("{} features are more than {MAX_TRACKS}", seeds.len());
@@ -113,7 +113,7 @@ impl Tracker {
                 "give each a number of its own",
             ));
         }
-        let mut done = Seeded::default();
+        let mut done = SeedOutcome::default();
         if interval > self.options.longest_gap {
             done.ended.extend(self.tracks.drain(..).map(|t| (t.id, End::Gap)));
         }
@@ -193,13 +193,13 @@ impl Tracker {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for a time that is not finite, or not after the last frame's, and for more than
     /// [`MAX_DETECTIONS`]. The tracks are then as before.
-    pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<Matches> {
+    pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<MatchOutcome> {
         let interval = self.frame_interval(time)?;
         if found.len() > MAX_DETECTIONS {
             let what = format!("{} detections are more than {MAX_DETECTIONS}", found.len());
             return Err(Error::invalid(what, "extract in the windows only"));
         }
-        let mut matches = Matches::default();
+        let mut matches = MatchOutcome::default();
         if interval > self.options.longest_gap {
             self.has_gap |= !self.tracks.is_empty();
             matches.ended.extend(self.tracks.drain(..).map(|t| (t.id, End::Gap)));
@@ -209,7 +209,7 @@ impl Tracker {
             self.noise.pass(elapsed);
         }
         let mut moved = self.propagated(interval);
-        let expected: Vec<Expected> = (self.tracks.iter().enumerate())
+        let expected: Vec<ExpectedFeature> = (self.tracks.iter().enumerate())
             .map(|(row, track)| self.expected(track, moved.of(row), &moved.common))
             .collect();
         let matcher = self.matcher();
@@ -232,15 +232,15 @@ impl Tracker {
         let spread = spread(&self.tracks, &self.options.image);
         let share = self.tracks.len() as f64 / self.seeded.max(1) as f64;
         let wants = if self.has_gap {
-            Some(Want::Gap)
+            Some(PredictionTrigger::Gap)
         } else if self.time.is_none() {
-            Some(Want::Start)
+            Some(PredictionTrigger::Start)
         } else if self.tracks.len() < self.options.least_tracks {
-            Some(Want::TooFew)
+            Some(PredictionTrigger::TooFew)
         } else if spread < self.options.least_spread {
-            Some(Want::BadlySpread)
+            Some(PredictionTrigger::BadlySpread)
         } else if share < self.options.least_share {
-            Some(Want::Thinned)
+            Some(PredictionTrigger::Thinned)
         } else {
             None
         };
@@ -295,7 +295,7 @@ impl Tracker {
     }
 
     /// What is expected of a track, with its window.
-    fn expected(&self, track: &Track, motions: &[PointMotion], common: &CommonMotion) -> Expected {
+    fn expected(&self, track: &Track, motions: &[PointMotion], common: &CommonMotion) -> ExpectedFeature {
         let mut expected = track.expected(motions, self.noise.scale, common);
         let noise = track.detection * self.noise.scale;
         let points = expected.shape.points();
@@ -344,7 +344,7 @@ impl Tracker {
     fn adapt(
         &mut self,
         interval: f64,
-        expected: &[Expected],
+        expected: &[ExpectedFeature],
         candidates: &Candidates,
         seen: &Sightings,
         moved: &mut Motions,
@@ -432,7 +432,7 @@ impl Tracker {
         self.common = common;
     }
 
-    fn report(&self, candidates: &Candidates, assignment: &Assignment, found: usize, matches: &mut Matches) {
+    fn report(&self, candidates: &Candidates, assignment: &Assignment, found: usize, matches: &mut MatchOutcome) {
         let mut is_free = vec![true; found];
         for (column, why) in &candidates.rejected {
             is_free[*column as usize] = false;
@@ -457,7 +457,7 @@ impl Tracker {
         matches.greedy_groups = assignment.greedy_groups;
     }
 
-    fn end_tracks(&mut self, matches: &mut Matches) {
+    fn end_tracks(&mut self, matches: &mut MatchOutcome) {
         let (image, misses) = (self.options.image, self.options.misses);
         self.tracks.retain_mut(|track| {
             let why = if !track.motions.iter().all(PointMotion::is_finite) {

@@ -1,6 +1,6 @@
 //! What the two cell schemes share: boxes by id, and filtering a cell.
 
-use super::Found;
+use super::QueryResult;
 use super::boxes::{Box32, Boxes8, LANES, Shift};
 use super::shapes::Shape;
 use crate::geometry::Aabb;
@@ -63,7 +63,7 @@ impl Boxes {
 
     /// Appends the ids of a cell that meet the shape, eight at a time.
     #[inline(always)]
-    pub fn filter<S: Shape>(&self, ids: &[u32], shape: &S, shift: &Shift, found: &mut Found) {
+    pub fn filter<S: Shape>(&self, ids: &[u32], shape: &S, shift: &Shift, found: &mut QueryResult) {
         found.tested += ids.len();
         for ids in ids.chunks(LANES) {
             let mut eight = Boxes8::EMPTY;

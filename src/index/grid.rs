@@ -3,7 +3,7 @@
 use super::boxes::{Box32, Shift};
 use super::cells::Boxes;
 use super::shapes::Shape;
-use super::{Found, Params, Region, SpatialIndex, Walk, ask};
+use super::{Params, QueryResult, Region, SpatialIndex, Traversal, ask};
 use crate::geometry::Aabb;
 
 /// A uniform grid.
@@ -150,7 +150,7 @@ impl Grid {
 
     /// Appends ids of a cell that no cell before had, all of them or those that meet the shape.
     #[inline(always)]
-    fn first_time<S: Shape>(&self, ids: &[u32], whole: bool, shape: &S, shift: &Shift, found: &mut Found) {
+    fn first_time<S: Shape>(&self, ids: &[u32], whole: bool, shape: &S, shift: &Shift, found: &mut QueryResult) {
         const AT_ONCE: usize = 64;
         for ids in ids.chunks(AT_ONCE) {
             let mut fresh = [0u32; AT_ONCE];
@@ -173,9 +173,9 @@ impl Grid {
     }
 }
 
-impl Walk for Grid {
+impl Traversal for Grid {
     #[inline(always)]
-    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut QueryResult) {
         let Some([(x0, x1), (y0, y1)]) = self.window(region) else { return };
         let shift = self.shift(region);
         found.epoch = found.epoch.wrapping_add(1);
@@ -234,7 +234,7 @@ impl SpatialIndex for Grid {
         true
     }
 
-    fn query(&self, region: &Region, found: &mut Found) {
+    fn query(&self, region: &Region, found: &mut QueryResult) {
         ask(self, region, found);
     }
 

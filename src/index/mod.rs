@@ -129,7 +129,7 @@ impl Params {
 
 /// What a query found, and scratch that is kept from query to query.
 #[derive(Clone, Debug, Default)]
-pub struct Found {
+pub struct QueryResult {
     /// Ids of what was found, each once, in no particular order.
     pub ids: Vec<u32>,
     /// Contiguous ids of what was found besides: whole nodes of meshes, resident in this order.
@@ -143,10 +143,10 @@ pub struct Found {
     epoch: u32,
     stack: Vec<(u32, Box32)>,
     /// Of the tree of objects, in two levels.
-    near: Option<Box<Found>>,
+    near: Option<Box<QueryResult>>,
 }
 
-impl Found {
+impl QueryResult {
     /// Forgets what was found, keeps the memory.
     pub fn clear(&mut self) {
         self.ids.clear();
@@ -155,7 +155,7 @@ impl Found {
     }
 }
 
-impl Found {
+impl QueryResult {
     /// Number of ids found.
     pub fn count(&self) -> usize {
         self.ids.len() + self.runs.iter().map(ExactSizeIterator::len).sum::<usize>()
@@ -187,7 +187,7 @@ pub trait SpatialIndex: std::fmt::Debug + Send + Sync {
     fn remove(&mut self, id: u32) -> bool;
 
     /// Appends to `found` every id whose box meets the region, and hardly any other.
-    fn query(&self, region: &Region, found: &mut Found);
+    fn query(&self, region: &Region, found: &mut QueryResult);
 
     /// Memory in bytes.
     fn bytes(&self) -> usize;
@@ -209,31 +209,31 @@ impl Clone for Box<dyn SpatialIndex> {
 }
 
 /// How an index answers a query, compiled for each shape.
-trait Walk {
-    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found);
+trait Traversal {
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut QueryResult);
 }
 
 /// Walks an index, compiled for the vector width of this machine.
-fn ask<T: Walk>(index: &T, region: &Region, found: &mut Found) {
-    struct Ask<'a, T>(&'a T, &'a Region, &'a mut Found);
-    struct Dispatched<'a, T, S>(Ask<'a, T>, &'a S);
-    impl<T: Walk> region::Visit for Ask<'_, T> {
+fn ask<T: Traversal>(index: &T, region: &Region, found: &mut QueryResult) {
+    struct IndexQuery<'a, T>(&'a T, &'a Region, &'a mut QueryResult);
+    struct ShapeQuery<'a, T, S>(IndexQuery<'a, T>, &'a S);
+    impl<T: Traversal> region::ShapeVisitor for IndexQuery<'_, T> {
         type Out = ();
 
         fn visit<S: Shape>(self, shape: &S) {
-            pulp::Arch::new().dispatch(Dispatched(self, shape));
+            pulp::Arch::new().dispatch(ShapeQuery(self, shape));
         }
     }
-    impl<T: Walk, S: Shape> pulp::WithSimd for Dispatched<'_, T, S> {
+    impl<T: Traversal, S: Shape> pulp::WithSimd for ShapeQuery<'_, T, S> {
         type Output = ();
 
         #[inline(always)]
         fn with_simd<D: pulp::Simd>(self, _: D) {
-            let Self(Ask(index, region, found), shape) = self;
+            let Self(IndexQuery(index, region, found), shape) = self;
             index.walk(shape, region, found);
         }
     }
-    region.with(Ask(index, region, found));
+    region.with(IndexQuery(index, region, found));
 }
 
 /// An index of a scheme over ids 0, 1, .. with these boxes; `None` for the schemes that are none over polygons.

@@ -5,7 +5,7 @@
 use super::boxes::{Box32, Shift};
 use super::cells::Boxes;
 use super::shapes::Shape;
-use super::{Found, Params, Region, SpatialIndex, Walk, ask};
+use super::{Params, QueryResult, Region, SpatialIndex, Traversal, ask};
 use crate::geometry::Aabb;
 
 /// A PLOP hash table over x and y.
@@ -192,9 +192,9 @@ impl Plop {
     }
 }
 
-impl Walk for Plop {
+impl Traversal for Plop {
     #[inline(always)]
-    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut QueryResult) {
         let shift = self.shift(region);
         let [xs, ys] = self.slices(region);
         for x in &xs {
@@ -248,7 +248,7 @@ impl SpatialIndex for Plop {
         true
     }
 
-    fn query(&self, region: &Region, found: &mut Found) {
+    fn query(&self, region: &Region, found: &mut QueryResult) {
         ask(self, region, found);
     }
 

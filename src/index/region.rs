@@ -1,7 +1,9 @@
 //! Query regions: plain geometry in the world, made from a sensor and its pose (paper section 2.2).
 
 use super::sector::Sector;
-use super::shapes::{self, Axes, Cuboid, Frustum, Lying, Outside, Ray, SLACK, Segment, Shape, Turned, Upright};
+use super::shapes::{
+    self, Axes, AxisPermuted, Cuboid, Frustum, Outside, Ray, RotatedShape, SLACK, Segment, Shape, UprightSector,
+};
 use crate::error::Result;
 use crate::geometry::{Aabb, Pose};
 use glam::{DMat3, DVec2, DVec3};
@@ -30,7 +32,7 @@ pub struct Region {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Form {
-    Sector(Upright),
+    Sector(UprightSector),
     Segment(Segment),
     Frustum(Frustum),
     Outside(Outside),
@@ -45,7 +47,7 @@ impl Region {
     /// A circular sector of any height: apex in the world's horizontal plane, heading and opening in radians
     /// (counter-clockwise from +x), radius in metres. An opening of a full turn is the whole circle.
     pub fn sector(apex: DVec2, heading: f64, opening: f64, radius: f64) -> Self {
-        let form = Form::Sector(Upright(Sector::new(heading, opening, radius)));
+        let form = Form::Sector(UprightSector(Sector::new(heading, opening, radius)));
         Self { origin: apex.extend(0.0), region_from_world: DMat3::IDENTITY, form }
     }
 
@@ -155,22 +157,22 @@ impl Region {
     pub fn meets(&self, bounds: &Aabb) -> bool {
         let slack = 4.0 * f64::EPSILON * (bounds.min.abs().max(bounds.max.abs()) + self.origin.abs());
         let b = Aabb { min: bounds.min - self.origin - slack, max: bounds.max - self.origin + slack };
-        self.with(Meets(b))
+        self.with(BoxTest(b))
     }
 
     /// True if the point (world, metres) is in the region.
     pub fn contains(&self, p_in_world: DVec3) -> bool {
-        self.with(Contains(p_in_world - self.origin))
+        self.with(PointTest(p_in_world - self.origin))
     }
 
     /// Hands the shape to a visitor, compiled for it.
     #[inline(always)]
-    pub(super) fn with<V: Visit>(&self, visitor: V) -> V::Out {
+    pub(super) fn with<V: ShapeVisitor>(&self, visitor: V) -> V::Out {
         let shape_from_box = self.region_from_world;
         match self.form {
             Form::Sector(shape) => visitor.visit(&shape),
             Form::Segment(shape) if shape_from_box == DMat3::IDENTITY => visitor.visit(&shape),
-            Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box }),
+            Form::Segment(shape) => visitor.visit(&RotatedShape { shape, shape_from_box }),
             Form::Frustum(shape) => visitor.visit(&shape),
             Form::Outside(shape) => visitor.visit(&shape),
             Form::Cuboid(shape) => visitor.visit(&shape),
@@ -180,7 +182,7 @@ impl Region {
 
     /// The same for boxes of another frame, of which `region_from_box` is the linear part.
     #[inline(always)]
-    pub(super) fn with_turned<V: Visit>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
+    pub(super) fn with_turned<V: ShapeVisitor>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
         let axes = Axes::of(region_from_box);
         match (self.form, axes) {
             (Form::Sector(shape), Some(axes)) => visit_lying(shape.in_axes(&axes), axes, visitor),
@@ -199,21 +201,21 @@ fn pyramid(normals: &[DVec3], radius: f64) -> Frustum {
 }
 
 #[inline(always)]
-fn visit_lying<S: Shape, V: Visit>(shape: S, axes: Axes, visitor: V) -> V::Out {
+fn visit_lying<S: Shape, V: ShapeVisitor>(shape: S, axes: Axes, visitor: V) -> V::Out {
     match axes.up {
-        0 => visitor.visit(&Lying::<S, 0> { shape, axes }),
-        1 => visitor.visit(&Lying::<S, 1> { shape, axes }),
-        _ => visitor.visit(&Lying::<S, 2> { shape, axes }),
+        0 => visitor.visit(&AxisPermuted::<S, 0> { shape, axes }),
+        1 => visitor.visit(&AxisPermuted::<S, 1> { shape, axes }),
+        _ => visitor.visit(&AxisPermuted::<S, 2> { shape, axes }),
     }
 }
 
-fn visit_turned<V: Visit>(form: Form, region_from_box: DMat3, visitor: V) -> V::Out {
+fn visit_turned<V: ShapeVisitor>(form: Form, region_from_box: DMat3, visitor: V) -> V::Out {
     match form {
-        Form::Sector(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
-        Form::Segment(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        Form::Sector(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
+        Form::Segment(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
         Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
-        Form::Outside(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
-        Form::Cuboid(shape) => visitor.visit(&Turned { shape, shape_from_box: region_from_box }),
+        Form::Outside(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
+        Form::Cuboid(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
         Form::Ray(shape) => visitor.visit(&shape.turned(region_from_box)),
     }
 }
@@ -223,7 +225,7 @@ impl Region {
     pub fn bounds(&self) -> Aabb {
         let around = |half: DVec3| Aabb { min: self.origin - half, max: self.origin + half };
         match self.form {
-            Form::Sector(Upright(s)) => around(DVec3::new(s.radius(), s.radius(), f64::INFINITY)),
+            Form::Sector(UprightSector(s)) => around(DVec3::new(s.radius(), s.radius(), f64::INFINITY)),
             Form::Segment(s) => around(DVec3::splat(s.azimuth.radius())),
             Form::Frustum(f) => around(DVec3::splat(f.radius)),
             Form::Outside(o) => around(DVec3::splat(o.radius)),
@@ -234,15 +236,15 @@ impl Region {
 }
 
 /// Something done with a shape, whichever it is.
-pub(super) trait Visit {
+pub(super) trait ShapeVisitor {
     /// What comes of it.
     type Out;
     fn visit<S: Shape>(self, shape: &S) -> Self::Out;
 }
 
-struct Meets(Aabb);
+struct BoxTest(Aabb);
 
-impl Visit for Meets {
+impl ShapeVisitor for BoxTest {
     type Out = bool;
 
     fn visit<S: Shape>(self, shape: &S) -> bool {
@@ -250,9 +252,9 @@ impl Visit for Meets {
     }
 }
 
-struct Contains(DVec3);
+struct PointTest(DVec3);
 
-impl Visit for Contains {
+impl ShapeVisitor for PointTest {
     type Out = bool;
 
     fn visit<S: Shape>(self, shape: &S) -> bool {

@@ -27,7 +27,7 @@ pub(super) trait Shape: Copy + Sync {
 
 /// A circular sector of any height.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Upright(pub Sector);
+pub(super) struct UprightSector(pub Sector);
 
 /// Directions between two azimuths and two elevations, up to a radius: two sectors in perpendicular planes.
 #[derive(Clone, Copy, Debug)]
@@ -73,21 +73,21 @@ impl Ray {
 
 /// A shape whose axes are turned (or scaled) against those of the boxes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Turned<S> {
+pub(super) struct RotatedShape<S> {
     pub shape: S,
     pub shape_from_box: DMat3,
 }
 
 /// A frustum whose axes are turned against those of the boxes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct TurnedFrustum {
+pub(super) struct RotatedFrustum {
     planes: Frustum,
-    ball: Turned<Frustum>,
+    ball: RotatedShape<Frustum>,
 }
 
 /// A shape given in the axes of boxes that stand or lie: axis `UP` is the shape's vertical, so turning is exact.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lying<S, const UP: usize> {
+pub(super) struct AxisPermuted<S, const UP: usize> {
     pub shape: S,
     pub axes: Axes,
 }
@@ -122,7 +122,7 @@ impl Axes {
     }
 }
 
-impl<S: Shape, const UP: usize> Lying<S, UP> {
+impl<S: Shape, const UP: usize> AxisPermuted<S, UP> {
     /// The box with its vertical last.
     #[inline(always)]
     fn stand(&self, b: &Aabb) -> Aabb {
@@ -133,7 +133,7 @@ impl<S: Shape, const UP: usize> Lying<S, UP> {
     }
 }
 
-impl<S: Shape, const UP: usize> Shape for Lying<S, UP> {
+impl<S: Shape, const UP: usize> Shape for AxisPermuted<S, UP> {
     #[inline(always)]
     fn meets(&self, b: &Aabb) -> bool {
         self.shape.meets(&self.stand(b))
@@ -159,13 +159,13 @@ fn horizontal(b: &Aabb) -> Rect {
     Rect { min: b.min.truncate(), max: b.max.truncate() }
 }
 
-impl Upright {
+impl UprightSector {
     pub fn in_axes(&self, axes: &Axes) -> Self {
         Self(self.0.in_axes(axes.box_from_region, 1.0 / axes.scale))
     }
 }
 
-impl Shape for Upright {
+impl Shape for UprightSector {
     #[inline(always)]
     fn meets(&self, b: &Aabb) -> bool {
         self.0.meets(&horizontal(b))
@@ -273,18 +273,18 @@ impl Shape for Frustum {
 
 impl Frustum {
     /// Planes turn exactly where boxes only grow.
-    pub fn turned(&self, shape_from_box: DMat3) -> TurnedFrustum {
+    pub fn turned(&self, shape_from_box: DMat3) -> RotatedFrustum {
         let box_from_normal = shape_from_box.transpose();
         let planes = self.planes.map(|n| (box_from_normal * n).normalize_or_zero());
         let ball = Self { count: 0, ..*self };
-        TurnedFrustum {
+        RotatedFrustum {
             planes: Self { planes, radius: f64::INFINITY, ..*self },
-            ball: Turned { shape: ball, shape_from_box },
+            ball: RotatedShape { shape: ball, shape_from_box },
         }
     }
 }
 
-impl Shape for TurnedFrustum {
+impl Shape for RotatedFrustum {
     #[inline(always)]
     fn meets(&self, b: &Aabb) -> bool {
         self.planes.meets(b) & self.ball.meets(b)
@@ -382,7 +382,7 @@ impl Shape for Ray {
     }
 }
 
-impl<S: Shape> Turned<S> {
+impl<S: Shape> RotatedShape<S> {
     /// The box around the turned box.
     #[inline(always)]
     pub fn turn(&self, b: &Aabb) -> Aabb {
@@ -396,7 +396,7 @@ impl<S: Shape> Turned<S> {
     }
 }
 
-impl<S: Shape> Shape for Turned<S> {
+impl<S: Shape> Shape for RotatedShape<S> {
     #[inline(always)]
     fn meets(&self, b: &Aabb) -> bool {
         self.shape.meets(&self.turn(b))

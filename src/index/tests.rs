@@ -86,7 +86,7 @@ fn must_be_found(region: &Region, b: &Aabb) -> bool {
 
 /// What any index must find, and nothing found twice or far from the region.
 fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], region: &Region) {
-    let mut found = Found::default();
+    let mut found = QueryResult::default();
     index.query(region, &mut found);
     let mut ids: Vec<u32> = found.all().collect();
     ids.sort_unstable();
@@ -266,7 +266,7 @@ fn bowl() -> Arc<Mesh> {
 
 fn check_world(world: &crate::World, region: &Region) {
     let (environment, name) = (world.environment(), world.index().scheme().name());
-    let mut found = Found::default();
+    let mut found = QueryResult::default();
     world.index().query(environment, region, &mut found);
     let mut slots: Vec<u32> = found.all().collect();
     slots.sort_unstable();
@@ -322,7 +322,7 @@ fn a_lost_id_is_noticed() {
         fn remove(&mut self, id: u32) -> bool {
             self.0.remove(id)
         }
-        fn query(&self, region: &Region, found: &mut Found) {
+        fn query(&self, region: &Region, found: &mut QueryResult) {
             self.0.query(region, found);
         }
         fn bytes(&self) -> usize {
@@ -348,7 +348,7 @@ fn a_floor_with_screws_stays_cheap() {
     for scheme in FLAT {
         let index = build(scheme, Params::tuned(scheme), &items).unwrap();
         index.assert_well_formed();
-        let mut found = Found::default();
+        let mut found = QueryResult::default();
         index.query(&Region::sector(DVec2::new(50.0, 50.0), 0.0, PI / 3.0, 10.0), &mut found);
         assert!(found.ids.contains(&100_000));
         let per_id = index.bytes() as f64 / items.len() as f64;
@@ -387,7 +387,7 @@ fn trees_stay_balanced() {
         index.assert_well_formed();
         let fresh = build(scheme, Params::tuned(scheme), &held).unwrap();
         let work = |index: &dyn SpatialIndex| {
-            let mut found = Found::default();
+            let mut found = QueryResult::default();
             for i in 0..200 {
                 let apex = DVec2::new(f64::from(i % 20) * 5.0, f64::from(i / 20) * 10.0);
                 index.query(&Region::sector(apex, f64::from(i), PI / 3.0, 10.0), &mut found);

@@ -2,9 +2,9 @@
 
 use super::boxes::{Box32, LANES, Shift};
 use super::mesh_tree::MeshTree;
-use super::region::Visit;
+use super::region::ShapeVisitor;
 use super::shapes::Shape;
-use super::{Found, Params, Region, Scheme, Skd, SpatialIndex, build};
+use super::{Params, QueryResult, Region, Scheme, Skd, SpatialIndex, build};
 use crate::environment::{Environment, Mesh, Object};
 use crate::geometry::Aabb;
 use crate::threads::parallel_or_here;
@@ -16,10 +16,10 @@ use std::sync::Arc;
 /// Finds the polygons of an environment that have a point in a region.
 ///
 /// ```
-/// use presight::{Environment, index::{Found, Params, Region, Scheme, WorldIndex}};
+/// use presight::{Environment, index::{QueryResult, Params, Region, Scheme, WorldIndex}};
 /// let environment = Environment::new();
 /// let index = WorldIndex::new(&environment, Scheme::S3d, Params::default());
-/// let mut found = Found::default();
+/// let mut found = QueryResult::default();
 /// index.query(&environment, &Region::everything(), &mut found);
 /// assert_eq!(found.count(), 0);
 /// ```
@@ -131,7 +131,7 @@ impl WorldIndex {
     }
 
     /// Slots of all polygons whose box meets the region, appended.
-    pub fn query(&self, environment: &Environment, region: &Region, found: &mut Found) {
+    pub fn query(&self, environment: &Environment, region: &Region, found: &mut QueryResult) {
         match &self.kind {
             Kind::Flat(index) => index.query(region, found),
             Kind::None => {
@@ -159,7 +159,13 @@ impl WorldIndex {
 
     /// What a prediction draws: runs of polygons that may have a point in the region, each within one cluster, object by
     /// object, appended.
-    pub fn select(&self, environment: &Environment, region: &Region, found: &mut Found, runs: &mut Vec<ObjectRun>) {
+    pub fn select(
+        &self,
+        environment: &Environment,
+        region: &Region,
+        found: &mut QueryResult,
+        runs: &mut Vec<ObjectRun>,
+    ) {
         found.clear();
         match &self.kind {
             Kind::None => {
@@ -311,7 +317,7 @@ fn all_boxes(environment: &Environment) -> impl Iterator<Item = (u32, u32, Aabb)
 }
 
 /// Visits the region's shape in the frame of an object's mesh.
-fn with_mesh<V: MeshVisit>(o: &Object, tree: &MeshTree, region: &Region, visitor: V) {
+fn with_mesh<V: MeshVisitor>(o: &Object, tree: &MeshTree, region: &Region, visitor: V) {
     let matrix = region.region_from_world * o.world_from_mesh().matrix3;
     let origin = o.point_in_mesh(region.origin());
     let shift = Shift::new(DVec3::ZERO, origin, &tree.bounds(), 3);
@@ -332,7 +338,7 @@ fn point_slack(o: &Object, p: DVec3) -> f64 {
 }
 
 /// What is done in the frame of a mesh.
-trait MeshVisit {
+trait MeshVisitor {
     fn visit<S: Shape>(self, shape: &S, shift: &Shift);
 }
 
@@ -341,12 +347,12 @@ struct Dispatch<V> {
     visitor: V,
 }
 
-impl<V: MeshVisit> Visit for Dispatch<V> {
+impl<V: MeshVisitor> ShapeVisitor for Dispatch<V> {
     type Out = ();
 
     fn visit<S: Shape>(self, shape: &S) {
         struct Run<'a, S, V>(&'a S, Dispatch<V>);
-        impl<S: Shape, V: MeshVisit> pulp::WithSimd for Run<'_, S, V> {
+        impl<S: Shape, V: MeshVisitor> pulp::WithSimd for Run<'_, S, V> {
             type Output = ();
 
             #[inline(always)]
@@ -363,10 +369,10 @@ struct MeshQuery<'a> {
     tree: &'a MeshTree,
     first_slot: u32,
     filter: bool,
-    found: &'a mut Found,
+    found: &'a mut QueryResult,
 }
 
-impl MeshVisit for MeshQuery<'_> {
+impl MeshVisitor for MeshQuery<'_> {
     #[inline(always)]
     fn visit<S: Shape>(self, shape: &S, shift: &Shift) {
         let Self { tree, first_slot, filter, found } = self;
@@ -399,7 +405,7 @@ struct MeshSelect<'a> {
     runs: &'a mut Vec<ObjectRun>,
 }
 
-impl MeshVisit for MeshSelect<'_> {
+impl MeshVisitor for MeshSelect<'_> {
     #[inline(always)]
     fn visit<S: Shape>(self, shape: &S, shift: &Shift) {
         let Self { tree, mesh, object, filter, runs } = self;
@@ -442,7 +448,7 @@ struct Clusters<'a> {
     runs: &'a mut Vec<ObjectRun>,
 }
 
-impl Visit for Clusters<'_> {
+impl ShapeVisitor for Clusters<'_> {
     type Out = ();
 
     fn visit<S: Shape>(self, shape: &S) {

@@ -1,13 +1,13 @@
 //! Learnt costs as JSON, so that the first frames of a run are planned with what the last run learnt.
 //!
 //! `format` is 1; `models` has one entry for each engine, adapter, number of threads, sensor geometry, set of outputs and forecast:
-//! `seconds` by kind of work ([`Counts::NAMES`]), the sums that learning goes on from, and the last ratios of measured over estimated
+//! `seconds` by kind of work ([`WorkCounts::NAMES`]), the sums that learning goes on from, and the last ratios of measured over estimated
 //! time. Entries of another machine's adapters and threads do no harm: their keys are never asked for. The CPU has no name in a key, so
 //! keep a file for each machine.
 
 use super::atomic::write_atomically;
 use super::text::{FORMAT, read_text};
-use crate::cost::{CostModel, Counts, Forecast, KINDS, Key, MAX_MODELS, UnitCosts};
+use crate::cost::{CostModel, Forecast, KINDS, Key, MAX_MODELS, UnitCosts, WorkCounts};
 use crate::error::{Error, ErrorKind, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -96,13 +96,13 @@ impl Entry {
             return Err(Error::invalid(format!("{:?} is no forecast", self.forecast), REMEDY).at("forecast"));
         };
         let mut seconds = [0.0; KINDS];
-        for (cost, name) in seconds.iter_mut().zip(Counts::NAMES) {
+        for (cost, name) in seconds.iter_mut().zip(WorkCounts::NAMES) {
             let Some(told) = self.seconds.get(name) else {
                 return Err(Error::invalid(format!("there is no {name}"), REMEDY).at("seconds"));
             };
             *cost = within(*told, 0.0, 1e9).map_err(|e| e.at(format!("seconds: {name}")))?;
         }
-        if let Some(name) = self.seconds.keys().find(|name| !Counts::NAMES.contains(&name.as_str())) {
+        if let Some(name) = self.seconds.keys().find(|name| !WorkCounts::NAMES.contains(&name.as_str())) {
             return Err(Error::invalid(format!("{name:?} is no kind of work"), REMEDY).at("seconds"));
         }
         let line = |of: Vec<f64>, place: &str| -> Result<[f64; KINDS]> {
@@ -161,7 +161,7 @@ pub fn to_text(model: &CostModel) -> String {
         outputs: key.outputs.clone(),
         forecast: key.forecast.name().to_owned(),
         frames: costs.frames,
-        seconds: Counts::NAMES.iter().map(|n| (*n).to_owned()).zip(costs.seconds).collect(),
+        seconds: WorkCounts::NAMES.iter().map(|n| (*n).to_owned()).zip(costs.seconds).collect(),
         normal: costs.normal.iter().map(|row| row.to_vec()).collect(),
         right: costs.right.to_vec(),
         ratios: costs.ratios.iter().copied().collect(),
@@ -186,7 +186,8 @@ mod tests {
         };
         let mut model = CostModel::default();
         for k in 1..300u64 {
-            let counts = Counts { polygons: k * 7 % 1000, samples_tested: k * k, waves: k % 5, ..Counts::default() };
+            let counts =
+                WorkCounts { polygons: k * 7 % 1000, samples_tested: k * k, waves: k % 5, ..WorkCounts::default() };
             model.observe(&key, &counts, 1e-4 + k as f64 * 1e-6).unwrap();
         }
         (model, key)
@@ -198,7 +199,7 @@ mod tests {
         let (mut model, key) = learnt();
         let mut again = parse(&to_text(&model)).unwrap();
         assert_eq!(again, model);
-        let counts = Counts { polygons: 321, waves: 3, ..Counts::default() };
+        let counts = WorkCounts { polygons: 321, waves: 3, ..WorkCounts::default() };
         model.observe(&key, &counts, 3e-3).unwrap();
         again.observe(&key, &counts, 3e-3).unwrap();
         assert_eq!(again.estimate(&key, &counts), model.estimate(&key, &counts));

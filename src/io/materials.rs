@@ -30,12 +30,12 @@
 //! most models vanish.
 
 use super::faults::{Faults, Table};
-use crate::acquire::{SceneFrame, Up};
 use crate::environment::{Appearance, Material};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::io::text;
 use crate::limits;
+use crate::preparation::{SceneFrame, Up};
 use glam::DVec3;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -50,7 +50,7 @@ pub struct Sidecar {
     pub up: Option<Up>,
     /// Metres in one unit of the file, if it says so.
     pub scale: Option<f64>,
-    materials: BTreeMap<String, Properties>,
+    materials: BTreeMap<String, MaterialProperties>,
     /// What is wrong with the text.
     faults: Faults,
 }
@@ -58,14 +58,14 @@ pub struct Sidecar {
 /// Properties of one material; absent ones stay unchanged.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Properties {
+pub struct MaterialProperties {
     reflection: Option<f64>,
     one_sided: Option<bool>,
     #[serde(default)]
     classes: BTreeMap<String, Appearance>,
 }
 
-impl Properties {
+impl MaterialProperties {
     /// Reads the table of a sidecar.
     fn read(text: &str, mut table: Table<'_>, faults: &mut Faults) -> Self {
         let reflection = faults.take(text, &mut table, "reflection");
@@ -101,7 +101,7 @@ impl Sidecar {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the lines of all unknown keys and impossible values,
     /// [`crate::ErrorKind::Unsupported`] for a newer format.
-    pub fn beside(scene: &Path) -> Result<Self> {
+    pub fn for_scene(scene: &Path) -> Result<Self> {
         let sidecar = Self::beside_leniently(scene)?;
         sidecar.faults.check().map_err(|e| e.in_file(sidecar_path(scene)))?;
         Ok(sidecar)
@@ -151,7 +151,7 @@ impl Sidecar {
         let mut materials = BTreeMap::new();
         for (name, value) in faults.take_table(text, &mut table, "material") {
             let own = faults.as_table(text, value);
-            materials.insert(name.into_inner().into_owned(), Properties::read(text, own, &mut faults));
+            materials.insert(name.into_inner().into_owned(), MaterialProperties::read(text, own, &mut faults));
         }
         faults.check_empty(text, table, "format, world_from_scene, up, scale and material");
         Ok(Self { world_from_scene, up, scale, materials, faults })
@@ -186,11 +186,11 @@ impl Sidecar {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are ignored.
-pub fn from_extras(extras: &str) -> Result<Option<Properties>> {
+pub fn from_extras(extras: &str) -> Result<Option<MaterialProperties>> {
     let value: serde_json::Value = serde_json::from_str(extras)
         .map_err(|e| Error::invalid(e.to_string(), "export the model again").at("extras"))?;
     let Some(own) = value.get("presight") else { return Ok(None) };
-    Properties::deserialize(own).map(Some).map_err(|e| {
+    MaterialProperties::deserialize(own).map(Some).map_err(|e| {
         Error::invalid(e.to_string(), "known keys are reflection, one_sided, classes").at("extras.presight")
     })
 }

@@ -13,14 +13,14 @@ const START: &str = "presight series 1";
 /// whose files are complete. It is removed when the series is.
 ///
 /// ```
-/// use presight::io::series::Progress;
+/// use presight::io::series::SeriesProgress;
 /// let folder = tempfile::tempdir()?;
 /// let (record, job) = (folder.path().join("a.series"), blake3_of("hall.glb, vlp-16, 3 poses"));
-/// let mut progress = Progress::open(&record, &job, 3)?;
+/// let mut progress = SeriesProgress::open(&record, &job, 3)?;
 /// progress.run(|_, i| if i < 2 { Ok(()) } else { Err(presight::Error::invalid("the disk is full", "")) }).unwrap_err();
 /// drop(progress);
 ///
-/// let mut progress = Progress::open(&record, &job, 3)?;
+/// let mut progress = SeriesProgress::open(&record, &job, 3)?;
 /// assert_eq!(progress.finished(), 2);
 /// let mut done = Vec::new();
 /// progress.run(|_, i| Ok(done.push(i)))?;
@@ -31,7 +31,7 @@ const START: &str = "presight series 1";
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
-pub struct Progress {
+pub struct SeriesProgress {
     path: PathBuf,
     file: File,
     done: Vec<bool>,
@@ -41,7 +41,7 @@ pub struct Progress {
     written: Option<SystemTime>,
 }
 
-impl Progress {
+impl SeriesProgress {
     /// Opens the record of a job of `count` poses, or begins one. A record of another job is begun anew: all its files count as
     /// unfinished. `job` tells what must be the same, such as a hash of scene, sensors, poses and request.
     ///
@@ -151,15 +151,15 @@ impl Progress {
 mod tests {
     use super::*;
 
-    fn open(path: &Path, job: &str) -> Progress {
-        Progress::open(path, job, 4).unwrap()
+    fn open(path: &Path, job: &str) -> SeriesProgress {
+        SeriesProgress::open(path, job, 4).unwrap()
     }
 
     #[test]
     fn what_is_finished_is_not_done_again_whatever_the_end_of_the_record() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.series");
-        let stop_at = |progress: &mut Progress, stop| {
+        let stop_at = |progress: &mut SeriesProgress, stop| {
             progress.run(|_, i| if i == stop { Err(Error::invalid("stop", "")) } else { Ok(()) })
         };
         let mut progress = open(&path, "j");
@@ -207,7 +207,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.series");
         let _first = open(&path, "j");
-        let e = Progress::open(&path, "j", 4).unwrap_err();
+        let e = SeriesProgress::open(&path, "j", 4).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::System);
         assert!(e.to_string().contains("another presight"), "{e}");
     }

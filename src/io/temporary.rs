@@ -39,13 +39,13 @@ pub enum Access {
 pub struct Temporary {
     // Dropped in this order.
     file: NamedTempFile,
-    _listed: Listed,
+    _listed: ListedFile,
 }
 
 /// A file in [`LIVE`].
-struct Listed(PathBuf);
+struct ListedFile(PathBuf);
 
-impl Drop for Listed {
+impl Drop for ListedFile {
     fn drop(&mut self) {
         lock(&LIVE).remove(&self.0);
     }
@@ -67,7 +67,7 @@ impl Temporary {
         let _ = file.as_file().lock();
         let path = file.path().to_owned();
         live.insert(path.clone());
-        Ok(Self { file, _listed: Listed(path) })
+        Ok(Self { file, _listed: ListedFile(path) })
     }
 
     /// Where it is.

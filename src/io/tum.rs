@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// A pose with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stamped {
+pub struct StampedPose {
     /// Time in seconds.
     pub time: f64,
     /// The pose.
@@ -23,7 +23,7 @@ pub struct Stamped {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
-pub fn read(path: &Path) -> Result<Vec<Stamped>> {
+pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 
@@ -31,7 +31,7 @@ pub fn read(path: &Path) -> Result<Vec<Stamped>> {
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, Stamped)>> {
+pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, StampedPose)>> {
     let text = read_text(path)?;
     let poses = parse_with_stamps(&text).map_err(|e| e.in_file(path))?;
     Ok(poses.into_iter().map(|(stamp, pose)| (stamp.to_owned(), pose)).collect())
@@ -41,7 +41,7 @@ pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, Stamped)>> {
 ///
 /// # Errors
 /// As [`read`], without the file.
-pub fn parse(text: &str) -> Result<Vec<Stamped>> {
+pub fn parse(text: &str) -> Result<Vec<StampedPose>> {
     Ok(parse_with_stamps(text)?.into_iter().map(|(_, stamped)| stamped).collect())
 }
 
@@ -49,7 +49,7 @@ pub fn parse(text: &str) -> Result<Vec<Stamped>> {
 ///
 /// # Errors
 /// As [`parse`].
-pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, Stamped)>> {
+pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, StampedPose)>> {
     let mut poses = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
         let line = line.trim();
@@ -79,9 +79,9 @@ pub fn stream(path: &Path) -> Result<Stream> {
 }
 
 impl Iterator for Stream {
-    type Item = Result<Stamped>;
+    type Item = Result<StampedPose>;
 
-    fn next(&mut self) -> Option<Result<Stamped>> {
+    fn next(&mut self) -> Option<Result<StampedPose>> {
         while !self.ended {
             self.line += 1;
             let line = match read_line(&mut self.reader, self.line).transpose()? {
@@ -102,7 +102,7 @@ impl Iterator for Stream {
     }
 }
 
-fn stamped(line: &str) -> Result<Stamped> {
+fn stamped(line: &str) -> Result<StampedPose> {
     let wrong = |what: String| Error::invalid(what, "write timestamp tx ty tz qx qy qz qw, separated by spaces");
     let mut numbers = [0.0; 8];
     let mut words = line.split_whitespace();
@@ -116,7 +116,7 @@ fn stamped(line: &str) -> Result<Stamped> {
     }
     let [time, x, y, z, qx, qy, qz, qw] = numbers;
     let pose = Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
-    Ok(Stamped {
+    Ok(StampedPose {
         time,
         pose: pose.map_err(|_| wrong("the pose is too far away, or its quaternion has no length".into()))?,
     })

@@ -9,7 +9,7 @@ mod cusum;
 pub use cusum::Cusum;
 
 use crate::error::{Error, Result};
-use crate::estimate::{Estimate, Estimator, Prior, State};
+use crate::estimate::{Estimate, EstimateState, Estimator, Prior};
 use crate::frame::Frame;
 use crate::geometry::Pose;
 use crate::motion::{add_to, sandwich, turn};
@@ -188,8 +188,8 @@ impl Localizer {
     fn decide(&mut self, estimate: &Estimate) -> String {
         let share = format!("{:.0} % explained", 100.0 * estimate.explained);
         let why = match &estimate.state {
-            State::Determined => share,
-            State::Undetermined(why) => why.clone(),
+            EstimateState::Determined => share,
+            EstimateState::Undetermined(why) => why.clone(),
         };
         match self.phase {
             Phase::Tracking => {

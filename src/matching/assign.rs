@@ -14,7 +14,7 @@ const MAX_GAIN: f64 = 1e6;
 
 /// A pair that may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Candidate {
+pub struct CandidatePair {
     /// The expected feature.
     pub row: u32,
     /// The detection.
@@ -44,8 +44,8 @@ pub struct Assignment {
 /// one row, the lower row where it has one column.
 ///
 /// ```
-/// use presight::matching::{Candidate, assign};
-/// let pair = |row, column, cost| Candidate { row, column, cost };
+/// use presight::matching::{CandidatePair, assign};
+/// let pair = |row, column, cost| CandidatePair { row, column, cost };
 /// // The second row has no other choice than what the first likes best.
 /// let pairs = [pair(0, 0, 1.0), pair(0, 1, 1.5), pair(1, 0, 2.0)];
 /// let found = assign(&pairs, &[10.0, 10.0])?;
@@ -56,15 +56,21 @@ pub struct Assignment {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] for a candidate whose row has no cost of not being seen, and for costs that are not finite.
-pub fn assign(candidates: &[Candidate], unseen: &[f64]) -> Result<Assignment> {
+pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment> {
     check(candidates, unseen)?;
     let mut found =
         Assignment { columns: vec![None; unseen.len()], candidates: vec![None; unseen.len()], ..Assignment::default() };
-    let mut edges: Vec<Edge> = Vec::with_capacity(candidates.len());
+    let mut edges: Vec<Saving> = Vec::with_capacity(candidates.len());
     for (i, c) in candidates.iter().enumerate() {
         let gain = unseen[c.row as usize] - c.cost;
         if gain > 0.0 {
-            edges.push(Edge { group: 0, row: c.row, column: c.column, gain: gain.min(MAX_GAIN), candidate: i as u32 });
+            edges.push(Saving {
+                group: 0,
+                row: c.row,
+                column: c.column,
+                gain: gain.min(MAX_GAIN),
+                candidate: i as u32,
+            });
         }
     }
     name_groups(&mut edges, unseen.len());
@@ -77,7 +83,7 @@ pub fn assign(candidates: &[Candidate], unseen: &[f64]) -> Result<Assignment> {
     Ok(found)
 }
 
-fn check(candidates: &[Candidate], unseen: &[f64]) -> Result<()> {
+fn check(candidates: &[CandidatePair], unseen: &[f64]) -> Result<()> {
     if let Some(i) = unseen.iter().position(|x| !x.is_finite()) {
         let what = format!("the cost of row {i} not being seen is {}", unseen[i]);
         return Err(Error::invalid(what, "give a finite number"));
@@ -94,14 +100,14 @@ fn check(candidates: &[Candidate], unseen: &[f64]) -> Result<()> {
     Ok(())
 }
 
-fn total(candidates: &[Candidate], unseen: &[f64], taken: &[Option<u32>]) -> f64 {
+fn total(candidates: &[CandidatePair], unseen: &[f64], taken: &[Option<u32>]) -> f64 {
     let of = |(row, taken): (usize, &Option<u32>)| taken.map_or(unseen[row], |i| candidates[i as usize].cost);
     taken.iter().enumerate().map(of).sum()
 }
 
 /// A pair that is better than none.
 #[derive(Clone, Copy, Debug)]
-struct Edge {
+struct Saving {
     group: u32,
     row: u32,
     column: u32,
@@ -111,7 +117,7 @@ struct Edge {
 }
 
 /// Writes the lowest row of its connected group to each edge.
-fn name_groups(edges: &mut [Edge], rows: usize) {
+fn name_groups(edges: &mut [Saving], rows: usize) {
     let mut parent: Vec<u32> = (0..rows as u32).collect();
     let mut by_column: Vec<u32> = (0..edges.len() as u32).collect();
     by_column.sort_unstable_by_key(|i| edges[*i as usize].column);
@@ -136,16 +142,16 @@ fn root(parent: &mut [u32], mut at: u32) -> u32 {
 }
 
 /// Solves one group; its edges are sorted by row.
-fn solve(edges: &[Edge], found: &mut Assignment) {
+fn solve(edges: &[Saving], found: &mut Assignment) {
     let (first, last) = (edges[0], edges[edges.len() - 1]);
-    let best = |a: Edge, b: Edge| if b.gain > a.gain { b } else { a };
+    let best = |a: Saving, b: Saving| if b.gain > a.gain { b } else { a };
     if first.row == last.row || edges.iter().all(|e| e.column == first.column) {
         take(edges.iter().copied().fold(first, best), found);
         return;
     }
     let rows = edges.chunk_by(|a, b| a.row == b.row).count();
     // An optimum never needs more than a row's best `rows` columns: of so many one is always free.
-    let mut kept: Vec<Edge> = Vec::with_capacity(edges.len());
+    let mut kept: Vec<Saving> = Vec::with_capacity(edges.len());
     for row in edges.chunk_by(|a, b| a.row == b.row) {
         let start = kept.len();
         kept.extend_from_slice(row);
@@ -164,9 +170,9 @@ fn solve(edges: &[Edge], found: &mut Assignment) {
 }
 
 /// Pairs outside of the candidates save nothing: who gets one is not seen.
-fn solve_optimally(edges: &[Edge], rows: usize, columns: &[u32], found: &mut Assignment) {
+fn solve_optimally(edges: &[Saving], rows: usize, columns: &[u32], found: &mut Assignment) {
     let mut gains = Matrix::new(rows, columns.len().max(rows), 0i64);
-    let mut of: Vec<(usize, usize, Edge)> = Vec::with_capacity(edges.len());
+    let mut of: Vec<(usize, usize, Saving)> = Vec::with_capacity(edges.len());
     for (r, row) in edges.chunk_by(|a, b| a.row == b.row).enumerate() {
         for edge in row {
             let c = columns.partition_point(|c| *c < edge.column);
@@ -188,7 +194,7 @@ fn solve_optimally(edges: &[Edge], rows: usize, columns: &[u32], found: &mut Ass
     }
 }
 
-fn solve_greedily(mut edges: Vec<Edge>, found: &mut Assignment) {
+fn solve_greedily(mut edges: Vec<Saving>, found: &mut Assignment) {
     edges.sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then((a.row, a.column).cmp(&(b.row, b.column))));
     let mut columns = std::collections::BTreeSet::new();
     for edge in edges {
@@ -198,7 +204,7 @@ fn solve_greedily(mut edges: Vec<Edge>, found: &mut Assignment) {
     }
 }
 
-fn take(edge: Edge, found: &mut Assignment) {
+fn take(edge: Saving, found: &mut Assignment) {
     found.columns[edge.row as usize] = Some(edge.column);
     found.candidates[edge.row as usize] = Some(edge.candidate);
 }
@@ -226,12 +232,12 @@ mod tests {
         best
     }
 
-    fn candidates(costs: &[Vec<Option<f64>>]) -> Vec<Candidate> {
+    fn candidates(costs: &[Vec<Option<f64>>]) -> Vec<CandidatePair> {
         let mut all = Vec::new();
         for (row, line) in costs.iter().enumerate() {
             for (column, cost) in line.iter().enumerate() {
                 if let Some(cost) = *cost {
-                    all.push(Candidate { row: row as u32, column: column as u32, cost });
+                    all.push(CandidatePair { row: row as u32, column: column as u32, cost });
                 }
             }
         }
@@ -266,7 +272,7 @@ mod tests {
 
     #[test]
     fn what_costs_more_than_not_being_seen_is_not_seen() {
-        let dear = [Candidate { row: 0, column: 0, cost: 3.0 }];
+        let dear = [CandidatePair { row: 0, column: 0, cost: 3.0 }];
         assert_eq!(assign(&dear, &[2.9]).unwrap().columns, [None]);
         assert_eq!(assign(&dear, &[3.1]).unwrap().columns, [Some(0)]);
         let nothing = assign(&[], &[1.0, 2.0]).unwrap();
@@ -275,7 +281,7 @@ mod tests {
 
     #[test]
     fn groups_are_apart() {
-        let pair = |row, column, cost| Candidate { row, column, cost };
+        let pair = |row, column, cost| CandidatePair { row, column, cost };
         let pairs = [pair(0, 0, 0.0), pair(1, 0, 1.0), pair(2, 5, 0.0), pair(3, 6, 0.0), pair(3, 7, -1.0)];
         let found = assign(&pairs, &[4.0; 5]).unwrap();
         assert_eq!(found.columns, [Some(0), None, Some(5), Some(7), None]);
@@ -284,7 +290,7 @@ mod tests {
 
     #[test]
     fn bad_costs_are_errors() {
-        let pair = |row, cost| [Candidate { row, column: 0, cost }];
+        let pair = |row, cost| [CandidatePair { row, column: 0, cost }];
         for (pairs, unseen) in [
             (pair(0, f64::NAN), vec![1.0]),
             (pair(0, f64::INFINITY), vec![1.0]),
@@ -299,8 +305,10 @@ mod tests {
     #[test]
     fn a_group_too_large_is_matched_greedily_and_counted() {
         let side = 2000u32;
-        let pairs: Vec<Candidate> = (0..side)
-            .flat_map(|row| (0..20).map(move |k| Candidate { row, column: (row + 97 * k) % side, cost: f64::from(k) }))
+        let pairs: Vec<CandidatePair> = (0..side)
+            .flat_map(|row| {
+                (0..20).map(move |k| CandidatePair { row, column: (row + 97 * k) % side, cost: f64::from(k) })
+            })
             .collect();
         let found = assign(&pairs, &vec![50.0; side as usize]).unwrap();
         assert_eq!((found.groups, found.greedy_groups), (1, 1));

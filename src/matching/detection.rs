@@ -82,7 +82,7 @@ pub struct Marker {
 
 /// What else an extractor tells; `None` is not known and never compared.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Properties {
+pub struct DetectionProperties {
     /// Strength or reflectivity, 0..=1.
     pub strength: Option<f64>,
     /// Contrast, 0..=1.
@@ -112,13 +112,17 @@ pub struct Detection {
     /// a corner ends it.
     pub covariance: DMat2,
     /// What else is known.
-    pub properties: Properties,
+    pub properties: DetectionProperties,
 }
 
 impl Detection {
     /// A shape whose points are each known to `sigma` pixels.
     pub fn new(shape: Shape, sigma: f64) -> Self {
-        Self { shape, covariance: DMat2::from_diagonal(DVec2::splat(sigma * sigma)), properties: Properties::default() }
+        Self {
+            shape,
+            covariance: DMat2::from_diagonal(DVec2::splat(sigma * sigma)),
+            properties: DetectionProperties::default(),
+        }
     }
 
     /// A point known to `sigma` pixels.
@@ -163,7 +167,7 @@ pub enum Rejection {
 
 /// A number with its variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
+pub struct UncertainValue {
     /// Most likely value.
     pub mean: f64,
     /// Its variance.
@@ -174,11 +178,11 @@ pub struct Estimate {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExpectedProperties {
     /// Strength or reflectivity.
-    pub strength: Option<Estimate>,
+    pub strength: Option<UncertainValue>,
     /// Contrast.
-    pub contrast: Option<Estimate>,
+    pub contrast: Option<UncertainValue>,
     /// Direction, radians, modulo pi.
-    pub direction: Option<Estimate>,
+    pub direction: Option<UncertainValue>,
     /// Of fiducials.
     pub marker: Option<Marker>,
 }

@@ -1,9 +1,9 @@
 //! Which detections may be which expected feature, and what each pair costs.
 
-use super::assign::Candidate;
+use super::assign::CandidatePair;
 use super::bins::Bins;
-use super::compare::{Distance, chi_squared_quantile, compare, turn_apart};
-use super::detection::{Detection, Estimate, ExpectedProperties, Properties, Rejection, Shape};
+use super::detection::{Detection, DetectionProperties, ExpectedProperties, Rejection, Shape, UncertainValue};
+use super::distance::{Distance, chi_squared_quantile, compare, turn_apart};
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
@@ -12,7 +12,7 @@ pub const MAX_CANDIDATES: usize = 64;
 
 /// A feature that may be found.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Expected {
+pub struct ExpectedFeature {
     /// Where, most likely.
     pub shape: Shape,
     /// Covariance of each defining point, pixels squared, without the detection's own.
@@ -75,7 +75,7 @@ impl Default for Matcher {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Candidates {
     /// Rows are expected features, columns detections.
-    pub pairs: Vec<Candidate>,
+    pub pairs: Vec<CandidatePair>,
     /// Their distances in the image, pair by pair.
     pub distances: Vec<Distance>,
     /// Detections that nothing can be computed from.
@@ -91,7 +91,7 @@ impl Matcher {
     }
 
     /// The pairs that may be: of one kind, in the window, within the gate by position and properties together.
-    pub fn candidates(&self, expected: &[Expected], found: &[Detection]) -> Candidates {
+    pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
         let mut all = Candidates { in_window: vec![0; expected.len()], ..Candidates::default() };
         let mut places = Vec::with_capacity(found.len());
         for (i, detection) in found.iter().enumerate() {
@@ -101,7 +101,7 @@ impl Matcher {
             }
         }
         let bins = Bins::new(&places);
-        let mut near: Vec<(Candidate, Distance)> = Vec::new();
+        let mut near: Vec<(CandidatePair, Distance)> = Vec::new();
         let mut inside: Vec<u32> = Vec::new();
         for (row, feature) in expected.iter().enumerate() {
             self.find_inside(feature, found, &bins, &mut inside);
@@ -109,7 +109,7 @@ impl Matcher {
             near.clear();
             for column in &inside {
                 if let Some((cost, distance)) = self.cost(feature, &found[*column as usize]) {
-                    near.push((Candidate { row: row as u32, column: *column, cost }, distance));
+                    near.push((CandidatePair { row: row as u32, column: *column, cost }, distance));
                 }
             }
             near.sort_unstable_by(|(a, _), (b, _)| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
@@ -122,7 +122,7 @@ impl Matcher {
     }
 
     /// The detections in a feature's window.
-    fn find_inside(&self, feature: &Expected, found: &[Detection], bins: &Bins, inside: &mut Vec<u32>) {
+    fn find_inside(&self, feature: &ExpectedFeature, found: &[Detection], bins: &Bins, inside: &mut Vec<u32>) {
         inside.clear();
         for shift in self.shifts(&feature.window) {
             let [x0, y0, x1, y1] = reach(feature);
@@ -155,12 +155,12 @@ impl Matcher {
     }
 
     /// Whether a detection is in the window. Segments may lead out of it: they have to pass it.
-    fn is_inside(&self, feature: &Expected, detection: &Detection) -> bool {
+    fn is_inside(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
         let centre = detection.shape.centre();
         let [x0, y0, x1, y1] = feature.window;
         let middle = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
         let half = DVec2::new(0.5 * (x1 - x0), 0.5 * (y1 - y0));
-        let shift = super::compare::unwrap(self.turn, middle.x, centre.x);
+        let shift = super::distance::unwrap(self.turn, middle.x, centre.x);
         let off = (centre + DVec2::new(shift, 0.0) - middle).abs();
         match &detection.shape {
             Shape::Segment { ends, .. } => {
@@ -172,13 +172,13 @@ impl Matcher {
     }
 
     /// Whether a detection is within the gate by its position alone.
-    pub fn is_near(&self, feature: &Expected, detection: &Detection) -> bool {
+    pub fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
         let near = |d: Distance| d.squared <= chi_squared_quantile(d.dimensions, self.gate_deviate);
         compare(feature, detection, self.noise, self.turn).is_some_and(near)
     }
 
     /// What a pair costs; `None` outside of the gate.
-    fn cost(&self, feature: &Expected, detection: &Detection) -> Option<(f64, Distance)> {
+    fn cost(&self, feature: &ExpectedFeature, detection: &Detection) -> Option<(f64, Distance)> {
         let distance = compare(feature, detection, self.noise, self.turn)?;
         // Most are too far, whatever else they are.
         if distance.squared > chi_squared_quantile(distance.dimensions, self.gate_deviate) {
@@ -196,7 +196,7 @@ impl Matcher {
     }
 
     /// How unlike the properties are that both know; `None` for two different markers.
-    fn compare_properties(&self, expected: &ExpectedProperties, found: &Properties) -> Option<Distance> {
+    fn compare_properties(&self, expected: &ExpectedProperties, found: &DetectionProperties) -> Option<Distance> {
         if let (Some(a), Some(b)) = (&expected.marker, &found.marker)
             && a != b
         {
@@ -215,11 +215,11 @@ impl Matcher {
             (&expected.contrast, found.contrast, noise.contrast),
         ];
         for (expected, found, sigma) in told {
-            if let (Some(Estimate { mean, variance }), Some(found)) = (expected, found) {
+            if let (Some(UncertainValue { mean, variance }), Some(found)) = (expected, found) {
                 add(found - mean, variance + sigma * sigma, 1.0);
             }
         }
-        if let (Some(Estimate { mean, variance }), Some(found)) = (&expected.direction, found.direction) {
+        if let (Some(UncertainValue { mean, variance }), Some(found)) = (&expected.direction, found.direction) {
             add(turn_apart(found, *mean), variance + noise.direction * noise.direction, PI);
         }
         Some(all)
@@ -227,7 +227,7 @@ impl Matcher {
 }
 
 /// Where the centre of a detection may be that is the feature: a segment may be found in part, or longer than expected.
-fn reach(feature: &Expected) -> [f64; 4] {
+fn reach(feature: &ExpectedFeature) -> [f64; 4] {
     let [x0, y0, x1, y1] = feature.window;
     match &feature.shape {
         Shape::Segment { ends, .. } => {
@@ -242,8 +242,8 @@ fn reach(feature: &Expected) -> [f64; 4] {
 mod tests {
     use super::*;
 
-    fn point(x: f64, y: f64) -> Expected {
-        Expected {
+    fn point(x: f64, y: f64) -> ExpectedFeature {
+        ExpectedFeature {
             shape: Shape::Point(DVec2::new(x, y)),
             covariances: vec![DMat2::IDENTITY],
             window: [x - 4.0, y - 4.0, x + 4.0, y + 4.0],
@@ -265,8 +265,8 @@ mod tests {
     #[test]
     fn properties_gate_and_weigh() {
         let mut feature = point(100.0, 50.0);
-        feature.properties.contrast = Some(Estimate { mean: 0.5, variance: 0.0 });
-        feature.properties.direction = Some(Estimate { mean: 0.01, variance: 0.0 });
+        feature.properties.contrast = Some(UncertainValue { mean: 0.5, variance: 0.0 });
+        feature.properties.direction = Some(UncertainValue { mean: 0.01, variance: 0.0 });
         let alike = |contrast: f64, direction: f64| {
             let mut d = Detection::point(DVec2::new(100.0, 50.0), 1.0);
             (d.properties.contrast, d.properties.direction) = (Some(contrast), Some(direction));
@@ -282,7 +282,7 @@ mod tests {
     fn markers_are_never_taken_for_others() {
         let corners = [DVec2::ZERO, DVec2::X, DVec2::ONE, DVec2::Y].map(|c| 10.0 * c);
         let marker = |code| Some(super::super::Marker { family: "DICT_4X4_50".into(), code });
-        let feature = Expected {
+        let feature = ExpectedFeature {
             shape: Shape::Fiducial(corners),
             covariances: vec![DMat2::IDENTITY; 4],
             window: [-4.0, -4.0, 14.0, 14.0],

@@ -19,12 +19,12 @@
 
 mod assign;
 mod bins;
-mod compare;
 mod detection;
+mod distance;
 mod matcher;
 
-pub use assign::{Assignment, Candidate, MAX_GROUP_WORK, assign};
-pub(crate) use compare::{Aligned, align, floored, turn_apart, unwrap};
-pub use compare::{Distance, chi_squared_quantile};
-pub use detection::{Detection, Estimate, ExpectedProperties, Marker, Properties, Rejection, Shape};
-pub use matcher::{Candidates, Expected, MAX_CANDIDATES, Matcher, PropertyNoise};
+pub use assign::{Assignment, CandidatePair, MAX_GROUP_WORK, assign};
+pub use detection::{Detection, DetectionProperties, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
+pub(crate) use distance::{Aligned, align, floored, turn_apart, unwrap};
+pub use distance::{Distance, chi_squared_quantile};
+pub use matcher::{Candidates, ExpectedFeature, MAX_CANDIDATES, Matcher, PropertyNoise};

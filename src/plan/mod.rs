@@ -10,14 +10,14 @@ mod view;
 pub use images::Images;
 pub use polygons::PolygonsOfIds;
 pub use request::{IdScheme, ImageRequest, Output, Outputs};
-pub use stats::{EDGE_ON, StageRow, Stats, Taken, Work};
+pub use stats::{EDGE_ON, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
 
 use crate::deadline::Watch;
 use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::index::{Found, ObjectRun};
+use crate::index::{ObjectRun, QueryResult};
 use crate::sensor::{PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
@@ -98,7 +98,7 @@ pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
 /// A stage or image that this prediction does not need, and why.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct LeftOut {
+pub struct Omission {
     /// What is left out.
     pub what: String,
     /// Why it is not needed.
@@ -144,7 +144,7 @@ pub struct FramePlan {
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
     pub(crate) radius: Option<f32>,
     /// Scratch memory, kept from frame to frame.
-    found: Found,
+    found: QueryResult,
     selected: Vec<ObjectRun>,
 }
 
@@ -154,7 +154,7 @@ pub(crate) struct PlanBuffers {
     instances: Vec<Instance>,
     runs: Vec<Run>,
     facings: Vec<Facing>,
-    found: Found,
+    found: QueryResult,
     selected: Vec<ObjectRun>,
 }
 
@@ -306,9 +306,9 @@ impl FramePlan {
     }
 
     /// What this prediction does not need, and why.
-    pub fn left_out(&self) -> Vec<LeftOut> {
+    pub fn left_out(&self) -> Vec<Omission> {
         let mut all = Vec::new();
-        let mut add = |what: String, why: String| all.push(LeftOut { what, why });
+        let mut add = |what: String, why: String| all.push(Omission { what, why });
         if self.objects_out_of_view > 0 {
             add(format!("{} objects", self.objects_out_of_view), "out of view or reach".into());
         }

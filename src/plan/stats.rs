@@ -1,7 +1,7 @@
 //! Statistics: what a prediction did and what it cost.
 
-use super::LeftOut;
-use crate::deadline::{GivenUp, Kept};
+use super::Omission;
+use crate::deadline::{DeadlineOutcome, Degradation};
 use serde::Serialize;
 use std::time::Instant;
 
@@ -27,14 +27,14 @@ pub struct Stats {
     /// The work done, in counts that do not depend on other work on the machine.
     pub work: Work,
     /// Variants of stages that this prediction needed, and why. Their times are part of those stages' times.
-    pub taken: Vec<Taken>,
+    pub taken: Vec<StageVariant>,
     /// Stages and images that were not needed, and why.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<Omission>,
     /// Notices for the caller, such as a fallback to the CPU.
     pub notices: Vec<String>,
     /// How the deadline was kept, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub deadline: Option<Kept>,
+    pub deadline: Option<DeadlineOutcome>,
 }
 
 /// The work of a prediction, counted.
@@ -92,7 +92,7 @@ impl Work {
 
 /// A variant of a stage that was needed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Taken {
+pub struct StageVariant {
     /// Its name.
     pub what: String,
     /// Why it could not be left out.
@@ -117,7 +117,7 @@ const AFTER: [&str; 2] = ["features", "regions of interest"];
 
 impl Stats {
     /// What was given up for the deadline; `None` if everything is there.
-    pub fn given_up(&self) -> Option<&GivenUp> {
+    pub fn degradation(&self) -> Option<&Degradation> {
         self.deadline.as_ref()?.given_up.as_ref()
     }
 
@@ -133,12 +133,12 @@ impl Stats {
 
     /// Records a variant that was needed.
     pub fn take(&mut self, what: impl Into<String>, why: impl Into<String>) {
-        self.taken.push(Taken { what: what.into(), why: why.into() });
+        self.taken.push(StageVariant { what: what.into(), why: why.into() });
     }
 
     /// Records a stage or image that was not needed.
     pub fn leave_out(&mut self, what: impl Into<String>, why: impl Into<String>) {
-        self.left_out.push(LeftOut { what: what.into(), why: why.into() });
+        self.left_out.push(Omission { what: what.into(), why: why.into() });
     }
 
     /// Every stage, variant and image of this prediction: first the stages that ran, with their times, then the variants that

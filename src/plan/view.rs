@@ -62,7 +62,7 @@ fn sides(sensor: &Sensor) -> Vec<DVec3> {
 mod tests {
     use super::*;
     use crate::geometry::Aabb;
-    use crate::index::{Found, Params, Scheme, WorldIndex};
+    use crate::index::{Params, QueryResult, Scheme, WorldIndex};
     use crate::sensor::{Angles, Camera, Distortion, PRESETS, RayTable, Scanner, SensorSpec};
     use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
     use glam::{DAffine3, Vec3};
@@ -183,7 +183,7 @@ mod tests {
             let pose = Pose { translation: pose.translation + (corner - p_in_world), ..pose };
             for scheme in Scheme::ALL {
                 let index = WorldIndex::new(&environment, scheme, Params::default());
-                let (mut found, mut runs) = (Found::default(), Vec::new());
+                let (mut found, mut runs) = (QueryResult::default(), Vec::new());
                 index.select(&environment, &region_of(&sensor, &pose).unwrap(), &mut found, &mut runs);
                 prop_assert_eq!(runs.len(), 1, "{} at {}", scheme.name(), distance);
                 let rounding = 1e-8 + distance * 1e-12;

@@ -2,18 +2,18 @@
 
 use super::{Prediction, Predictor};
 use crate::cost::CostModel;
-use crate::deadline::{Clock, GivenUp};
+use crate::deadline::{Clock, Degradation};
 use std::sync::Arc;
 
 impl Prediction {
     /// What was given up for the deadline; `None` if everything is there.
-    pub fn given_up(&self) -> Option<&GivenUp> {
-        self.stats.given_up()
+    pub fn degradation(&self) -> Option<&Degradation> {
+        self.stats.degradation()
     }
 
     /// [`Prediction::is_not_predicted`] of all pixels, row-major; empty if nothing was given up.
     pub fn not_predicted(&self) -> Vec<bool> {
-        if self.given_up().is_none() {
+        if self.degradation().is_none() {
             return Vec::new();
         }
         let rows = (0..self.images.height).flat_map(|row| (0..self.images.width).map(move |column| (column, row)));
@@ -24,7 +24,7 @@ impl Prediction {
     /// said of pixels that see nothing, too.
     pub fn is_not_predicted(&self, column: u32, row: u32) -> bool {
         let at = row as usize * self.images.width as usize + column as usize;
-        self.given_up().is_some() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
+        self.degradation().is_some() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
     }
 }
 

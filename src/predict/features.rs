@@ -6,13 +6,13 @@ use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, FeatureTree, Hidden,
-    OcclusionHint, PlacedFeature, PlacedFeatures, Prepared, SeenFeature, Visibility, add_boxes, check_placed, choose,
-    predict_features, sides_seen_in_part,
+    OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, check_placed,
+    choose, predict_features, sides_seen_in_part,
 };
 use crate::geometry::Pose;
 use crate::placement;
 use crate::plan::{Images, Output, Stats};
-use crate::probe::{Probe, Task};
+use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// The features of a world's own layer, placed in one version of it.
-pub(super) struct OwnFeatures {
+pub(super) struct WorldFeatures {
     /// [`World::stamp`].
     world: u64,
     class: String,
@@ -50,7 +50,7 @@ impl Predictor {
                     return Err(Error::usage(what, "generate a layer (presight features), or give placed features"));
                 };
                 let placed = self.on_threads(|| placement::place_layer(world, layer))??;
-                self.own = Some(OwnFeatures { world: world.stamp(), class: class.clone(), placed: placed.clone() });
+                self.own = Some(WorldFeatures { world: world.stamp(), class: class.clone(), placed: placed.clone() });
                 Ok(placed)
             }
         }
@@ -69,7 +69,7 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
         let seen_from = (world, sensor, world_from_sensor);
-        let settings = FeatureSettings { is_partial: stats.given_up().is_some(), ..settings(request) };
+        let settings = FeatureSettings { is_partial: stats.degradation().is_some(), ..settings(request) };
         let mut features = self.see(seen_from, images, &placed.features, &settings, stats)?;
         images.feature_id = std::mem::take(&mut features.feature_id);
         if let Some(most) = request.features.as_ref().and_then(|options| options.max_features) {
@@ -108,7 +108,7 @@ impl Predictor {
         let mut start = Instant::now();
         let tree = self.take_tree(world, placed, settings)?;
         let of_tree = tree.as_ref().map(|known| &known.tree);
-        let prepared = Prepared::new(world, sensor, world_from_sensor, images, (placed, of_tree), settings)?;
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, of_tree), settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
@@ -212,14 +212,14 @@ impl Predictor {
     /// not there.
     fn query_occlusion(
         &mut self,
-        prepared: &Prepared<'_>,
+        prepared: &PreparedFeatures<'_>,
         sensor: &Sensor,
         stats: &mut Stats,
     ) -> Result<Option<Vec<Vec<Option<u32>>>>> {
         if !self.engine.device().is_some_and(|device| device.takes_features() && device.holds_images()) {
             return Ok(None);
         }
-        let samples = self.on_threads(|| prepared.asking())?;
+        let samples = self.on_threads(|| prepared.query_samples())?;
         if samples.iter().all(Vec::is_empty) {
             stats.leave_out("features on the device", "no sample is where only what is in between decides");
             return Ok(None);
@@ -247,7 +247,7 @@ impl Predictor {
     /// visibility needs no such proof: each answer is tested on the CPU.
     fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
         let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
-        let task = Task::of(sensor);
+        let task = SensorKind::of(sensor);
         let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
         let told = match known {
             Some(told) => told,

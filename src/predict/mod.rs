@@ -11,7 +11,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
-use crate::probe::{Probe, Task, Told};
+use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use crate::row::RowCuts;
 use crate::sensor::Sensor;
@@ -104,11 +104,11 @@ pub struct Predictor {
     threads: Threads,
     engine: Box<dyn Engine>,
     /// What the engine's device was found able to do.
-    proven: Proven,
+    proven: ProbeResults,
     /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
     buffers: PlanBuffers,
     /// The world's own features that were placed last.
-    own: Option<features::OwnFeatures>,
+    own: Option<features::WorldFeatures>,
     tree: Option<features::KnownTree>,
     /// Keeps deadlines.
     controller: Controller,
@@ -119,9 +119,9 @@ pub struct Predictor {
 
 /// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
 #[derive(Default)]
-struct Proven {
-    images: Vec<Task>,
-    regions: Vec<(Task, Told)>,
+struct ProbeResults {
+    images: Vec<SensorKind>,
+    regions: Vec<(SensorKind, DeviceCheck)>,
 }
 
 impl Predictor {
@@ -143,7 +143,7 @@ impl Predictor {
             backend: options.backend,
             threads: options.threads,
             engine,
-            proven: Proven::default(),
+            proven: ProbeResults::default(),
             buffers: PlanBuffers::default(),
             own: None,
             tree: None,
@@ -359,14 +359,14 @@ impl Predictor {
     fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
         let Some(device) = self.engine.device() else { return Err(fault) };
         if again && fault.kind() == ErrorKind::DeviceLost && device.reopen().is_ok() {
-            self.proven = Proven::default();
+            self.proven = ProbeResults::default();
             self.notice = Some(format!("the GPU was opened again after this: {fault}"));
             return Ok(());
         }
         if self.backend != Backend::Auto {
             return Err(fault);
         }
-        self.engine = Box::new(cpu::Engine::new(self.threads.clone())?);
+        self.engine = Box::new(cpu::CpuEngine::new(self.threads.clone())?);
         self.notice = Some(format!("the CPU engine took over: {fault}"));
         Ok(())
     }
@@ -374,7 +374,7 @@ impl Predictor {
     /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
     /// that this makes are those of the prediction to come, so that it costs little besides.
     fn prove(&mut self, plan: &FramePlan) -> Result<()> {
-        let task = Task::of(&plan.sensor);
+        let task = SensorKind::of(&plan.sensor);
         // Where nothing is drawn nothing has to be proven.
         if plan.polygon_count == 0 || self.engine.device().is_none() || self.proven.images.contains(&task) {
             return Ok(());
@@ -404,7 +404,7 @@ fn choose_engine(
     threads: &Threads,
     open_gpu: impl Fn(&Threads, bool) -> Result<Box<dyn Engine>>,
 ) -> Result<(Box<dyn Engine>, Option<String>)> {
-    let on_cpu = || Ok::<_, Error>(Box::new(cpu::Engine::new(threads.clone())?));
+    let on_cpu = || Ok::<_, Error>(Box::new(cpu::CpuEngine::new(threads.clone())?));
     match backend {
         Backend::Cpu => Ok((on_cpu()?, None)),
         Backend::Gpu => Ok((open_gpu(threads, false)?, None)),

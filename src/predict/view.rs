@@ -23,7 +23,7 @@ impl<'a> View<'a> {
             range: &images.range,
             ids: known.then_some(ids),
             features: prediction.features.as_ref(),
-            given_up: prediction.given_up(),
+            given_up: prediction.degradation(),
         }
     }
 }

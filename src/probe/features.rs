@@ -1,12 +1,12 @@
 //! What a device says of features: which samples other polygons hide, and boxes around regions of interest.
 
-use super::{Probe, Task};
+use super::{Probe, SensorKind};
 use crate::engine::{Device, Engine};
 use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeaturePrediction, FeatureSamples, FeatureSettings, OcclusionHint, PlacedFeature, Prepared, Visibility,
-    add_boxes, predict_features,
+    BoxOptions, FeaturePrediction, FeatureSamples, FeatureSettings, OcclusionHint, PlacedFeature, PreparedFeatures,
+    Visibility, add_boxes, predict_features,
 };
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, Stats};
@@ -21,7 +21,7 @@ const SHARES: [f64; 3] = [0.25, 0.5, 0.75];
 
 /// What a device said of points on the scene's polygons.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Told {
+pub struct DeviceCheck {
     /// How many were asked for.
     pub all: usize,
     /// How many it knew, or made itself.
@@ -30,7 +30,7 @@ pub struct Told {
     pub wrong: usize,
 }
 
-impl Told {
+impl DeviceCheck {
     /// True if it is of use: answers are in f32, so that one in a hundred may be wrong at an outline, where the CPU sets it
     /// right.
     pub fn is_sound(&self) -> bool {
@@ -43,21 +43,22 @@ impl Probe {
     ///
     /// # Errors
     /// Those of the engine.
-    pub fn occlusion(&self, task: Task, engine: &mut dyn Engine) -> Result<Told> {
+    pub fn occlusion(&self, task: SensorKind, engine: &mut dyn Engine) -> Result<DeviceCheck> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let request = ImageRequest { outputs: Outputs::of(&[Output::PolygonId]), ..ImageRequest::default() };
         let plan = FramePlan::new(&self.world, &sensor, &pose, request)?;
         let mut images = Images::default();
         engine.render(&plan, &mut images, &mut Stats::default())?;
-        let Some(device) = engine.device() else { return Ok(Told::default()) };
+        let Some(device) = engine.device() else { return Ok(DeviceCheck::default()) };
         let right = self.seen(&sensor, &pose, &placed)?;
         let options = FeatureSettings::default();
-        let samples = Prepared::new(&self.world, &sensor, &pose, &images, (&placed, None), &options)?.asking();
+        let samples =
+            PreparedFeatures::new(&self.world, &sensor, &pose, &images, (&placed, None), &options)?.query_samples();
         let of = samples.iter().zip(&right.features);
         let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
         let placed: Vec<_> = placed.iter().collect();
         let hints = device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor: &sensor })?;
-        let mut told = Told { all: hints.len(), ..Told::default() };
+        let mut told = DeviceCheck { all: hints.len(), ..DeviceCheck::default() };
         for (hint, visible) in hints.into_iter().zip(of) {
             told.answered += usize::from(hint != OcclusionHint::Doubt);
             told.wrong += match hint {
@@ -73,7 +74,7 @@ impl Probe {
     ///
     /// # Errors
     /// Those of the engine.
-    pub fn regions(&self, task: Task, device: &mut dyn Device) -> Result<Told> {
+    pub fn regions(&self, task: SensorKind, device: &mut dyn Device) -> Result<DeviceCheck> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let mut options = BoxOptions::default();
         // 1 cm and half a degree.
@@ -90,7 +91,7 @@ impl Probe {
                 || a.roi.is_some() != b.roi.is_some()
         };
         let all = right.features.iter().filter(|f| f.roi.is_some()).count();
-        Ok(Told { all, answered, wrong: (0..placed.len()).filter(differs).count() })
+        Ok(DeviceCheck { all, answered, wrong: (0..placed.len()).filter(differs).count() })
     }
 
     /// What a ray to each point says.
@@ -158,20 +159,20 @@ mod tests {
                 return;
             }
         };
-        for task in Task::ALL {
+        for task in SensorKind::ALL {
             let seen = probe.occlusion(task, &mut engine).unwrap();
             assert!(seen.is_sound() && seen.answered > 20, "{}: {seen:?}", task.name());
             let regions = probe.regions(task, &mut engine).unwrap();
             assert!(regions.wrong == 0 && regions.all > 5, "{}: {regions:?}", task.name());
             // A lens or table is the CPU's.
-            assert!(regions.answered > 0 || task == Task::Rays, "{}: {regions:?}", task.name());
+            assert!(regions.answered > 0 || task == SensorKind::Rays, "{}: {regions:?}", task.name());
         }
     }
 
     #[test]
     fn wrong_answers_and_none_are_not_sound() {
-        assert!(Told { all: 100, answered: 100, wrong: 1 }.is_sound());
-        assert!(!Told { all: 100, answered: 100, wrong: 2 }.is_sound());
-        assert!(!Told { all: 100, answered: 24, wrong: 0 }.is_sound());
+        assert!(DeviceCheck { all: 100, answered: 100, wrong: 1 }.is_sound());
+        assert!(!DeviceCheck { all: 100, answered: 100, wrong: 2 }.is_sound());
+        assert!(!DeviceCheck { all: 100, answered: 24, wrong: 0 }.is_sound());
     }
 }

@@ -2,26 +2,26 @@
 //! none.
 //!
 //! A tiny scene, seen by a tiny sensor of each kind for which engines have a path of their own, is held to the reference
-//! by the same comparison that judges engines in every test ([`crate::compare`]).
+//! by the same comparison that judges engines in every test ([`crate::verify`]).
 
 mod features;
 
-pub use features::Told;
+pub use features::DeviceCheck;
 
-use crate::compare::{Precision, Report, compare};
 use crate::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs};
 use crate::reference;
 use crate::sensor::{Angles, Camera, Geometry, PixelGrid, RayTable, Scanner, Sensor, SensorSpec};
+use crate::verify::{Precision, Report, compare};
 use crate::world::World;
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
 
 /// A kind of sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Task {
+pub enum SensorKind {
     /// A pinhole camera: spans along rows.
     Camera,
     /// A scanner of many rows: spans along columns.
@@ -32,7 +32,7 @@ pub enum Task {
     Rays,
 }
 
-impl Task {
+impl SensorKind {
     /// Every kind.
     pub const ALL: [Self; 4] = [Self::Camera, Self::Scanner, Self::Row, Self::Rays];
 
@@ -80,11 +80,11 @@ impl Task {
 /// The scene of all tasks.
 ///
 /// ```
-/// use presight::probe::{Probe, Task};
+/// use presight::probe::{Probe, SensorKind};
 /// use presight::{Outputs, Stats, cpu};
 /// let probe = Probe::new()?;
-/// let mut engine = cpu::Engine::new(1)?;
-/// for task in Task::ALL {
+/// let mut engine = cpu::CpuEngine::new(1)?;
+/// for task in SensorKind::ALL {
 ///     let report = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()))?;
 ///     assert_eq!(report.fault, 0, "{}", task.name());
 /// }
@@ -131,7 +131,7 @@ impl Probe {
     /// Those of the engine; [`crate::ErrorKind::Invalid`] if an image lacks pixels.
     pub fn run(
         &self,
-        task: Task,
+        task: SensorKind,
         outputs: Outputs,
         draw: impl FnOnce(&FramePlan, &mut Images) -> Result<()>,
     ) -> Result<Report> {
@@ -174,8 +174,8 @@ mod tests {
     fn every_task_is_of_its_kind_and_shows_something_of_everything() {
         let probe = Probe::new().unwrap();
         let mut by_any = std::collections::BTreeSet::new();
-        for task in Task::ALL {
-            assert_eq!(Task::of(&task.sensor().unwrap()), task);
+        for task in SensorKind::ALL {
+            assert_eq!(SensorKind::of(&task.sensor().unwrap()), task);
             let mut seen = std::collections::BTreeSet::new();
             let (mut near, mut far) = (false, false);
             let report = probe.run(task, Outputs::ALL, |plan, images| {
@@ -188,7 +188,7 @@ mod tests {
             let report = report.unwrap();
             assert_eq!((report.fault, report.edge), (0, 0), "{}", task.name());
             assert!(seen.len() >= 3, "{}: {seen:?}", task.name());
-            assert!(near || task == Task::Row, "{}: the plate before the sensor is too near", task.name());
+            assert!(near || task == SensorKind::Row, "{}: the plate before the sensor is too near", task.name());
             assert!(far, "{}: walls are out of reach", task.name());
             by_any.extend(seen);
         }
@@ -210,7 +210,7 @@ mod tests {
             },
             |images| images.cos_incidence.iter_mut().for_each(|c| *c *= 0.99),
         ];
-        for task in Task::ALL {
+        for task in SensorKind::ALL {
             for (n, fault) in faults.iter().enumerate() {
                 let spoiled = |plan: &FramePlan, images: &mut Images| {
                     by_reference(plan, images)?;

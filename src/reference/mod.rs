@@ -26,7 +26,7 @@ use glam::DVec3;
 
 /// What [`render`] counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct RenderCounts {
     /// Polygons tested.
     pub polygons: usize,
     /// Polygons whose plane passes through the sensor as far as f64 can tell.
@@ -46,7 +46,7 @@ struct Hit {
 ///
 /// # Errors
 /// Those of [`crate::Pose::check`], if the plan's pose was changed.
-pub fn render(plan: &FramePlan, images: &mut Images) -> Result<Counts> {
+pub fn render(plan: &FramePlan, images: &mut Images) -> Result<RenderCounts> {
     let (width, height) = (plan.sensor.width(), plan.sensor.height());
     render_pixels(plan, images, (0..height).flat_map(|row| (0..width).map(move |column| (column, row))))
 }
@@ -59,7 +59,7 @@ pub fn render_pixels(
     plan: &FramePlan,
     images: &mut Images,
     pixels: impl Iterator<Item = (u32, u32)>,
-) -> Result<Counts> {
+) -> Result<RenderCounts> {
     plan.world_from_sensor.check()?;
     let (hits, counts) = cast(plan, pixels);
     let asked = plan.drawn();
@@ -74,13 +74,13 @@ pub fn render_pixels(
 }
 
 /// The nearest polygon of some pixels' rays.
-fn cast(plan: &FramePlan, pixels: impl Iterator<Item = (u32, u32)>) -> (Vec<Beam<Option<Hit>>>, Counts) {
+fn cast(plan: &FramePlan, pixels: impl Iterator<Item = (u32, u32)>) -> (Vec<Beam<Option<Hit>>>, RenderCounts) {
     let mut beams = beams(&plan.sensor, pixels);
     let counts = parallel_or_here(|| cast_beams(plan, &mut beams));
     (beams, counts)
 }
 
-fn cast_beams(plan: &FramePlan, beams: &mut [Beam<Option<Hit>>]) -> Counts {
+fn cast_beams(plan: &FramePlan, beams: &mut [Beam<Option<Hit>>]) -> RenderCounts {
     let instances = instances(plan);
     let (cones, edge_on) = cones(plan, &instances, |face, _| (!face.edge_on()).then_some(0.0));
     descend(beams, &cones, &|beams, cones| {
@@ -91,7 +91,7 @@ fn cast_beams(plan: &FramePlan, beams: &mut [Beam<Option<Hit>>]) -> Counts {
             paint(plan, &face, cone, beams);
         }
     });
-    Counts { polygons: cones.len() + edge_on, edge_on }
+    RenderCounts { polygons: cones.len() + edge_on, edge_on }
 }
 
 /// Tests one polygon against a few rays.

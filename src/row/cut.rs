@@ -2,7 +2,7 @@
 
 use crate::environment::Object;
 use crate::geometry::Aabb;
-use crate::index::{Found, Region};
+use crate::index::{QueryResult, Region};
 use crate::plan::facings;
 use crate::world::World;
 use glam::{DVec2, DVec3};
@@ -61,7 +61,7 @@ impl RowCut {
             return cut;
         }
         let slice = Aabb { min: bounds.min.with_z(height), max: bounds.max.with_z(height) };
-        let (mut found, mut runs) = (Found::default(), Vec::new());
+        let (mut found, mut runs) = (QueryResult::default(), Vec::new());
         world.index().select(environment, &Region::cuboid(&slice), &mut found, &mut runs);
         for objects in runs.chunk_by(|a, b| a.object == b.object) {
             let object = &environment.objects()[objects[0].object as usize];

@@ -1,5 +1,5 @@
 //! One row at one height: what a level scanner of one row can meet of the world is cut once into segments, kept for each version of
-//! the world, and searched nearest first. Ranges agree with those of images within the range bound ([`crate::compare`]).
+//! the world, and searched nearest first. Ranges agree with those of images within the range bound ([`crate::verify`]).
 
 mod cut;
 mod view;
@@ -21,10 +21,10 @@ pub(crate) fn is_level(pose: &Pose) -> bool {
 
 /// Cuts of one version of the world.
 #[derive(Debug, Default)]
-pub(crate) struct RowCuts(Mutex<Kept>);
+pub(crate) struct RowCuts(Mutex<CutCache>);
 
 #[derive(Debug, Default)]
-struct Kept {
+struct CutCache {
     /// [`World::stamp`].
     world: u64,
     /// Oldest use first.
@@ -39,7 +39,7 @@ impl RowCuts {
     pub fn get(&self, world: &World, class: &str, height: f64) -> Arc<RowCut> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.world != world.stamp() {
-            *kept = Kept { world: world.stamp(), cuts: Vec::new() };
+            *kept = CutCache { world: world.stamp(), cuts: Vec::new() };
         }
         let known = kept.cuts.iter().position(|(of, at, _)| of == class && *at == height);
         let entry = match known {

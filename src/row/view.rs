@@ -81,7 +81,7 @@ impl RowView {
         self.winner.fill(NONE);
         self.farthest.fill(horizon);
         self.tested = 0;
-        let eye = Eye::new(world_from_sensor);
+        let eye = ScannerView::new(world_from_sensor);
         let mut stack = std::mem::take(&mut self.stack);
         stack.clear();
         if let Some(root) = cut.nodes.first() {
@@ -107,7 +107,7 @@ impl RowView {
         self.resolve(&eye, cut, range, cos_incidence);
     }
 
-    fn resolve(&self, eye: &Eye, cut: &RowCut, range: &mut Vec<f32>, cos_incidence: &mut Vec<f32>) {
+    fn resolve(&self, eye: &ScannerView, cut: &RowCut, range: &mut Vec<f32>, cos_incidence: &mut Vec<f32>) {
         let n = self.rays.len();
         range.resize(n, 0.0);
         cos_incidence.resize(n, 0.0);
@@ -130,7 +130,7 @@ impl RowView {
     }
 
     /// True if nothing in the node can be seen.
-    fn hides(&self, eye: &Eye, node: &Node, nearest: f64) -> bool {
+    fn hides(&self, eye: &ScannerView, node: &Node, nearest: f64) -> bool {
         if nearest == 0.0 {
             return false;
         }
@@ -164,7 +164,7 @@ impl RowView {
         low + self.turns[low..high].iter().take_while(|t| **t < turn).count()
     }
 
-    fn draw(&mut self, eye: &Eye, cut: &RowCut, number: u32) {
+    fn draw(&mut self, eye: &ScannerView, cut: &RowCut, number: u32) {
         self.tested += 1;
         let segment = &cut.segments[number as usize];
         let (mut a, mut b) = (eye.seen(segment.a), eye.seen(segment.b));
@@ -207,14 +207,14 @@ impl RowView {
 }
 
 /// Where the scanner is, and how it is turned.
-struct Eye {
+struct ScannerView {
     place: DVec2,
     height: f64,
     /// Its x axis in the world.
     ahead: DVec2,
 }
 
-impl Eye {
+impl ScannerView {
     fn new(world_from_sensor: &Pose) -> Self {
         let ahead = world_from_sensor.rotation_matrix().x_axis.truncate().normalize();
         let DVec3 { x, y, z } = world_from_sensor.translation;

@@ -111,7 +111,7 @@ pub(crate) type TileRange = [Range<u32>; 2];
 const NOTHING: Range<usize> = Range { start: usize::MAX, end: 0 };
 
 /// Tiles found so far.
-struct Found {
+struct TileBox {
     rows: Range<usize>,
     columns: Range<usize>,
 }
@@ -151,7 +151,7 @@ impl ConeTree {
     pub fn tiles_met<S: Simd>(&self, simd: S, axis: DVec3, cosine: f64) -> TileRange {
         let cosine = cosine - SLACK;
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        let mut found = Found { rows: NOTHING, columns: NOTHING };
+        let mut found = TileBox { rows: NOTHING, columns: NOTHING };
         // Blocks of siblings that wait: at most 16 of each level but the uppermost.
         let mut waiting = [(0u32, 0u32); 160];
         let top = self.levels.len() - 1;
@@ -195,7 +195,7 @@ impl ConeTree {
     }
 }
 
-impl Found {
+impl TileBox {
     fn holds(&self, rows: &Range<usize>, columns: &Range<usize>) -> bool {
         self.rows.start <= rows.start
             && rows.end <= self.rows.end

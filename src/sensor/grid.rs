@@ -49,7 +49,7 @@ pub struct LineGrid {
     lines: Vec<[f64; 2]>,
     weights: Vec<[f64; 2]>,
     positions: Vec<f64>,
-    finder: Finder,
+    finder: PositionFinder,
     /// The same numbers apart, for vector loops; those of the lines are followed by eight zeros.
     c: [Vec<f64>; 2],
     octets: Vec<Octet>,
@@ -81,7 +81,7 @@ impl LineGrid {
     pub(super) fn new(axis: LineAxis, line_from_image: DMat3, lines: Vec<[f64; 2]>, weights: Vec<[f64; 2]>) -> Self {
         let positions: Vec<f64> = weights.iter().map(|[w0, w1]| w1 / w0).collect();
         debug_assert!(positions.windows(2).all(|p| p[0] < p[1]));
-        let finder = Finder::new(&positions);
+        let finder = PositionFinder::new(&positions);
         let padding = [0.0; Octet::LEN];
         let c = [0, 1].map(|i| lines.iter().map(|c| c[i]).chain(padding).collect());
         let octets =
@@ -179,7 +179,7 @@ impl LineGrid {
 /// Finds a position among the rising positions of a line in constant time: a table over equal cells, then a step or
 /// two. Exact whatever the table says, for it only has to start low enough.
 #[derive(Clone, Debug)]
-pub(super) struct Finder {
+pub(super) struct PositionFinder {
     start: f64,
     cells_per_unit: f64,
     /// By cell: number of positions below its lower end.
@@ -190,7 +190,7 @@ pub(super) struct Finder {
     up_to: Vec<u32>,
 }
 
-impl Finder {
+impl PositionFinder {
     pub fn new(positions: &[f64]) -> Self {
         let mut finite = positions.iter().copied().filter(|t| t.is_finite());
         let start = finite.next().unwrap_or(0.0);
@@ -265,7 +265,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    struct Entries<'a>(&'a Finder, f64);
+    struct Entries<'a>(&'a PositionFinder, f64);
 
     impl pulp::WithSimd for Entries<'_> {
         type Output = [u64; Octet::LEN];
@@ -289,7 +289,7 @@ mod tests {
                 positions.insert(0, f64::NEG_INFINITY);
                 positions.push(f64::INFINITY);
             }
-            let finder = Finder::new(&positions);
+            let finder = PositionFinder::new(&positions);
             for t in [t, positions[pick % positions.len()], f64::INFINITY, f64::NEG_INFINITY] {
                 prop_assert_eq!(finder.find(&positions, t, |p, t| p < t), positions.partition_point(|&p| p < t));
                 prop_assert_eq!(finder.find(&positions, t, |p, t| p <= t), positions.partition_point(|&p| p <= t));

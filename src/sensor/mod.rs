@@ -20,7 +20,7 @@ pub(crate) use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use noise::{Mixture, Noise};
 pub use presets::{PRESETS, Preset};
-pub(crate) use ray_grid::{Ahead, Cones, Sides, TILE_SIDE, TileRays, View};
+pub(crate) use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};
@@ -91,10 +91,10 @@ impl SensorSpec {
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct Sensor(Arc<Checked>);
+pub struct Sensor(Arc<SensorData>);
 
 #[derive(Debug)]
-struct Checked {
+struct SensorData {
     spec: SensorSpec,
     grid: PixelGrid,
     projector: project::Projector,
@@ -121,7 +121,7 @@ impl Sensor {
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
         let (width, height) = spec.geometry.size();
         let projector = project::Projector::new(&spec);
-        Ok(Self(Arc::new(Checked { spec, grid, projector, width, height })))
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height })))
     }
 
     /// The specification from which the sensor was made.

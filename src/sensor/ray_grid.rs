@@ -2,7 +2,7 @@
 //! sensor.
 
 use super::cone_tree::ConeTree;
-use super::grid::{Finder, Octet};
+use super::grid::{Octet, PositionFinder};
 use crate::error::Result;
 use crate::memory;
 use glam::{DVec2, DVec3};
@@ -86,34 +86,34 @@ impl Cones {
 
 /// How the tiles that a polygon may cover are found.
 #[derive(Clone, Debug)]
-pub(crate) enum View {
+pub(crate) enum TileLookup {
     /// All rays lie ahead of one plane.
-    Ahead(Box<Ahead>),
+    Ahead(Box<ForwardView>),
     /// Fisheyes past 90 degrees, rays all round.
     Around(ConeTree),
 }
 
 /// Rays ahead of a plane, as they meet another one parallel to it at distance 1.
 #[derive(Clone, Debug)]
-pub(crate) struct Ahead {
+pub(crate) struct ForwardView {
     /// right, down and forward in the image frame, unless they are its axes.
     pub turn: Option<[DVec3; 3]>,
     /// Of rows of tiles, downwards.
-    pub rows: Stretches,
+    pub rows: TileSpans,
     /// Of columns of tiles, to the right.
-    pub columns: Stretches,
+    pub columns: TileSpans,
 }
 
 /// Where rays of some rows (or columns) of tiles meet the plane, and how to find the rows of a place there.
 #[derive(Clone, Debug)]
-pub(crate) struct Stretches {
+pub(crate) struct TileSpans {
     /// Of all together.
     pub least: f64,
     pub greatest: f64,
     /// Rising: the greatest of each and of all before it.
-    greatest_so_far: Finder,
+    greatest_so_far: PositionFinder,
     /// Rising: the least of each and of all after it.
-    least_from_here: Finder,
+    least_from_here: PositionFinder,
 }
 
 /// Spreads all places over -1..1; rising, also for what is infinite or no number.
@@ -124,7 +124,7 @@ fn squeezed(t: f64) -> f64 {
     t / (1.0 + t.abs())
 }
 
-impl Stretches {
+impl TileSpans {
     fn new(of_each: &[[f64; 2]]) -> Self {
         let mut greatest_so_far: Vec<f64> = of_each.iter().map(|s| s[1]).collect();
         let mut least_from_here: Vec<f64> = of_each.iter().map(|s| s[0]).collect();
@@ -136,7 +136,7 @@ impl Stretches {
         }
         // Rows without rays are infinitely far off, and stay so.
         let place = |t: &f64| if t.is_infinite() { *t } else { squeezed(*t) };
-        let finder = |bounds: &[f64]| Finder::new(&bounds.iter().map(place).collect::<Vec<_>>());
+        let finder = |bounds: &[f64]| PositionFinder::new(&bounds.iter().map(place).collect::<Vec<_>>());
         Self {
             least: least_from_here[0],
             greatest: greatest_so_far[of_each.len() - 1],
@@ -158,7 +158,7 @@ impl Stretches {
     }
 }
 
-impl Ahead {
+impl ForwardView {
     /// Rays flatter to the plane than this leave it too far off.
     const FLATTEST: f64 = 0.05;
 
@@ -191,7 +191,7 @@ impl Ahead {
             hold(&mut rows[(row / TILE_SIDE) as usize], d.dot(down) / depth);
             hold(&mut columns[(column / TILE_SIDE) as usize], d.dot(right) / depth);
         }
-        Some(Self { turn, rows: Stretches::new(&rows), columns: Stretches::new(&columns) })
+        Some(Self { turn, rows: TileSpans::new(&rows), columns: TileSpans::new(&columns) })
     }
 
     /// Inward normals of the planes around all rays.
@@ -255,7 +255,7 @@ pub struct RayGrid {
     gaps: Vec<bool>,
     /// By row of tiles, then by eight tiles.
     cones: Vec<Cones>,
-    view: View,
+    view: TileLookup,
     sides: Sides,
 }
 
@@ -295,12 +295,12 @@ impl RayGrid {
         let across = width.div_ceil(TILE_SIDE) as usize;
         let cones = tiles.chunks(across).flat_map(|row| row.chunks(Octet::LEN)).map(Cones::of).collect();
         let whole = Tile::around(0, 0, width, height, ray);
-        let (view, sides) = match Ahead::of(width, height, directions, &whole) {
+        let (view, sides) = match ForwardView::of(width, height, directions, &whole) {
             Some(ahead) if whole.half_angle >= 0.0 => {
                 let sides = Sides::Within(ahead.sides());
-                (View::Ahead(Box::new(ahead)), sides)
+                (TileLookup::Ahead(Box::new(ahead)), sides)
             }
-            _ => (View::Around(ConeTree::new(&tiles, across)), Sides::of(&whole)),
+            _ => (TileLookup::Around(ConeTree::new(&tiles, across)), Sides::of(&whole)),
         };
         Ok(Self { width, height, tiles, rays, gaps, cones, view, sides })
     }
@@ -356,7 +356,7 @@ impl RayGrid {
     }
 
     /// How the tiles that a polygon may cover are found.
-    pub(crate) fn view(&self) -> &View {
+    pub(crate) fn view(&self) -> &TileLookup {
         &self.view
     }
 
@@ -367,7 +367,7 @@ impl RayGrid {
 
     /// Bytes of memory that the tables take.
     pub fn bytes(&self) -> u64 {
-        let tree = if let View::Around(tree) = &self.view { tree.bytes() } else { 0 };
+        let tree = if let TileLookup::Around(tree) = &self.view { tree.bytes() } else { 0 };
         let own = size_of_val(&*self.rays) + size_of_val(&*self.tiles) + size_of_val(&*self.cones);
         (own + tree) as u64
     }

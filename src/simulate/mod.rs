@@ -5,7 +5,7 @@
 
 use crate::error::{Error, Result};
 use crate::estimate::moved;
-use crate::frame::{Frame, Motion, RangeNoise, Sensed};
+use crate::frame::{Frame, Measurement, Motion, RangeNoise};
 use crate::geometry::Pose;
 use crate::plan::{Images, Output, Outputs};
 use crate::predict::Predictor;
@@ -86,7 +86,7 @@ impl Simulator {
         let mut seen = Images::default();
         self.predictor.predict_images(world, &self.sensor, &world_from_sensor, outputs, &mut seen)?;
         let ranges = self.measure(&seen.range, &seen.cos_incidence);
-        let mut frame = Frame::new(stamp, self.sensor.clone(), Sensed::Range(ranges))?;
+        let mut frame = Frame::new(stamp, self.sensor.clone(), Measurement::Range(ranges))?;
         frame.motion = self.before.replace(*world_from_robot).map(|before| self.odometry(&before, world_from_robot));
         Ok(frame)
     }

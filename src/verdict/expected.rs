@@ -37,7 +37,7 @@ const NOTHING: ExpectedPixel = ExpectedPixel {
 
 /// A prediction, arranged for comparing it with what is sensed.
 #[derive(Clone, Debug)]
-pub struct Expected {
+pub struct ExpectedImage {
     pub(crate) sensor: Sensor,
     pub(crate) world_from_image: Pose,
     pub(crate) width: usize,
@@ -53,7 +53,7 @@ pub(crate) fn body_from_image(sensor: &Sensor) -> Pose {
     Pose { rotation, translation: DVec3::ZERO }
 }
 
-impl Expected {
+impl ExpectedImage {
     /// Predicts what a sensor should see at a pose (body axes), with the plane of each pixel's polygon.
     ///
     /// # Errors

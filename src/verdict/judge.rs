@@ -1,6 +1,6 @@
 //! The verdict of each pixel.
 
-use super::Expected;
+use super::ExpectedImage;
 use super::expected::body_from_image;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
@@ -105,7 +105,12 @@ const WIDEST: i64 = 16;
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] if frame and prediction have not the same size.
-pub fn judge(frame: &Frame, expected: &Expected, world_from_robot: &Pose, known: &Uncertainty) -> Result<Verdicts> {
+pub fn judge(
+    frame: &Frame,
+    expected: &ExpectedImage,
+    world_from_robot: &Pose,
+    known: &Uncertainty,
+) -> Result<Verdicts> {
     let sensor = frame.sensor();
     let (width, height) = (sensor.width() as usize, sensor.height() as usize);
     if (width, height) != (expected.width, expected.height) {
@@ -117,7 +122,7 @@ pub fn judge(frame: &Frame, expected: &Expected, world_from_robot: &Pose, known:
             "predict for the frame's own sensor",
         ));
     }
-    let judge = Judge::new(expected, sensor.spec().mount, world_from_robot, known);
+    let judge = PixelJudge::new(expected, sensor.spec().mount, world_from_robot, known);
     let mut pixels = Vec::with_capacity(width * height);
     let mut difference = Vec::with_capacity(width * height);
     for row in 0..height {
@@ -144,8 +149,8 @@ fn as_measured(z: f64, (least, most): (f64, f64)) -> f64 {
     }
 }
 
-struct Judge<'a> {
-    expected: &'a Expected,
+struct PixelJudge<'a> {
+    expected: &'a ExpectedImage,
     known: &'a Uncertainty,
     /// Rotation of rays and place of the sensor, in the expected image's frame.
     expected_from_now: Pose,
@@ -157,15 +162,15 @@ struct Judge<'a> {
 }
 
 /// What the window around a pixel holds.
-struct Window {
+struct PixelWindow {
     nearest: f64,
     farthest: f64,
     /// Some pixel of it has no prediction.
     open: bool,
 }
 
-impl<'a> Judge<'a> {
-    fn new(expected: &'a Expected, mount: Pose, world_from_robot: &Pose, known: &'a Uncertainty) -> Self {
+impl<'a> PixelJudge<'a> {
+    fn new(expected: &'a ExpectedImage, mount: Pose, world_from_robot: &Pose, known: &'a Uncertainty) -> Self {
         let expected_from_world = expected.world_from_image.inverse();
         let expected_from_now = expected_from_world * *world_from_robot * mount * body_from_image(&expected.sensor);
         let turn = crate::motion::turn(expected_from_world.rotation);
@@ -204,7 +209,7 @@ impl<'a> Judge<'a> {
         Some((range, (along * along + across * across + off / (cos * cos)).sqrt()))
     }
 
-    fn window(&self, column: usize, row: usize, ray: DVec3, z: f64) -> Window {
+    fn window(&self, column: usize, row: usize, ray: DVec3, z: f64) -> PixelWindow {
         let e = self.expected;
         let at = row * e.width + column;
         let range = if z.is_finite() { z } else { f64::from(e.pixels[at].range) };
@@ -214,7 +219,7 @@ impl<'a> Judge<'a> {
         let half = |spacing: f64| ((angle / spacing + 0.5).ceil() as i64).clamp(i64::from(spacing.is_finite()), WIDEST);
         let (hu, hv) = (half(e.spacing.0), half(e.spacing.1));
         let (hu, hv) = (hu.min(e.width as i64 - 1), hv.min(e.height as i64 - 1));
-        let mut window = Window { nearest: f64::INFINITY, farthest: f64::NEG_INFINITY, open: false };
+        let mut window = PixelWindow { nearest: f64::INFINITY, farthest: f64::NEG_INFINITY, open: false };
         for v in row as i64 - hv..=row as i64 + hv {
             for u in column as i64 - hu..=column as i64 + hu {
                 if u < 0 || v < 0 || u >= e.width as i64 || v >= e.height as i64 {

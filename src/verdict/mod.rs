@@ -1,12 +1,12 @@
 //! Verdicts: what a measured image says of the prediction, pixel by pixel.
 //!
-//! [`Expected`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`crate::frame::Frame`] with
+//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`crate::frame::Frame`] with
 //! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
 //!
 //! # Examples
 //! ```
-//! use presight::frame::{Frame, RangeNoise, Sensed};
-//! use presight::verdict::{Expected, Surfaces, Uncertainty, Verdict, judge};
+//! use presight::frame::{Frame, RangeNoise, Measurement};
+//! use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
 //! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, World};
 //! use std::sync::Arc;
 //!
@@ -20,11 +20,11 @@
 //! let scanner = presight::preset("laser-scanner")?; // 180 looks ahead
 //!
 //! let mut predictor = Predictor::new(Options::default())?;
-//! let expected = Expected::predict(&mut predictor, &world, &mut Surfaces::default(), &scanner, &Pose::IDENTITY)?;
+//! let expected = ExpectedImage::predict(&mut predictor, &world, &mut Surfaces::default(), &scanner, &Pose::IDENTITY)?;
 //! let mut ranges: Vec<f32> = expected.pixels().iter().map(|p| p.range).collect();
 //! ranges[180] = 1.0;
 //! ranges[170] += 0.5;
-//! let frame = Frame::new(0.0, scanner.clone(), Sensed::Range(ranges))?;
+//! let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(ranges))?;
 //! let known = Uncertainty { noise: RangeNoise::of(&scanner), pose: [[0.0; 6]; 6], polygons: 0.001 };
 //! let verdicts = judge(&frame, &expected, &Pose::IDENTITY, &known)?;
 //! assert_eq!(verdicts.pixels[180], Verdict::Nearer);
@@ -39,6 +39,6 @@ mod judge;
 mod surfaces;
 
 pub(crate) use expected::body_from_image;
-pub use expected::{Expected, ExpectedPixel};
+pub use expected::{ExpectedImage, ExpectedPixel};
 pub use judge::{Uncertainty, Verdict, Verdicts, judge};
 pub use surfaces::{Surface, Surfaces};

@@ -9,7 +9,7 @@
 //! meets the floor plane within the sensor's range; those that reach over the horizon are counted apart.
 
 use super::mask::{Mask, MaskRegion};
-use super::pixels::{Pixels, Surface};
+use super::pixels::{Pixels, VisiblePlane};
 use super::{Settings, View};
 use crate::error::Result;
 use crate::sensor::Geometry;
@@ -75,7 +75,7 @@ struct Floor {
 }
 
 impl Floor {
-    fn holds(&self, surface: &Surface) -> bool {
+    fn holds(&self, surface: &VisiblePlane) -> bool {
         let [low, high] = surface.heights;
         let level = low >= self.height - FLOOR_HEIGHT && high <= self.height + FLOOR_HEIGHT;
         // Normals point to the sensor's side: upward is seen from above.

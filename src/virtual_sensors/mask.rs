@@ -48,14 +48,14 @@ impl Serialize for Mask {
 
 /// A way along the side of a pixel, by its direction in the image (columns to the right, rows down).
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Way {
+enum PixelSide {
     Right,
     Up,
     Left,
     Down,
 }
 
-impl Way {
+impl PixelSide {
     fn step(self) -> (i64, i64) {
         match self {
             Self::Right => (1, 0),
@@ -169,9 +169,9 @@ impl Mask {
     /// Follows an outline from the top left corner of a pixel downward; `done` notes the left sides passed.
     fn outline(&self, pixel: (i64, i64), every_corner: bool, done: &mut [bool]) -> Vec<(u32, u32)> {
         let mut corners = Vec::new();
-        let (mut at, mut way) = (pixel, Way::Down);
+        let (mut at, mut way) = (pixel, PixelSide::Down);
         loop {
-            if way == Way::Down {
+            if way == PixelSide::Down {
                 done[at.1 as usize * self.width as usize + at.0 as usize] = true;
             }
             let (dx, dy) = way.step();
@@ -186,7 +186,7 @@ impl Mask {
                 corners.push((at.0 as u32, at.1 as u32));
             }
             way = next;
-            if at == pixel && way == Way::Down {
+            if at == pixel && way == PixelSide::Down {
                 // The corner it began at comes first.
                 corners.rotate_right(1);
                 return corners;

@@ -14,7 +14,7 @@ pub const PARALLEL: f64 = 0.999_961_923_064_171_3;
 
 /// The plane of a polygon as the sensor has it in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Surface {
+pub struct VisiblePlane {
     pub object: u32,
     /// Unit normal in the sensor's body axes, on the sensor's side.
     pub normal: DVec3,
@@ -38,9 +38,9 @@ pub struct Pixels<'a> {
     pub up: DVec3,
     body_from_image: DMat3,
     polygons: Option<PolygonsOfIds<'a>>,
-    surfaces: HashMap<(u32, u32), Option<Surface>>,
+    surfaces: HashMap<(u32, u32), Option<VisiblePlane>>,
     /// Neighbouring pixels mostly show the same polygon.
-    last: Option<(u32, Option<Surface>)>,
+    last: Option<(u32, Option<VisiblePlane>)>,
     view: View<'a>,
 }
 
@@ -108,7 +108,7 @@ impl<'a> Pixels<'a> {
     }
 
     /// The surface that a pixel measures: something seen, within the sensor's range limits.
-    pub fn surface(&mut self, column: u32, row: u32) -> Option<Surface> {
+    pub fn surface(&mut self, column: u32, row: u32) -> Option<VisiblePlane> {
         let at = self.at(column, row);
         if self.polygon_id.is_empty() || !self.range[at].is_finite() {
             return None;
@@ -130,7 +130,7 @@ impl<'a> Pixels<'a> {
         surface
     }
 
-    fn make(&self, (object, polygon): (u32, u32)) -> Option<Surface> {
+    fn make(&self, (object, polygon): (u32, u32)) -> Option<VisiblePlane> {
         let slot = self.objects[object as usize].first_slot + polygon;
         let sensor_from_world = self.world_from_sensor.rotation.conjugate();
         // Differences to the sensor come first: at 5,000,000 m from the origin no digit is lost.
@@ -140,11 +140,11 @@ impl<'a> Pixels<'a> {
         let plane = plane_of_polygon(&relative)?;
         let side = if plane.offset > 0.0 { -1.0 } else { 1.0 };
         let normal = sensor_from_world * (side * plane.normal);
-        Some(Surface { object, normal, distance: plane.offset.abs(), heights })
+        Some(VisiblePlane { object, normal, distance: plane.offset.abs(), heights })
     }
 
     /// The place that a pixel shows of its surface, body axes, exact in f64.
-    pub fn hit(&self, column: u32, row: u32, surface: &Surface) -> Option<DVec3> {
+    pub fn hit(&self, column: u32, row: u32, surface: &VisiblePlane) -> Option<DVec3> {
         let ray = self.ray(column, row)?;
         let range = -surface.distance / surface.normal.dot(ray);
         range.is_finite().then(|| ray * range)

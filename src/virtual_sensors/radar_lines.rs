@@ -4,7 +4,7 @@
 //! another within [`COLLINEAR`]. A segment ends at the hits of its first and last beam: as far as the sensor can say, which
 //! is up to a beam short of the surface's own end. One beam alone gives no segment and is counted.
 
-use super::pixels::{PARALLEL, Pixels, Surface};
+use super::pixels::{PARALLEL, Pixels, VisiblePlane};
 use super::{View, scan_row};
 use crate::error::Result;
 use crate::sensor::Geometry;
@@ -111,7 +111,7 @@ pub(super) fn reduce(view: &View<'_>) -> Result<RadarLines> {
 }
 
 /// What one beam sees of a polygon: a run of one.
-fn beam(pixels: &Pixels<'_>, column: u32, row: u32, surface: &Surface) -> Option<Run> {
+fn beam(pixels: &Pixels<'_>, column: u32, row: u32, surface: &VisiblePlane) -> Option<Run> {
     let at = pixels.hit(column, row, surface)?;
     // A surface that lies in the scan plane is cut in no line.
     let normal = DVec3::new(surface.normal.x, surface.normal.y, 0.0).try_normalize()?;

@@ -4,7 +4,7 @@
 //! seam of a full circle too) belong together if they show the same polygon, or polygons in one plane within [`COPLANAR`].
 
 use super::View;
-use super::pixels::{PARALLEL, Pixels, Surface};
+use super::pixels::{PARALLEL, Pixels, VisiblePlane};
 use crate::error::Result;
 use glam::DVec3;
 use serde::Serialize;
@@ -57,7 +57,7 @@ impl VerticalPlanes {
 /// What is gathered of a region.
 struct Region {
     /// Of its first pixel: what the others are compared with.
-    surface: Surface,
+    surface: VisiblePlane,
     pixels: usize,
     sum: DVec3,
     low: [f64; 2],
@@ -72,7 +72,7 @@ pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
     let (width, height) = (image.sensor.width(), image.sensor.height());
     let least = VERTICAL.sin();
     let up = image.up;
-    let mut pixels: Vec<Option<Surface>> = Vec::with_capacity(image.count());
+    let mut pixels: Vec<Option<VisiblePlane>> = Vec::with_capacity(image.count());
     for row in 0..height {
         for column in 0..width {
             pixels.push(image.surface(column, row).filter(|s| s.normal.dot(up).abs() <= least));
@@ -97,7 +97,7 @@ pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
             region.add(&image, (column, row), &surface);
             for (c, r) in beside(column, row) {
                 let at = image.at(c, r);
-                let joins = |s: &Surface| image.hit(c, r, s).is_some_and(|p| in_one_plane(&region.surface, s, p));
+                let joins = |s: &VisiblePlane| image.hit(c, r, s).is_some_and(|p| in_one_plane(&region.surface, s, p));
                 if let Some(surface) = pixels[at].filter(joins) {
                     pixels[at] = None;
                     open.push((c, r, surface));
@@ -111,13 +111,13 @@ pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
 }
 
 /// True if what is seen of a surface at p is in the plane of another.
-fn in_one_plane(plane: &Surface, other: &Surface, p: DVec3) -> bool {
+fn in_one_plane(plane: &VisiblePlane, other: &VisiblePlane, p: DVec3) -> bool {
     plane == other
         || plane.normal.dot(other.normal) >= PARALLEL && (plane.normal.dot(p) + plane.distance).abs() <= COPLANAR
 }
 
 impl Region {
-    fn new(surface: Surface) -> Self {
+    fn new(surface: VisiblePlane) -> Self {
         let (low, high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         let bounds = [u32::MAX, u32::MAX, 0, 0];
         Self { surface, pixels: 0, sum: DVec3::ZERO, low, high, area: 0.0, bounds, objects: Vec::new() }
@@ -129,7 +129,7 @@ impl Region {
         [across, self.surface.normal.cross(across)]
     }
 
-    fn add(&mut self, image: &Pixels<'_>, (column, row): (u32, u32), surface: &Surface) {
+    fn add(&mut self, image: &Pixels<'_>, (column, row): (u32, u32), surface: &VisiblePlane) {
         let Some(p) = image.hit(column, row, surface) else { return };
         self.pixels += 1;
         self.sum += p;

@@ -1,6 +1,6 @@
 //! What virtual sensors reduce: a predicted image, or a measured one.
 
-use crate::deadline::GivenUp;
+use crate::deadline::Degradation;
 use crate::environment::Environment;
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
@@ -38,7 +38,7 @@ pub struct View<'a> {
     /// What is seen of features, for tasks that need them ([`super::VirtualSensor::needs_features`]).
     pub features: Option<&'a FeaturePrediction>,
     /// What was given up for a deadline: where the range is then NaN although there is a ray, nothing is known.
-    pub given_up: Option<&'a GivenUp>,
+    pub given_up: Option<&'a Degradation>,
 }
 
 /// What the pixels of a view show.

@@ -19,7 +19,7 @@ impl World {
         let mut undo = vec![Change::DeleteObject { name: name.clone() }];
         if frame.is_some() || environment.has_below(&name) {
             // Deleting it again would leave its own pose as the frame of what is below.
-            undo.push(Change::SetGroup { name, world_from_group: frame });
+            undo.push(Change::SetFrame { name, world_from_group: frame });
         }
         Ok(Change::of(undo))
     }
@@ -40,10 +40,10 @@ impl World {
         Ok(Change::SetPose { name, world_from_object: before })
     }
 
-    pub(super) fn set_group(&mut self, name: String, world_from_group: Option<Pose>) -> Result<Change> {
-        let world_from_group = Arc::make_mut(&mut self.environment).set_group(&name, world_from_group)?;
+    pub(super) fn set_frame(&mut self, name: String, world_from_group: Option<Pose>) -> Result<Change> {
+        let world_from_group = Arc::make_mut(&mut self.environment).set_frame(&name, world_from_group)?;
         self.note(|_| Revert::Frame { path: name.clone(), frame: world_from_group });
-        Ok(Change::SetGroup { name, world_from_group })
+        Ok(Change::SetFrame { name, world_from_group })
     }
 
     /// Moves an object or a group, and what is below, by one rigid motion.
@@ -72,7 +72,7 @@ impl World {
         }
         for (name, pose) in groups {
             let world_from_group = self.keep_frame(name.clone(), pose);
-            undo.push(Change::SetGroup { name, world_from_group });
+            undo.push(Change::SetFrame { name, world_from_group });
         }
         Ok(Change::of(undo))
     }
@@ -94,7 +94,7 @@ impl World {
             undo.push(self.delete_object(name)?);
         }
         for name in groups.into_iter().filter(|name| self.environment.group(name).is_some()).collect::<Vec<_>>() {
-            undo.push(self.set_group(name, None)?);
+            undo.push(self.set_frame(name, None)?);
         }
         undo.reverse();
         Ok(Change::of(undo))

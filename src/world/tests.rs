@@ -77,8 +77,8 @@ fn hall() -> World {
     for (name, x) in [("hall/door/leaf", 5.0), ("hall/door/frame/post", 6.0), ("hall/exit", 7.0), ("hall door", 8.0)] {
         environment.insert(NewObject::new(name, at(x, 0.2), mesh.clone())).unwrap();
     }
-    environment.set_group("hall", Some(at(1.0, 0.3))).unwrap();
-    environment.set_group("hall/door/frame", Some(at(6.0, 0.4))).unwrap();
+    environment.set_frame("hall", Some(at(1.0, 0.3))).unwrap();
+    environment.set_frame("hall/door/frame", Some(at(6.0, 0.4))).unwrap();
     World::new(environment)
 }
 
@@ -131,7 +131,7 @@ fn an_object_moves_groups_below_it() {
     let mesh = world.environment().objects()[0].mesh.clone();
     let new = NewObject::new("cart/arm/hand", at(4.0, 0.0), mesh);
     world.apply(Change::InsertObject(new)).unwrap();
-    let frame = Change::SetGroup { name: "cart/arm".into(), world_from_group: Some(at(4.0, 1.0)) };
+    let frame = Change::SetFrame { name: "cart/arm".into(), world_from_group: Some(at(4.0, 1.0)) };
     there_and_back(&mut world, frame.clone());
     world.apply(frame).unwrap();
     let to = Pose::from_xyz_rpy(DVec3::new(-3.0, 1.0, 2.0), 0.3, 0.2, 1.1);
@@ -245,9 +245,9 @@ fn impossible_changes_are_refused() {
         Change::SetPose { name: "cart".into(), world_from_object: far },
         Change::MoveObject { name: "hall".into(), world_from_object: far },
         Change::DeleteObject { name: "hall/do".into() },
-        Change::SetGroup { name: "cart".into(), world_from_group: Some(Pose::IDENTITY) },
-        Change::SetGroup { name: "hall".into(), world_from_group: Some(nan) },
-        Change::SetGroup { name: String::new(), world_from_group: Some(Pose::IDENTITY) },
+        Change::SetFrame { name: "cart".into(), world_from_group: Some(Pose::IDENTITY) },
+        Change::SetFrame { name: "hall".into(), world_from_group: Some(nan) },
+        Change::SetFrame { name: String::new(), world_from_group: Some(Pose::IDENTITY) },
         insert(0, None),
         insert(1, Some("door")),
         Change::SetFeature { class: "video".into(), feature: point(1, None) },
@@ -301,7 +301,7 @@ fn a_group_that_fails_leaves_no_trace() {
             Change::SetTolerance { class: class(), tolerance: 0.5 },
             Change::SetPoseCovariance { class: class(), object: "hall/exit".into(), covariance: None },
             Change::SetPoseCovariance { class: "laser".into(), object: "cart".into(), covariance },
-            Change::SetGroup { name: "hall/door".into(), world_from_group: Some(at(2.0, 0.0)) },
+            Change::SetFrame { name: "hall/door".into(), world_from_group: Some(at(2.0, 0.0)) },
             Change::DeleteFeature { class: class(), id: 3 },
             Change::DeleteObject { name: "hall".into() },
             Change::DeleteObject { name: "cart".into() },

@@ -6,7 +6,7 @@ use common::scenes;
 use glam::{DMat3, DQuat, DVec3};
 use presight::engine::EngineKind;
 use presight::environment::FeatureShape;
-use presight::features::roi::{Uncertain, Viewpoint};
+use presight::features::roi::{FeatureErrorModel, Viewpoint};
 use presight::features::{
     BoxOptions, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place, predict_features,
 };
@@ -53,7 +53,8 @@ struct Scene {
 fn scene() -> Scene {
     let (world, sensor) = (scenes::room_world(5, 3), scenes::camera(24, 18));
     let images = common::reference(&common::plan(&world, &sensor, &Pose::IDENTITY));
-    let layer = presight::acquire::features::generate(world.environment(), "video", &Default::default()).unwrap().layer;
+    let layer =
+        presight::features::generate::generate(world.environment(), "video", &Default::default()).unwrap().layer;
     let placed = place(&world, &layer).unwrap();
     assert!(placed.len() > 10);
     Scene { world, sensor, images, placed }
@@ -104,8 +105,8 @@ fn plans_and_regions_refuse_it() {
         refused("Region::segment", what, said, Region::segment(&pose, 0.0, 1.0, (-0.1, 0.1), 5.0));
         refused("Viewpoint::new", what, said, Viewpoint::new(&pose, &covariance));
         let good = Pose::IDENTITY;
-        refused("Uncertain::new", what, said, Uncertain::new(&pose, &covariance, &good, None, &shape));
-        refused("Uncertain::new", what, said, Uncertain::new(&good, &covariance, &pose, None, &shape));
+        refused("Uncertain::new", what, said, FeatureErrorModel::new(&pose, &covariance, &good, None, &shape));
+        refused("Uncertain::new", what, said, FeatureErrorModel::new(&good, &covariance, &pose, None, &shape));
     }
 }
 

@@ -109,7 +109,7 @@ fn the_gpu_engine_makes_its_single_predictions() {
     );
     let asked = Request::default();
     let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses(1)[0]);
-    let sensed = presight::batch::Sensed::new(&sensor, range, Default::default()).unwrap();
+    let sensed = presight::batch::RangeLikelihood::new(&sensor, range, Default::default()).unwrap();
     let request =
         BatchRequest { images: Some((&asked).into()), likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let items: Vec<_> = gpu.batch(&world, &sensor, poses(5), &request).unwrap().map(|item| item.unwrap()).collect();

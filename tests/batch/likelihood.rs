@@ -2,7 +2,7 @@
 
 use super::{common, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
-use presight::batch::{BatchRequest, PoseCell, Sensed};
+use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
 use presight::{ErrorKind, Mixture, Noise, Pose, Sensor, SensorSpec, World};
 
 fn noises() -> [Noise; 3] {
@@ -46,7 +46,7 @@ fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
         let cell = if s % 2 == 0 { PoseCell::default() } else { PoseCell { side: 0.1, turn: 0.01 } };
         let mut engine = predictor(2);
         let sensed = disturbed(&mut random, sensor.spec(), &single(&mut engine, world, &sensor, &poses[0]).0);
-        let likelihood = Some(Sensed::new(&sensor, sensed.clone(), cell).unwrap());
+        let likelihood = Some(RangeLikelihood::new(&sensor, sensed.clone(), cell).unwrap());
         let request = BatchRequest { likelihood, ..BatchRequest::default() };
         let items: Vec<_> = predictor(2).batch(world, &sensor, poses.to_vec(), &request).unwrap().collect();
         assert_eq!(items.len(), poses.len());
@@ -102,7 +102,7 @@ fn one_beam_by_hand() {
     spec.noise = Noise { range_sigma: 0.1, ..Noise::default() };
     let sensor = Sensor::new(spec).unwrap();
     let weigh = |sensed: f32, range: f32| {
-        let sensed = Sensed::new(&sensor, vec![sensed], PoseCell::default()).unwrap();
+        let sensed = RangeLikelihood::new(&sensor, vec![sensed], PoseCell::default()).unwrap();
         sensed.log_likelihood(&[range], &[1.0]).exp()
     };
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a}, by hand {b}");
@@ -130,7 +130,7 @@ fn what_cannot_be_weighed_is_refused() {
     let plain = presight::preset("laser-scanner").unwrap();
     let sensor = noisy(&plain, noises()[0]);
     let refused = |sensor: &Sensor, range: Vec<f32>, cell: PoseCell| {
-        let e = Sensed::new(sensor, range, cell).unwrap_err();
+        let e = RangeLikelihood::new(sensor, range, cell).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && !e.remedy().is_empty(), "{e}");
         e.to_string()
     };
@@ -145,7 +145,7 @@ fn what_cannot_be_weighed_is_refused() {
     let endless = Sensor::new(SensorSpec { range_max: f64::INFINITY, ..sensor.spec().clone() }).unwrap();
     assert!(refused(&endless, vec![1.0; 361], cell).contains("finite range_max"));
 
-    let sensed = Sensed::new(&sensor, vec![1.0; 361], cell).unwrap();
+    let sensed = RangeLikelihood::new(&sensor, vec![1.0; 361], cell).unwrap();
     let world = World::new(presight::Environment::new());
     let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
     let e = predictor(1).batch(&world, &plain, [Pose::IDENTITY], &request).err().unwrap();

@@ -3,7 +3,7 @@
 use crate::common::scenes::{all_round, camera, fisheye, lens, room_world, scanner};
 use crate::common::{Random, data, env_number, plan};
 use crate::ticks::Ticks;
-use presight::cpu::Engine;
+use presight::cpu::CpuEngine;
 use presight::deadline::Watch;
 use presight::{Images, Output, Pose, Sensor, Stats, World};
 use std::sync::Arc;
@@ -58,7 +58,7 @@ struct Subject<'a> {
 
 impl Subject<'_> {
     /// The images, stopped after so many looks at the clock; and how many looks there were.
-    fn render(&self, engine: &mut Engine, looks: u64) -> (Images, Stats, u64) {
+    fn render(&self, engine: &mut CpuEngine, looks: u64) -> (Images, Stats, u64) {
         let clock = Arc::new(Ticks::default());
         let mut plan = plan(self.world, self.sensor, &self.pose);
         plan.set_watch(Watch::start(clock.clone(), Duration::from_micros(looks)));
@@ -67,7 +67,7 @@ impl Subject<'_> {
         (images, stats, clock.looks())
     }
 
-    fn full(&self, engine: &mut Engine) -> Images {
+    fn full(&self, engine: &mut CpuEngine) -> Images {
         let mut images = Images::default();
         engine.render(&plan(self.world, self.sensor, &self.pose), &mut images, &mut Stats::default()).unwrap();
         images
@@ -82,10 +82,10 @@ struct Tally {
 }
 
 /// Stops some frames at random.
-fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut Engine, tally: &mut Tally) {
+fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut CpuEngine, tally: &mut Tally) {
     let full = subject.full(engine);
     let (all, stats, looks) = subject.render(engine, u64::MAX / 2000);
-    assert_eq!(stats.given_up(), None);
+    assert_eq!(stats.degradation(), None);
     let name = &subject.sensor.spec().name;
     assert_eq!(
         judge(&full, &all, f64::INFINITY),
@@ -95,7 +95,7 @@ fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut 
         // The first one has no time at all.
         let stop = if frame == 0 { 0 } else { 1 + random.below(looks as usize) as u64 };
         let (partial, stats, _) = subject.render(engine, stop);
-        let given_up = stats.given_up();
+        let given_up = stats.degradation();
         let verdict = judge(&full, &partial, given_up.map_or(f64::INFINITY, |g| g.complete_to));
         assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, stopped after {stop} of {looks} looks");
         // What is not there is counted, and what is counted is not there. Samples that see nothing in the full image are, too.
@@ -114,7 +114,7 @@ fn what_is_final_is_the_full_predictions_to_the_bit() {
     for seed in 0..2 {
         let world = room_world(seed, 700);
         for threads in [1, 2] {
-            let mut engine = Engine::new(threads).unwrap();
+            let mut engine = CpuEngine::new(threads).unwrap();
             for sensor in sensors() {
                 let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
                 hold(&subject, &mut random, frames, &mut engine, &mut tally);
@@ -136,7 +136,7 @@ fn what_is_final_in_buildings_is_the_full_predictions_to_the_bit() {
     let frames = env_number("SCENE_FRAMES", 3) as usize;
     for name in ["hospital", "factory_hall", "office_willowgarage"] {
         let Some(world) = data::scene(name, true) else { return };
-        let mut engine = Engine::new(2).unwrap();
+        let mut engine = CpuEngine::new(2).unwrap();
         let mut tally = Tally::default();
         for (pose, turn) in data::poses(&world, 2.max(frames / 8), 5).into_iter().zip(0..) {
             for sensor in data::presets_at(turn, 0, 3).iter().chain(&[lens(160, 120), all_round(180, 60)]) {
@@ -156,10 +156,10 @@ fn what_is_final_in_buildings_is_the_full_predictions_to_the_bit() {
 fn infinity_for_what_was_left_out_is_caught() {
     let (world, sensor) = (room_world(3, 700), camera(96, 64));
     let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
-    let mut engine = Engine::new(1).unwrap();
+    let mut engine = CpuEngine::new(1).unwrap();
     let full = subject.full(&mut engine);
     let (mut partial, stats, _) = subject.render(&mut engine, 6);
-    let given_up = stats.given_up().expect("six looks are too few").clone();
+    let given_up = stats.degradation().expect("six looks are too few").clone();
     assert_eq!(judge(&full, &partial, given_up.complete_to).wrong, 0);
     let seen = full.range.iter().filter(|range| range.is_finite()).count();
     for range in partial.range.iter_mut().filter(|range| range.is_nan()) {

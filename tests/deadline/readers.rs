@@ -2,7 +2,7 @@
 
 use crate::common::scenes::{camera, cuboid, empty, scanner};
 use glam::{DMat3, DVec3, Vec3};
-use presight::deadline::{GivenUp, Kept};
+use presight::deadline::{DeadlineOutcome, Degradation};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{FeatureSettings, PlacedFeature, Reason, predict_features};
 use presight::virtual_sensors::{Answer, FreeFloor, Nearest, Settings, View, VirtualSensor};
@@ -47,8 +47,8 @@ fn given_up_beyond(mut prediction: Prediction, complete_to: f64) -> Prediction {
             samples += 1;
         }
     }
-    let given_up = Some(GivenUp { complete_to, samples, means: Vec::new() });
-    prediction.stats.deadline = Some(Kept { given_up, ..Kept::default() });
+    let given_up = Some(Degradation { complete_to, samples, means: Vec::new() });
+    prediction.stats.deadline = Some(DeadlineOutcome { given_up, ..DeadlineOutcome::default() });
     prediction
 }
 

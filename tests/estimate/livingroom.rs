@@ -34,7 +34,7 @@ fn frame(folder: &str, k: usize, range_sigma: f64) -> Frame {
     let path = presight_testkit::data::file(&format!("rgbd/livingroom/{folder}/{k:05}.png")).unwrap();
     let depth = image::open(Path::new(&path)).unwrap().into_luma16();
     let metres = |mm: &u16| if *mm == 0 { f32::NAN } else { f32::from(*mm) * 1e-3 };
-    let sensed = Sensed::DepthZ(depth.as_raw().iter().map(metres).collect());
+    let sensed = Measurement::DepthZ(depth.as_raw().iter().map(metres).collect());
     Frame::new(0.0, Sensor::new(spec).unwrap(), sensed).unwrap().thinned(4).unwrap()
 }
 

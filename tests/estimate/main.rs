@@ -9,7 +9,7 @@ mod verdicts;
 
 use glam::{DVec3, Vec3};
 use presight::estimate::{EstimateOptions, Estimator, moved};
-use presight::frame::{Frame, Sensed};
+use presight::frame::{Frame, Measurement};
 use presight::{
     Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose,
     Predictor, Request, Scanner, Sensor, SensorSpec, World,
@@ -89,7 +89,7 @@ pub fn sense(world: &World, sensor: &Sensor, pose: &Pose, random: &mut Random) -
     let seen = predictor().predict(world, sensor, pose, &Request::default()).unwrap();
     let sigma = sensor.spec().noise.range_sigma;
     let noisy = |r: &f32| (f64::from(*r) + sigma * normal(random)) as f32;
-    Frame::new(0.0, sensor.clone(), Sensed::Range(seen.images.range.iter().map(noisy).collect())).unwrap()
+    Frame::new(0.0, sensor.clone(), Measurement::Range(seen.images.range.iter().map(noisy).collect())).unwrap()
 }
 
 /// A pose off by so many metres and degrees, in any direction.

@@ -3,7 +3,7 @@
 use super::*;
 use presight::estimate::{Freedom, Gate, Kernel, Prior, RangeSource, Residuals, measured_points, motion_between};
 use presight::frame::RangeNoise;
-use presight::verdict::{Expected, Surfaces};
+use presight::verdict::{ExpectedImage, Surfaces};
 use presight::{ErrorKind, RayTable};
 
 fn exact() -> EstimateOptions {
@@ -24,7 +24,7 @@ fn a_corner_of_three_planes() {
         let mut spec =
             SensorSpec::new("ray", "laser", Geometry::Rays(RayTable::new(2, 1, vec![along, aside]).unwrap()));
         spec.noise.range_sigma = 0.01;
-        Frame::new(0.0, Sensor::new(spec).unwrap(), Sensed::Range(vec![range, f32::NAN])).unwrap()
+        Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![range, f32::NAN])).unwrap()
     };
     // The robot stands at (2.02, 1.97, 1.01): 3.98 m before the wall x = 6, 2.03 m before y = 4, 1.01 m above the floor.
     let frames = [ray(DVec3::X, 3.98), ray(DVec3::Y, 2.03), ray(DVec3::NEG_Z, 1.01)];
@@ -73,13 +73,14 @@ fn jacobians_are_those_of_differences() {
         let at = DVec3::new(random.uniform(0.5, 1.8), random.uniform(1.8, 3.5), random.uniform(0.9, 2.0));
         let robot = Pose::from_xyz_rpy(at, 0.1, -0.1, random.uniform(-3.0, 3.0));
         let expected =
-            Expected::predict(&mut predictor(), &world, &mut Surfaces::default(), &sensor, &(robot * mount)).unwrap();
+            ExpectedImage::predict(&mut predictor(), &world, &mut Surfaces::default(), &sensor, &(robot * mount))
+                .unwrap();
         let pixel = expected.pixels()[0];
         if !pixel.range.is_finite() || expected.pixels()[1].group != pixel.group {
             continue;
         }
         let range = pixel.range + 0.004;
-        let frame = Frame::new(0.0, sensor.clone(), Sensed::Range(vec![range, f32::NAN])).unwrap();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![range, f32::NAN])).unwrap();
         let points = measured_points(&frame);
         let source = RangeSource::new(&expected, &points, RangeNoise::of(&sensor));
         let gate = Gate { translation: 0.01, rotation: 0.0, kernel: Kernel::Wide, points: usize::MAX, finally: true };

@@ -87,7 +87,7 @@ fn a_blind_sensor_keeps_the_prior() {
     let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.4, 1.4), 0.0, 0.25, -0.2);
     let prior = Prior::of_sigmas(pose, 0.1, 0.05);
     for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0] {
-        let frame = Frame::new(0.0, sensor.clone(), Sensed::Range(vec![value; 80 * 60])).unwrap();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![value; 80 * 60])).unwrap();
         let answer = estimator(EstimateOptions::default()).estimate(&world, &[&frame], &prior).unwrap();
         assert!(!answer.is_determined());
         assert_eq!((answer.pose, answer.covariance), (pose, prior.covariance));

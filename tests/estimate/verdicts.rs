@@ -2,17 +2,17 @@
 
 use super::*;
 use presight::frame::RangeNoise;
-use presight::verdict::{Expected, Surfaces, Uncertainty, Verdict, Verdicts, judge};
+use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, Verdicts, judge};
 
 const POSE_SIGMA: f64 = 1e-3;
 
 /// Verdicts on what a real room shows, against the model of another.
-fn verdicts(real: &World, noise: f64, polygons: f64) -> (Verdicts, Expected) {
+fn verdicts(real: &World, noise: f64, polygons: f64) -> (Verdicts, ExpectedImage) {
     let sensor = camera(0.005);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 1.8, 1.4), 0.0, 0.3, -0.2);
     let frame = sense(real, &sensor, &pose, &mut Random(7));
     let model = room(Vec3::ZERO);
-    let expected = Expected::predict(&mut predictor(), &model, &mut Surfaces::default(), &sensor, &pose).unwrap();
+    let expected = ExpectedImage::predict(&mut predictor(), &model, &mut Surfaces::default(), &sensor, &pose).unwrap();
     let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { POSE_SIGMA.powi(2) } else { 0.0 }));
     let noise = RangeNoise { sigma: noise, ..RangeNoise::of(&sensor) };
     let known = Uncertainty { noise, pose: covariance, polygons };
@@ -65,15 +65,15 @@ fn values_that_are_no_ranges_have_their_verdicts() {
     let sensor = camera(0.005);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 1.8, 1.4), 0.0, 0.3, -0.2);
     let expected =
-        Expected::predict(&mut predictor(), &room(Vec3::ZERO), &mut Surfaces::default(), &sensor, &pose).unwrap();
+        ExpectedImage::predict(&mut predictor(), &room(Vec3::ZERO), &mut Surfaces::default(), &sensor, &pose).unwrap();
     let known = Uncertainty { noise: RangeNoise::of(&sensor), pose: [[0.0; 6]; 6], polygons: 0.0 };
     for (value, verdict) in
         [(f32::NAN, Verdict::NoReturn), (f32::INFINITY, Verdict::Farther), (f32::NEG_INFINITY, Verdict::Nearer)]
     {
-        let frame = Frame::new(0.0, sensor.clone(), Sensed::Range(vec![value; 4800])).unwrap();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![value; 4800])).unwrap();
         let verdicts = judge(&frame, &expected, &pose, &known).unwrap();
         assert_eq!(verdicts.share(verdict), 1.0, "{value}: {:?}", verdicts.counts());
     }
-    let small = Frame::new(0.0, sensor.clone(), Sensed::Range(vec![1.0; 4800])).unwrap().thinned(2).unwrap();
+    let small = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![1.0; 4800])).unwrap().thinned(2).unwrap();
     assert!(judge(&small, &expected, &pose, &known).is_err());
 }

@@ -197,17 +197,17 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
         assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")));
     };
     plain(&mut predictor);
-    let before = testing::made(predictor.engine()).unwrap();
+    let before = testing::allocations(predictor.engine()).unwrap();
     plain(&mut predictor);
     let nothing = request().with_features(FeatureOptions::default().with_placed(Vec::new()));
     let none = predictor.predict(&world, &sensors[0], &pose(0), &nothing).unwrap().features.unwrap();
     assert!(none.features.is_empty() && none.stats == FeatureStats::default());
-    assert_eq!(testing::made(predictor.engine()).unwrap(), before, "without features");
+    assert_eq!(testing::allocations(predictor.engine()).unwrap(), before, "without features");
     let round = |predictor: &mut Predictor| {
         for i in 0..4 {
             on_device(predictor, &world, &sensors[i % 2], &pose(i), &placed);
         }
-        testing::made(predictor.engine()).unwrap()
+        testing::allocations(predictor.engine()).unwrap()
     };
     let first = round(&mut predictor);
     assert!(first.pipelines > before.pipelines && first.buffers > before.buffers);

@@ -9,7 +9,7 @@ use common::data;
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{FeatureSettings, PlacedFeature, Visibility, predict_features};
-use presight::index::{Found, Region, polygon_meets};
+use presight::index::{QueryResult, Region, polygon_meets};
 use presight::{Aabb, Camera, Geometry, Pose, Sensor, SensorSpec, World};
 use serde_json::Value;
 
@@ -38,7 +38,7 @@ fn pose(view: &Value, sensor: &Sensor) -> Pose {
 /// A vertex on all polygons within a few millimetres of it.
 fn placed(world: &World, id: u32, at: DVec3) -> PlacedFeature {
     let around = Region::cuboid(&Aabb { min: at - 1e-3, max: at + 1e-3 });
-    let mut found = Found::default();
+    let mut found = QueryResult::default();
     world.index().query(world.environment(), &around, &mut found);
     let on = |slot: &u32| world.environment().polygon_in_world(*slot).is_some_and(|c| polygon_meets(&around, &c));
     let shape = FeatureShape::Point { at, covariance: DMat3::ZERO };

@@ -12,13 +12,13 @@ use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
     BoxOptions, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place, predict_features,
 };
-use presight::gpu::{DeviceOptions, Engine, testing};
+use presight::gpu::{DeviceOptions, GpuEngine, testing};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Pose, Sensor, World, preset};
 
 const TOLERANCE: f64 = 1.0 / 16.0;
 
-fn engine() -> Option<Engine> {
+fn engine() -> Option<GpuEngine> {
     match testing::open(DeviceOptions::default(), testing::Setup::ALL_ON_DEVICE) {
         Ok(engine) => Some(engine),
         Err(e) => {
@@ -50,7 +50,7 @@ impl Setting<'_> {
         prediction
     }
 
-    fn on_device(&self, engine: &mut Engine, options: &BoxOptions) -> (FeaturePrediction, usize) {
+    fn on_device(&self, engine: &mut GpuEngine, options: &BoxOptions) -> (FeaturePrediction, usize) {
         let mut prediction = self.prediction.clone();
         let made =
             engine.add_boxes(&mut prediction, &self.placed, self.world, self.sensor, &self.pose, options).unwrap();
@@ -116,7 +116,7 @@ fn compare(twin: &FeaturePrediction, device: &FeaturePrediction) -> Agreement {
 }
 
 /// Both ways, and how many boxes the device made.
-fn check(name: &str, engine: &mut Engine, setting: &Setting<'_>) -> usize {
+fn check(name: &str, engine: &mut GpuEngine, setting: &Setting<'_>) -> usize {
     let twin = setting.twin(&setting.options, &setting.placed);
     let (device, made) = setting.on_device(engine, &setting.options);
     let found = compare(&twin, &device);
@@ -253,14 +253,14 @@ fn boxes_are_those_of_the_twin_in_real_scenes() {
     for name in ["factory_hall", "hospital"] {
         let Some(world) = data::scene(name, true) else { continue };
         let generated =
-            presight::acquire::features::generate(world.environment(), "video", &Default::default()).unwrap();
+            presight::features::generate::generate(world.environment(), "video", &Default::default()).unwrap();
         let placed = place(&world, &generated.layer).unwrap();
         let mut made = 0;
         for pose in data::poses(&world, 1, 5) {
             for name in ["video-camera", "microwave-radar-image"] {
                 let sensor = preset(name).unwrap();
                 let mut images = presight::Images::default();
-                let mut cpu = presight::cpu::Engine::new(1).unwrap();
+                let mut cpu = presight::cpu::CpuEngine::new(1).unwrap();
                 cpu.render(&common::plan(&world, &sensor, &pose), &mut images, &mut presight::Stats::default())
                     .unwrap();
                 let options = FeatureSettings::default();
@@ -313,7 +313,7 @@ fn boxes_of_the_second_frame_make_nothing() {
     let prediction = all_seen(&placed);
     let setting = Setting { world: &world, sensor: &sensor, pose, placed, prediction, options };
     let first = setting.on_device(&mut engine, &setting.options);
-    let made = engine.made();
+    let made = engine.allocations();
     assert_eq!(setting.on_device(&mut engine, &setting.options), first);
-    assert_eq!(engine.made(), made);
+    assert_eq!(engine.allocations(), made);
 }

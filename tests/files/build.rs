@@ -1,7 +1,7 @@
 //! Makes glTF files.
 
-use presight::acquire::Imported;
 use presight::io::gltf::{ImportOptions, import};
+use presight::preparation::ImportedScene;
 use presight::{Error, Object, Threads};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -114,11 +114,11 @@ impl Gltf {
     }
 
     /// Imports without merging.
-    pub fn import(&self) -> Result<Imported, Error> {
+    pub fn import(&self) -> Result<ImportedScene, Error> {
         self.import_with(&SOURCE, None)
     }
 
-    pub fn import_with(&self, options: &ImportOptions, sidecar: Option<&str>) -> Result<Imported, Error> {
+    pub fn import_with(&self, options: &ImportOptions, sidecar: Option<&str>) -> Result<ImportedScene, Error> {
         let folder = Folder::new();
         if let Some(text) = sidecar {
             folder.write("s.materials.toml", text.as_bytes());

@@ -241,7 +241,7 @@ pub fn exr(bytes: &[u8]) -> bool {
         file.attributes.world_from_sensor.iter().for_each(check_pose);
         exr::write(path, images, outputs, &file.attributes).expect("what was read can be written");
         let again = exr::read(path).expect("what was written can be read");
-        let report = presight::compare::compare_exactly(images, &again.images).expect("images of one shape");
+        let report = presight::verify::compare_exactly(images, &again.images).expect("images of one shape");
         assert_eq!(report.fault, 0);
         assert_eq!(format!("{:?}", again.attributes), format!("{:?}", file.attributes));
         true

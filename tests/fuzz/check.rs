@@ -2,10 +2,10 @@
 
 use crate::common::{plan, reference, scenes};
 use glam::{DQuat, DVec3, Vec3};
-use presight::compare::{Precision, compare};
 use presight::environment::FeatureLayer;
 use presight::features::{BoxOptions, FeatureSettings, add_boxes, place, predict_features};
 use presight::io::{prediction_json, sensor_toml};
+use presight::verify::{Precision, compare};
 use presight::{Camera, Environment, Geometry, Images, NewObject, Output, Pose, Sensor, SensorSpec, Stats, World, cpu};
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ const MOST_PIXELS: u64 = 4096;
 const MOST_POLYGONS: u32 = 2000;
 
 thread_local! {
-    static ENGINE: RefCell<cpu::Engine> = RefCell::new(cpu::Engine::new(1).expect("a thread"));
+    static ENGINE: RefCell<cpu::CpuEngine> = RefCell::new(cpu::CpuEngine::new(1).expect("a thread"));
 }
 
 /// Length 1 within rounding.

@@ -1,6 +1,6 @@
 //! Hard scenes out of bytes, so that a fuzzer that sees the code's branches can steer them.
 
-use crate::common::hard::{Case, Placing, Shape};
+use crate::common::hard::{Case, Shape, ShapePlacement};
 use arbitrary::{Result, Unstructured};
 
 /// A scene; `None` if there are too few bytes for one.
@@ -54,16 +54,16 @@ fn shape(u: &mut Unstructured<'_>) -> Result<Shape> {
     })
 }
 
-fn placing(u: &mut Unstructured<'_>) -> Result<Placing> {
+fn placing(u: &mut Unstructured<'_>) -> Result<ShapePlacement> {
     if u.arbitrary()? {
-        return Ok(Placing { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 });
+        return Ok(ShapePlacement { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 });
     }
     let turn = triple(u, 3.0)?;
     let mut scale = [0.0; 3];
     for s in &mut scale {
         *s = between(u, 0.1, 10.0)? * if u.arbitrary()? { 1.0 } else { -1.0 };
     }
-    Ok(Placing { turn, scale, shear: between(u, -2.0, 2.0)? })
+    Ok(ShapePlacement { turn, scale, shear: between(u, -2.0, 2.0)? })
 }
 
 fn between(u: &mut Unstructured<'_>, least: f64, most: f64) -> Result<f64> {

@@ -6,7 +6,7 @@ use presight_testkit as common;
 
 use common::{engines, reference, scenes, summary};
 use glam::{DVec3, Vec3};
-use presight::compare::compare;
+use presight::verify::compare;
 use presight::{
     Environment, FramePlan, IdScheme, Images, Material, Mesh, NewObject, Output, Outputs, Polygon, PolygonOrder, Pose,
     Request, Sensor, World,

@@ -10,7 +10,7 @@ use presight_testkit as common;
 
 use common::{data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
-use presight::compare::{Precision, Report, compare};
+use presight::verify::{Precision, Report, compare};
 use presight::{FramePlan, Images, Pose};
 use std::time::Instant;
 

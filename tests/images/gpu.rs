@@ -7,9 +7,9 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use presight::compare::{Precision, Report, compare};
 use presight::gpu::testing::{self, Setup};
-use presight::gpu::{DeviceOptions, Engine};
+use presight::gpu::{DeviceOptions, GpuEngine};
+use presight::verify::{Precision, Report, compare};
 use presight::{
     Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
     Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
@@ -17,7 +17,7 @@ use presight::{
 use std::sync::Arc;
 
 /// The engine, or `None` where there is no adapter and the machine may lack one.
-fn engine(options: DeviceOptions, setup: Setup) -> Option<Engine> {
+fn engine(options: DeviceOptions, setup: Setup) -> Option<GpuEngine> {
     match testing::open(options, setup) {
         Ok(engine) => Some(engine),
         Err(e) => {
@@ -28,7 +28,7 @@ fn engine(options: DeviceOptions, setup: Setup) -> Option<Engine> {
 }
 
 /// Both ways of keeping the nearest; the second resolves images on the device even where that is a program.
-fn engines() -> Vec<(&'static str, Engine)> {
+fn engines() -> Vec<(&'static str, GpuEngine)> {
     let with = |other| {
         let options = DeviceOptions { without_int64: other, ..Default::default() };
         engine(options, Setup { all_on_device: other, ..Setup::default() })
@@ -53,7 +53,7 @@ fn poisoned(sensor: &Sensor) -> Images {
 }
 
 /// Renders and compares; no fault, few edges, no internal error.
-fn check(name: &str, engine: &mut Engine, world: &World, sensor: &Sensor, pose: &Pose) -> (Images, Stats) {
+fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pose: &Pose) -> (Images, Stats) {
     let plan = plan(world, sensor, pose);
     let (mut images, mut stats) = (poisoned(sensor), Stats::default());
     engine.render(&plan, &mut images, &mut stats).unwrap();
@@ -298,24 +298,27 @@ fn in_steady_state_nothing_is_made() {
     let (world, sensors, poses) = (scene(7, 200, DVec3::ZERO), sensors(), poses(DVec3::ZERO));
     for (name, mut engine) in engines() {
         // Sensors by turns, as a robot has them.
-        let round = |engine: &mut Engine, sensors: &[Sensor]| {
+        let round = |engine: &mut GpuEngine, sensors: &[Sensor]| {
             let images = poses.iter().flat_map(|pose| sensors.iter().map(move |s| (pose, s)));
             images.map(|(pose, s)| check(name, engine, &world, s, pose).0.polygon_id).collect::<Vec<_>>()
         };
-        let opened = engine.made();
+        let opened = engine.allocations();
         let first = round(&mut engine, &sensors);
-        let made = engine.made();
+        let made = engine.allocations();
         assert!(made.buffers > opened.buffers && made.pipelines > 0 && made.bind_groups > 0, "{name}: {made:?}");
         for _ in 0..2 {
             assert_eq!(first, round(&mut engine, &sensors), "{name}");
-            assert_eq!(made, engine.made(), "{name}: the same poses again need nothing more");
+            assert_eq!(made, engine.allocations(), "{name}: the same poses again need nothing more");
         }
         // The counts do tell: another world brings meshes, a larger image brings buffers.
         check(name, &mut engine, &scene(8, 5, DVec3::ZERO), &sensors[0], &poses[0]);
-        assert!(engine.made().staged > made.staged, "{name}");
+        assert!(engine.allocations().staged > made.staged, "{name}");
         let large = sensor("large", Geometry::Camera(Camera::pinhole(700, 500, 600.0, 600.0, 350.0, 250.0)), 75.0);
         check(name, &mut engine, &world, &large, &poses[0]);
-        assert!(engine.made().buffers > made.buffers && engine.made().bind_groups > made.bind_groups, "{name}");
+        assert!(
+            engine.allocations().buffers > made.buffers && engine.allocations().bind_groups > made.bind_groups,
+            "{name}"
+        );
     }
 }
 
@@ -346,7 +349,7 @@ fn a_lost_device_is_a_typed_error_and_a_new_engine_works() {
         assert_eq!(lost.kind(), ErrorKind::DeviceLost, "{lost}");
     }
     drop(engine);
-    let mut again = Engine::new(DeviceOptions::default()).unwrap();
+    let mut again = GpuEngine::new(DeviceOptions::default()).unwrap();
     check("after", &mut again, &world, sensor, &pose);
 }
 
@@ -368,7 +371,7 @@ fn too_much_for_the_device_is_a_typed_error_and_the_engine_goes_on() {
 #[test]
 fn a_software_adapter_is_not_taken_for_hardware() {
     let adapters = presight::gpu::adapters();
-    let found = Engine::new(DeviceOptions { hardware_only: true, ..Default::default() });
+    let found = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() });
     if adapters.iter().any(|a| a.hardware) {
         assert!(found.unwrap().adapter().hardware);
     } else {

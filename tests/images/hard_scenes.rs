@@ -9,7 +9,7 @@ use presight_testkit as common;
 use common::hard::{Case, case, grazing};
 use common::oracle::Oracle;
 use common::{engines, plan, reference};
-use presight::compare::{Precision, Values, compare, compare_values};
+use presight::verify::{PixelValues, Precision, compare, compare_values};
 use presight::{FramePlan, Images};
 use proptest::prelude::*;
 use proptest::test_runner::{RngSeed, TestRunner};
@@ -51,7 +51,7 @@ fn check_oracle(case: &Case) -> Result<(), TestCaseError> {
         let pairs: Vec<_> = pixels
             .filter_map(|p| {
                 let shown = oracle.cast(&sensor, &pose, p)?;
-                Some((p, Values::of(&images, (p.1 * images.width + p.0) as usize), shown))
+                Some((p, PixelValues::of(&images, (p.1 * images.width + p.0) as usize), shown))
             })
             .collect();
         let report = compare_values(pairs.into_iter(), &plan, Precision::F64);
@@ -96,8 +96,8 @@ fn gpu_is_right_at_grazing_angles() {
 
 /// One sliver before the GPU engine: where, along what, how long, its aspect; turn, scale and shear of its mesh.
 fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, f64), mesh: ([f64; 3], [f64; 3], f64)) {
-    use common::hard::{Placing, Shape};
-    let placing = Placing { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
+    use common::hard::{Shape, ShapePlacement};
+    let placing = ShapePlacement { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
     let shapes = vec![(Shape::Sliver { at, along, long, aspect }, placing)];
     let case = Case { shapes, unit, at: [0.0; 3], turn: [0.0; 3], limits: None, fine: false };
     if let Some(mut gpu) = engines::gpu() {
@@ -140,14 +140,14 @@ fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
 /// Cells of 0.2 mrad seen at 0.1 mrad: only the cap tells a cell from the next but one.
 #[test]
 fn a_cell_of_a_carpet_ends_at_its_corners_on_a_ray_table() {
-    use common::hard::{Placing, Shape};
+    use common::hard::{Shape, ShapePlacement};
     let carpet = Shape::Carpet {
         at: [1.4056834039394541, 1.4058727194305156, 0.00022951257164875459],
         normal: [-0.6108024886160263, 0.6108031215650412, -0.5038252341704121],
         cell: 0.0003529135217177236,
         cells: 7,
     };
-    let placing = Placing { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 };
+    let placing = ShapePlacement { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 };
     let case =
         Case { shapes: vec![(carpet, placing)], unit: 1.0, at: [0.0; 3], turn: [0.0; 3], limits: None, fine: false };
     if let Some(mut gpu) = engines::gpu() {

@@ -415,7 +415,7 @@ mod device {
     use super::*;
     use presight::FramePlan;
     use presight::gpu::testing::{self, Setup};
-    use presight::gpu::{DeviceOptions, Engine};
+    use presight::gpu::{DeviceOptions, GpuEngine};
 
     /// `None` where there is no adapter and the machine may lack one.
     fn there<T>(made: presight::Result<T>) -> Option<T> {
@@ -427,7 +427,7 @@ mod device {
         Some(Predictor::with_engine(Options::new(Backend::Gpu).with_threads(2), Box::new(engine)))
     }
 
-    fn engine(all_on_device: bool) -> presight::Result<Engine> {
+    fn engine(all_on_device: bool) -> presight::Result<GpuEngine> {
         testing::open(DeviceOptions::default(), Setup { all_on_device, ..Setup::default() })
     }
 
@@ -446,13 +446,13 @@ mod device {
     }
 
     /// Bytes of the buffers that a fresh engine makes for one frame.
-    fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, Engine)> {
+    fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, GpuEngine)> {
         let mut engine = there(engine(all_on_device))?;
-        let (before, sensor) = (engine.made().bytes, scenes::camera(256, 128));
+        let (before, sensor) = (engine.allocations().bytes, scenes::camera(256, 128));
         let plan = FramePlan::new(world, &sensor, &pose(), &Request::of(outputs)).unwrap();
         let mut stats = Stats::default();
         engine.render(&plan, &mut Images::default(), &mut stats).unwrap();
-        assert_eq!(stats.work.gpu_bytes_made, engine.made().bytes - before);
+        assert_eq!(stats.work.gpu_bytes_made, engine.allocations().bytes - before);
         Some((stats.work.gpu_bytes_made, engine))
     }
 
@@ -485,7 +485,7 @@ mod device {
             let outputs = of(&[Output::PolygonId]);
             let case = Case { on: On::Device, world, sensor, outputs, ids: IdScheme::Model, features };
             case.run(&mut predictor, &placed);
-            let made = testing::made(predictor.engine()).unwrap();
+            let made = testing::allocations(predictor.engine()).unwrap();
             let growth = made.buffers - before.unwrap_or(made.buffers);
             assert!(growth >= more && (growth == 0) == (more == 0), "{features:?}: {growth} buffers");
             before = Some(made.buffers);

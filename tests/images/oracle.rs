@@ -10,7 +10,7 @@ use presight_testkit as common;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, plan};
-use presight::compare::{Precision, Report, Values, compare_values};
+use presight::verify::{PixelValues, Precision, Report, compare_values};
 use presight::{FramePlan, Images, Pose, Sensor, World};
 
 /// Random pixels of one image, both ways round.
@@ -24,7 +24,7 @@ fn check_image(world: &World, oracle: &Oracle, sensor: &Sensor, pose: &Pose, ran
     pixels.dedup();
     let mut images = Images::default();
     presight::reference::render_pixels(&plan, &mut images, pixels.iter().copied()).expect("the reference renders");
-    let of_reference = |(c, r): (u32, u32)| Values::of(&images, (r * images.width + c) as usize);
+    let of_reference = |(c, r): (u32, u32)| PixelValues::of(&images, (r * images.width + c) as usize);
     let pairs: Vec<_> =
         pixels.iter().filter_map(|p| Some((*p, of_reference(*p), oracle.cast(sensor, pose, *p)?))).collect();
     let there = compare_values(pairs.iter().copied(), &plan, Precision::F64);
@@ -81,7 +81,7 @@ fn a_polygon_out_of_place_is_seen_by_the_oracle() {
     let mut images = Images::default();
     presight::reference::render(&plan, &mut images).unwrap();
     let pairs = (0..sensor.height()).flat_map(|r| (0..sensor.width()).map(move |c| (c, r))).filter_map(|p| {
-        let reference = Values::of(&images, (p.1 * images.width + p.0) as usize);
+        let reference = PixelValues::of(&images, (p.1 * images.width + p.0) as usize);
         Some((p, reference, moved.cast(&sensor, &higher, p)?))
     });
     assert!(compare_values(pairs, &plan, Precision::F64).fault > 100);

@@ -8,9 +8,9 @@ use common::faulty::{Faulty, Switches};
 use common::scenes;
 use common::skip::no_adapter;
 use glam::DVec3;
-use presight::compare::{Precision, compare};
 use presight::gpu::testing::Setup;
-use presight::gpu::{DeviceOptions, Engine};
+use presight::gpu::{DeviceOptions, GpuEngine};
+use presight::verify::{Precision, compare};
 use presight::{
     Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Sensor,
     World,
@@ -28,7 +28,7 @@ struct Task {
 impl Task {
     /// `None` where there is no adapter and the machine may lack one.
     fn new() -> Option<Self> {
-        if let Err(e) = Engine::new(DeviceOptions::default()) {
+        if let Err(e) = GpuEngine::new(DeviceOptions::default()) {
             no_adapter(e);
             return None;
         }

@@ -3,9 +3,9 @@
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::predict::BackendArg;
-use super::{Verdict, bar, folder, open_scene, print};
-use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, Sensed};
-use presight::frames::GivenPose;
+use super::{CommandOutcome, bar, folder, open_scene, print};
+use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight::frames::ExternalPose;
 use presight::index::Scheme;
 use presight::internal::{inputs, text};
 use presight::io::atomic::write_atomically;
@@ -118,7 +118,7 @@ fn parse_shard(text: &str) -> Result<(u32, u32)> {
 /// # Errors
 /// Those of scene, sensor, poses and sensed image, of the engine, and of writing; a folder that holds another batch. What was
 /// written before stays, and the same command goes on.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     check_no_dash(&args.out)?;
     inputs::record();
     let threads = Threads::from(args.threads).started()?;
@@ -141,7 +141,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut job = Job::new(args, scene, sensor, request)?;
     let Some(mut rows) = job.rows(items.clone())? else {
         print::message(&format!("note: {} is finished already", args.table().display()));
-        return Ok(Verdict::Done);
+        return Ok(CommandOutcome::Done);
     };
     if rows.next() > items.start {
         let (done, all) = (rows.next() - items.start, items.len());
@@ -150,11 +150,11 @@ pub fn run(args: &Args) -> Result<Verdict> {
     let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
     job.write(&mut predictor, &threads, &mut rows, items)?;
     rows.finish()?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 impl Args {
-    fn given(&self, pose: Pose) -> Result<GivenPose> {
+    fn given(&self, pose: Pose) -> Result<ExternalPose> {
         given_pose(pose, self.pose_frame, self.pose_of, self.world_frame)
     }
 
@@ -289,7 +289,7 @@ fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
     numbered.map_or_else(|| (frame.into(), None), |(file, index)| (file.into(), Some(index)))
 }
 
-fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<Sensed> {
+fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLikelihood> {
     let (path, index) = frame_of(frame);
     let range = match index {
         Some(index) => {
@@ -309,7 +309,7 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<Sensed> {
             range
         }
     };
-    Sensed::new(sensor, range, cell).map_err(|e| e.in_file(&path))
+    RangeLikelihood::new(sensor, range, cell).map_err(|e| e.in_file(&path))
 }
 
 /// A file of poses that was read once: whatever is wrong with it is known before anything is done.
@@ -325,7 +325,7 @@ impl PoseFile {
         let mut hasher = blake3::Hasher::new();
         let (mut count, mut first) = (0, None);
         for stamped in tum::stream(path)? {
-            let tum::Stamped { time, pose } = stamped?;
+            let tum::StampedPose { time, pose } = stamped?;
             let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             first.get_or_insert(placed);
             count += 1;

@@ -2,9 +2,8 @@
 
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
-use super::{Verdict, open_scene, print};
+use super::{CommandOutcome, open_scene, print};
 use clap::ValueEnum;
-use presight::compare::{Precision, Report, compare, compare_exactly, compare_partial};
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::exr::{self, Attributes, ImageFile};
@@ -12,6 +11,7 @@ use presight::io::gltf::ImportOptions;
 use presight::io::sensor_toml;
 use presight::plan::{FramePlan, IdScheme, Images, Output, Outputs};
 use presight::sensor::Sensor;
+use presight::verify::{Precision, Report, compare, compare_exactly, compare_partial};
 use presight::{Error, ImageRequest, Result, blake3_of};
 use serde::Serialize;
 use std::io::Write;
@@ -92,7 +92,7 @@ struct Document<'a> {
 ///
 /// # Errors
 /// Those of reading the files; images that cannot be compared.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     files.add("--json", args.json.as_deref(), &["json"])?;
     files.check_named([&args.reference, &args.other].into_iter().chain(&args.scene).map(PathBuf::as_path))?;
@@ -129,7 +129,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
     print::lines(in_words(&report))?;
-    Ok(if report.fault == 0 { Verdict::Done } else { Verdict::Found })
+    Ok(if report.fault == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
 /// Foreign files may lack an image: what one of the two lacks is not compared, and that is said.
@@ -228,7 +228,7 @@ fn in_words(report: &Report) -> Vec<String> {
             w.range, w.depth_z, w.cos_incidence, w.echo
         ));
     }
-    let fault = |f: &presight::compare::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
+    let fault = |f: &presight::verify::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
     lines.extend(report.faults.iter().map(fault));
     let more = report.fault - report.faults.len().min(report.fault);
     if more > 0 {

@@ -1,8 +1,8 @@
 //! How a scene's file lies in the world, as the command line says it.
 
 use presight::Result;
-use presight::acquire::{SceneFrame, Up};
 use presight::io::gltf::ImportOptions;
+use presight::preparation::{SceneFrame, Up};
 
 /// The flags by which every command reads a scene.
 #[derive(Clone, Debug, clap::Args)]

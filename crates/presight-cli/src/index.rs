@@ -2,7 +2,7 @@
 
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
-use super::{Verdict, folder, open_scene, print};
+use super::{CommandOutcome, folder, open_scene, print};
 use presight::Result;
 use presight::Threads;
 use presight::free_poses::free_poses;
@@ -83,7 +83,7 @@ const FILES: [&str; 1] = ["index.csv"];
 ///
 /// # Errors
 /// Those of the scene, the sensor and the poses, of predictions, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     args.out.as_deref().map_or(Ok(()), |folder| files.add_folder(folder, &FILES))?;
     let named = [Some(args.scene.as_path()), args.poses.as_deref(), args.sensor.as_deref().map(Path::new)];
@@ -123,7 +123,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         let csv = index_study::to_csv(&rows, count, seed);
         write_atomically(&csv_file, |file| file.write_all(csv.as_bytes()))?;
     }
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 impl Args {

@@ -2,11 +2,11 @@
 
 use super::frame_args::FrameArgs;
 use super::open_scene;
-use super::{Verdict, print};
-use presight::acquire::lost_features;
+use super::{CommandOutcome, print};
 use presight::environment::{Appearance, Environment, Material, Object};
 use presight::geometry::{Aabb, Pose};
 use presight::index::Scheme;
+use presight::preparation::lost_features;
 use presight::{Error, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ pub struct Args {
 ///
 /// # Errors
 /// Those of the import.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut options = args.frame.options()?;
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
     let mut scene = open_scene(&args.scene, &options, Scheme::None)?;
@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     } else {
         print::lines(in_words(&args.scene, &scene))?;
     }
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Polygons of each material, over all objects.

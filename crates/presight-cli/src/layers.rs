@@ -4,7 +4,7 @@ use super::pose_cov;
 use super::print;
 use presight::features::roi::PoseCovariance;
 use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, Hidden};
-use presight::frames::GivenPose;
+use presight::frames::ExternalPose;
 use presight::geometry::Pose;
 use presight::io::prediction_json;
 use presight::plan::{Output, Outputs};
@@ -51,7 +51,7 @@ pub struct LayerArgs {
 
 /// What is asked for by name, as far as features depend on it.
 #[derive(Clone, Copy, Debug)]
-pub struct Asked {
+pub struct NamedRequest {
     /// All outputs wanted.
     pub outputs: Outputs,
     /// The virtual sensor.
@@ -60,7 +60,7 @@ pub struct Asked {
     pub preview: bool,
 }
 
-impl Asked {
+impl NamedRequest {
     fn feature_id(self) -> bool {
         self.outputs.has(Output::FeatureId)
     }
@@ -82,7 +82,7 @@ pub struct Layers {
 
 impl LayerArgs {
     /// Checks them without touching the world.
-    pub fn check(&self, asked: Asked) -> Result<()> {
+    pub fn check(&self, asked: NamedRequest) -> Result<()> {
         if let Some(time) = self.time.filter(|t| !t.is_finite()) {
             return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
         }
@@ -112,12 +112,12 @@ impl LayerArgs {
     }
 
     /// True if features are to be predicted.
-    fn is_asked(&self, asked: Asked) -> bool {
+    fn is_asked(&self, asked: NamedRequest) -> bool {
         !self.layers.is_empty() || self.features.is_some() || asked.feature_id() || asked.by_virtual_sensor()
     }
 
     /// Images that features are predicted from.
-    pub fn needs(&self, asked: Asked) -> Option<Output> {
+    pub fn needs(&self, asked: NamedRequest) -> Option<Output> {
         self.is_asked(asked).then_some(Output::PolygonId)
     }
 
@@ -133,7 +133,7 @@ impl LayerArgs {
 
     /// Reads the layers over the scene's own and finds the polygons that their features lie on; `None` if none are asked
     /// for.
-    pub fn load(&self, scene: &Scene, sensor: &Sensor, asked: Asked) -> Result<Option<Layers>> {
+    pub fn load(&self, scene: &Scene, sensor: &Sensor, asked: NamedRequest) -> Result<Option<Layers>> {
         if !self.is_asked(asked) {
             return Ok(None);
         }
@@ -186,7 +186,7 @@ impl LayerArgs {
             world_from_sensor: prediction.world_from_sensor,
             pose_covariance: layers.map(|layers| layers.boxes.sensor),
             confidence: layers.map(|layers| layers.boxes.confidence),
-            given_up: prediction.given_up().cloned(),
+            given_up: prediction.degradation().cloned(),
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);
@@ -196,7 +196,7 @@ impl LayerArgs {
 
 impl Layers {
     /// Takes the uncertainty of the sensor's next pose, along the axes of the world.
-    pub fn move_to(&mut self, pose: &GivenPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
+    pub fn move_to(&mut self, pose: &ExternalPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
         let (covariance, world_from_gltf) = (&self.covariance, &scene.world_from_gltf);
         self.boxes.sensor = pose.covariance_of_sensor(covariance, sensor.spec(), world_from_sensor, world_from_gltf);
     }

@@ -164,17 +164,17 @@ fn open_scene(path: &Path, import: &ImportOptions, index: Scheme) -> Result<Scen
 
 /// What a command found, if it ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
+enum CommandOutcome {
     /// Done, nothing to object.
     Done,
     /// Done; a check found something.
     Found,
 }
 
-fn conclude(done: Result<Verdict>) -> ExitCode {
+fn conclude(done: Result<CommandOutcome>) -> ExitCode {
     match done {
-        Ok(Verdict::Done) => ExitCode::SUCCESS,
-        Ok(Verdict::Found) => ExitCode::from(1),
+        Ok(CommandOutcome::Done) => ExitCode::SUCCESS,
+        Ok(CommandOutcome::Found) => ExitCode::from(1),
         Err(e) => {
             print::message(&format!("error: {e}"));
             ExitCode::from(e.kind().exit_status())

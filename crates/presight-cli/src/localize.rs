@@ -2,7 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
-use super::{Verdict, open_scene, print};
+use super::{CommandOutcome, open_scene, print};
 use presight::estimate::{EstimateOptions, Estimator, Prior};
 use presight::frame::Frame;
 use presight::index::Scheme;
@@ -10,7 +10,7 @@ use presight::io::atomic::write_atomically;
 use presight::io::depth_folder::DepthFolder;
 use presight::io::gltf::ImportOptions;
 use presight::io::load_sensor;
-use presight::io::tum::Stamped;
+use presight::io::tum::StampedPose;
 use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight::verdict::{Verdict as Judged, Verdicts};
 use presight::{Backend, Error, Options, Pose, Predictor, Result, Threads};
@@ -72,7 +72,7 @@ pub struct Args {
 ///
 /// # Errors
 /// Those of the log, the map and the sensor, of estimates, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
@@ -103,7 +103,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     write(&args.out, &steps)?;
     write_details(&details, &steps)?;
     print::data(&summary(&steps, &reference, mount))?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn start(args: &Args, log: &DepthFolder) -> Result<Pose> {
@@ -152,7 +152,7 @@ fn write_details(path: &Path, steps: &[Step]) -> Result<()> {
 }
 
 /// How many frames are known, and how far they are from the log's own poses.
-fn summary(steps: &[Step], reference: &[Stamped], mount: Pose) -> String {
+fn summary(steps: &[Step], reference: &[StampedPose], mount: Pose) -> String {
     let known: Vec<&Step> = steps.iter().filter(|s| is_known(s)).collect();
     let mut text = format!("{} of {} frames have a pose\n", known.len(), steps.len());
     for pair in steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase) {

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
-use presight::frames::{self, GivenPose};
+use presight::frames::{self, ExternalPose};
 use presight::geometry::Pose;
 use presight::limits;
 use presight::{Error, Result};
@@ -63,12 +63,12 @@ impl PoseArgs {
     ///
     /// # Errors
     /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
-    pub fn parse(&self) -> Result<GivenPose> {
+    pub fn parse(&self) -> Result<ExternalPose> {
         self.parse_as(PoseOf::Sensor)
     }
 
     /// As [`PoseArgs::parse`], of a sensor or robot unless the flags say otherwise.
-    pub fn parse_as(&self, of: PoseOf) -> Result<GivenPose> {
+    pub fn parse_as(&self, of: PoseOf) -> Result<ExternalPose> {
         let meaning = self.given(Pose::IDENTITY, of)?;
         let text = self.pose.as_deref().ok_or_else(|| Error::usage("--pose is missing", REMEDY))?;
         let file = Path::new(text);
@@ -77,14 +77,14 @@ impl PoseArgs {
             return Err(Error::usage("this is a file, not a pose", remedy).at(format!("--pose {text}")));
         }
         let pose = parse_pose(text).map_err(|e| e.at(format!("--pose {text}")))?;
-        Ok(GivenPose::new(pose).with_frame(meaning.frame).with_of(meaning.of).with_world(meaning.world))
+        Ok(ExternalPose::new(pose).with_frame(meaning.frame).with_of(meaning.of).with_world(meaning.world))
     }
 
     /// A pose that was read elsewhere, as the flags say that it is meant.
     ///
     /// # Errors
     /// [`presight::ErrorKind::Usage`] for an optical frame of a robot, or one sensor's pose for all of a robot.
-    pub fn given(&self, pose: Pose, of: PoseOf) -> Result<GivenPose> {
+    pub fn given(&self, pose: Pose, of: PoseOf) -> Result<ExternalPose> {
         if of == PoseOf::Robot && self.pose_of == Some(PoseOf::Sensor) {
             let remedy = "drop --pose-of sensor, or give one --sensor";
             return Err(Error::usage("--pose-of sensor: each sensor of a robot has its own place on it", remedy));
@@ -97,7 +97,7 @@ impl PoseArgs {
 ///
 /// # Errors
 /// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
-pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<GivenPose> {
+pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<ExternalPose> {
     let frame = match frame {
         PoseFrame::Body => frames::PoseFrame::Body,
         PoseFrame::Optical => frames::PoseFrame::Optical,
@@ -110,7 +110,7 @@ pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -
         WorldFrame::ZUp => frames::WorldFrame::ZUp,
         WorldFrame::Gltf => frames::WorldFrame::Gltf,
     };
-    let given = GivenPose::new(pose).with_frame(frame).with_of(of).with_world(world);
+    let given = ExternalPose::new(pose).with_frame(frame).with_of(of).with_world(world);
     given.check()?;
     Ok(given)
 }

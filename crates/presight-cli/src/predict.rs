@@ -3,24 +3,24 @@
 use super::deadline::DeadlineArgs;
 use super::file_names::{FileNames, Paths};
 use super::frame_args::FrameArgs;
-use super::layers::{Asked, LayerArgs, Layers};
+use super::layers::{LayerArgs, Layers, NamedRequest};
 use super::outputs::OutputFiles;
 use super::pose::{PoseArgs, PoseOf};
 use super::statistics::{Statistics, Subject};
 use super::summary::Summary;
 use super::virtual_sensor::VirtualArgs;
-use super::{Verdict, open_scene, predict_poses, print};
+use super::{CommandOutcome, open_scene, predict_poses, print};
 use clap::ValueEnum;
 use presight::Threads;
 use presight::features::SeenFeature;
-use presight::frames::GivenPose;
+use presight::frames::ExternalPose;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::templates::Names;
 use presight::io::{PointCloud, PointsFrame, exr, load_robot, load_sensor, npy, pcd, ply, png, sensor_toml, tum};
 use presight::limits;
-use presight::memory::{self, Frame};
+use presight::memory::{self, FrameMemory};
 use presight::plan::{IdScheme, Output, Outputs, Stats};
 use presight::sensor::{Geometry, Sensor};
 use presight::virtual_sensors::VirtualReading;
@@ -208,7 +208,7 @@ fn parse_output(name: &str) -> Result<Output> {
 /// The arguments, checked as far as they go without touching the world.
 pub struct Job {
     /// With their time stamps as written; without --poses one, with none.
-    pub poses: Vec<(String, GivenPose)>,
+    pub poses: Vec<(String, ExternalPose)>,
     pub sensors: Vec<Sensor>,
     pub files: OutputFiles,
     pub names: FileNames,
@@ -294,7 +294,7 @@ impl Args {
         Ok(sensors)
     }
 
-    fn given_poses(&self) -> Result<Vec<(String, GivenPose)>> {
+    fn given_poses(&self) -> Result<Vec<(String, ExternalPose)>> {
         let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
         let Some(path) = &self.poses else { return Ok(vec![(String::new(), self.pose.parse_as(of)?)]) };
         let path = if path == Path::new("-") { Path::new("/dev/stdin") } else { path };
@@ -357,10 +357,10 @@ impl Args {
     }
 
     /// Everything asked for by name.
-    pub fn asked(&self) -> Asked {
+    pub fn asked(&self) -> NamedRequest {
         let of_preview = self.png.as_ref().map(|_| self.png_of);
         let outputs = Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>());
-        Asked { outputs, virtual_sensor: self.virtual_sensor.task, preview: self.png.is_some() }
+        NamedRequest { outputs, virtual_sensor: self.virtual_sensor.task, preview: self.png.is_some() }
     }
 
     /// The images to predict: what was asked for, and what the other files are drawn from.
@@ -386,7 +386,7 @@ impl Args {
     }
 
     /// What the prediction and its files take of memory.
-    pub fn memory(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> Frame {
+    pub fn memory(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> FrameMemory {
         let mut images = request.outputs;
         // What the echo is made of, for which there may be no other reason; more only where reflection factors differ, as is
         // known when the scene is.
@@ -395,7 +395,7 @@ impl Args {
         }
         let picture = self.png.as_ref().map(|_| presight::internal::preview_size(sensor)).unwrap_or_default();
         let written = self.out.as_ref().map_or(0, |_| self.outputs.iter().count());
-        Frame {
+        FrameMemory {
             pixels: u64::from(sensor.width()) * u64::from(sensor.height()),
             scanner: matches!(sensor.spec().geometry, Geometry::Scanner(_)),
             on_device: predictor.engine_name() != "cpu",
@@ -440,12 +440,12 @@ impl From<BackendArg> for Backend {
 ///
 /// # Errors
 /// Wrong usage, those of scene and sensor, of the engine, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let job = args.check()?;
     if args.is_series() { predict_poses::run(args, job) } else { run_one(args, job) }
 }
 
-fn run_one(args: &Args, mut job: Job) -> Result<Verdict> {
+fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let (sensor, (_, pose)) = (job.sensors.remove(0), job.poses.remove(0));
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
@@ -512,7 +512,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<Verdict> {
     } else if !args.writes_something() {
         print::lines([format!("{}, {ms:.2} ms on {engine}", summary.in_words(&prediction))])?;
     }
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Writes all files of a prediction but arrays; `sides` are of patches that are seen in part.
@@ -528,7 +528,7 @@ pub fn write_files(
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
         let world_from_sensor = Some(prediction.world_from_sensor);
-        let given_up = prediction.given_up().cloned();
+        let given_up = prediction.degradation().cloned();
         exr::write(path, images, args.outputs, &exr::Attributes { world_from_sensor, given_up, ..attributes })?;
     }
     if let Some(path) = &paths.png {

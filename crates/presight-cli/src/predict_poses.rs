@@ -4,10 +4,10 @@ use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
 use super::predict::{self, Args, Job};
 use super::summary::Summary;
-use super::{Verdict, bar, open_scene, print};
-use presight::frames::GivenPose;
+use super::{CommandOutcome, bar, open_scene, print};
+use presight::frames::ExternalPose;
 use presight::io::npy::{self, Stack, Values};
-use presight::io::series::Progress;
+use presight::io::series::SeriesProgress;
 use presight::io::templates::Names;
 use presight::io::{exr, sensor_toml};
 use presight::memory;
@@ -23,7 +23,7 @@ use std::time::Instant;
 ///
 /// # Errors
 /// Those of scene and sensors, of the engine, and of writing. What was written before stays, and the same command goes on.
-pub fn run(args: &Args, mut job: Job) -> Result<Verdict> {
+pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor).bytes());
@@ -59,7 +59,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<Verdict> {
         }
     }
     bar.finish_and_clear();
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// A sensor with what its predictions need.
@@ -91,7 +91,7 @@ struct Series<'a> {
     args: &'a Args,
     scene: &'a Scene,
     names: &'a FileNames,
-    poses: &'a [(String, GivenPose)],
+    poses: &'a [(String, ExternalPose)],
     /// Notices that were printed.
     told: HashSet<String>,
 }
@@ -103,11 +103,11 @@ impl Series<'_> {
     }
 
     /// What an interrupted series left, with the arrays that it was filling; `None` if nothing is written.
-    fn progress(&self, setups: &mut [Setup]) -> Result<Option<Progress>> {
+    fn progress(&self, setups: &mut [Setup]) -> Result<Option<SeriesProgress>> {
         if !self.names.write_predictions() {
             return Ok(None);
         }
-        let mut progress = Progress::open(&self.record(setups)?, &self.job(setups)?, self.poses.len())?;
+        let mut progress = SeriesProgress::open(&self.record(setups)?, &self.job(setups)?, self.poses.len())?;
         let until = progress.written().filter(|_| progress.finished() > 0);
         let mut kept = true;
         for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {

@@ -3,7 +3,7 @@
 use super::bar::bar;
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
-use super::{Verdict, features, folder, open_scene, print};
+use super::{CommandOutcome, features, folder, open_scene, print};
 use presight::Threads;
 use presight::free_poses::free_poses;
 use presight::index::Scheme;
@@ -74,7 +74,7 @@ const POSES: usize = 3;
 ///
 /// # Errors
 /// Wrong usage, those of scenes and sensors, of predictions, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
     let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     if args.stability { stability(args) } else { work_precision(args, files) }
 }
 
-fn stability(args: &Args) -> Result<Verdict> {
+fn stability(args: &Args) -> Result<CommandOutcome> {
     folder::ready(&args.out)?;
     let study = stability::Study::new(args.quick);
     let (mut engines, notes) = stability::subjects(0)?;
@@ -95,7 +95,7 @@ fn stability(args: &Args) -> Result<Verdict> {
     });
     progress.finish_and_clear();
     let (rows, machine) = (rows?, Machine::this(features(), command_line()));
-    let about = stability::About { machine, notes };
+    let about = stability::RunInfo { machine, notes };
     write(
         &args.out,
         STABILITY,
@@ -110,10 +110,10 @@ fn stability(args: &Args) -> Result<Verdict> {
     let page = args.out.join("index.html");
     let outcome = format!("{} cases in {families} families: {faults} faults", rows.len());
     print::lines([outcome, page.display().to_string()])?;
-    Ok(if faults == 0 { Verdict::Done } else { Verdict::Found })
+    Ok(if faults == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
-fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
+fn work_precision(args: &Args, files: OutputFiles) -> Result<CommandOutcome> {
     let study = args.study()?;
     files.check_read()?;
     folder::ready(&args.out)?;
@@ -135,7 +135,7 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<Verdict> {
         ],
     )?;
     print::lines(summary(&args.out, &findings))?;
-    Ok(if findings.faults() == 0 { Verdict::Done } else { Verdict::Found })
+    Ok(if findings.faults() == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
 /// As it was given; what is no UTF-8 is replaced.

@@ -1,6 +1,6 @@
 //! `presight sensors`: the sensors that are built in.
 
-use super::{Verdict, print};
+use super::{CommandOutcome, print};
 use presight::Result;
 use presight::io::preset;
 use presight::sensor::PRESETS;
@@ -21,7 +21,7 @@ pub struct Args {
 ///
 /// # Errors
 /// [`presight::ErrorKind::Usage`] for an unknown preset.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let text = match &args.name {
         Some(name) => {
             preset(name)?;
@@ -30,7 +30,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         None => list()?,
     };
     print::data(&text)?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// One line a preset: name, size, class, range, and the first sentence of its comment.

@@ -1,7 +1,7 @@
 //! `presight simulate`: a log of what a robot's depth camera would measure on a drive.
 
 use super::outputs::OutputFiles;
-use super::{Verdict, folder, open_scene};
+use super::{CommandOutcome, folder, open_scene};
 use presight::frame::Frame;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
@@ -59,7 +59,7 @@ pub struct Args {
 ///
 /// # Errors
 /// Those of the scene, the sensor and the poses, and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml"])?;
     files.check_named([args.scene.as_path(), args.poses.as_path(), Path::new(&args.sensor)])?;
@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
     write("camera.json", &camera)?;
     write("sensor.toml", &sensor_toml::to_string(sensor.spec()))?;
     write("poses.txt", &depth_folder::poses_txt(&sensor, &poses))?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The ranges of a frame as depths.

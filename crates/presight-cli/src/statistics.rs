@@ -1,7 +1,7 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
-use presight::deadline::Kept;
-use presight::plan::{LeftOut, StageRow, Stats, Taken, Work};
+use presight::deadline::DeadlineOutcome;
+use presight::plan::{Omission, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -53,12 +53,12 @@ pub struct Statistics {
     counts: OrderedMap<u64>,
     /// Of the last prediction.
     work: Work,
-    taken: Vec<Taken>,
-    left_out: Vec<LeftOut>,
+    taken: Vec<StageVariant>,
+    left_out: Vec<Omission>,
     notices: Vec<String>,
     /// How the last prediction's deadline was kept.
     #[serde(skip_serializing_if = "Option::is_none")]
-    deadline: Option<Kept>,
+    deadline: Option<DeadlineOutcome>,
     #[serde(skip)]
     rows: Vec<StageRow>,
 }
@@ -104,7 +104,7 @@ impl Statistics {
         last.stages_ms = names.into_iter().map(stage).collect();
         let rows = last.stages();
         let left_out = rows.iter().filter(|r| !r.ran);
-        let left_out = left_out.map(|r| LeftOut { what: r.name.clone(), why: r.why.clone() }).collect();
+        let left_out = left_out.map(|r| Omission { what: r.name.clone(), why: r.why.clone() }).collect();
         Self {
             format: FORMAT,
             versions: BTreeMap::from([("presight", env!("CARGO_PKG_VERSION"))]),
@@ -159,7 +159,7 @@ impl Statistics {
             n => format!("time      {:.2} ms median, {:.2} p95, {:.2} min of {n}", ms.median, ms.p95, ms.min),
         });
         if let Some(kept) = &self.deadline {
-            let Kept { deadline_ms, time_ms, estimate_ms, .. } = kept;
+            let DeadlineOutcome { deadline_ms, time_ms, estimate_ms, .. } = kept;
             lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
             lines.extend(kept.given_up.iter().map(|given_up| format!("given up  {}", given_up.summary())));
         }

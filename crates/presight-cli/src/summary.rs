@@ -43,7 +43,7 @@ impl Summary {
         }));
         parts.extend(self.objects.map(|(seen, there)| format!("{seen} of {there} objects seen")));
         parts.extend(self.features.map(|(seen, all)| format!("{seen} of {all} features seen")));
-        parts.extend(prediction.given_up().map(|given_up| given_up.summary()));
+        parts.extend(prediction.degradation().map(|given_up| given_up.summary()));
         parts.join(", ")
     }
 

@@ -41,7 +41,7 @@ impl Place {
         place.write("a.tum", &tum(POSES));
         place.write("s.toml", &sensor_toml::to_string(scanner().spec()));
         let frame =
-            |time: f64, range: f32| log::Frame { time, range: vec![range; 361], odometry: None, reference: None };
+            |time: f64, range: f32| log::LogFrame { time, range: vec![range; 361], odometry: None, reference: None };
         let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)));
         place.write("run.jsonl", &format!("{}\n{}\n", log::lines::header(scanner().spec()), lines.join("\n")));
         place

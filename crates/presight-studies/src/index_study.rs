@@ -4,7 +4,7 @@ use super::{csv_field, median};
 use glam::DVec3;
 use presight::World;
 use presight::geometry::{Aabb, Pose};
-use presight::index::{Found, Params, Region, Scheme, SplitAxis, polygon_meets};
+use presight::index::{Params, QueryResult, Region, Scheme, SplitAxis, polygon_meets};
 use presight::plan::{ImageRequest, Images, region_of};
 use presight::sensor::Sensor;
 use presight::{Error, Result};
@@ -111,7 +111,7 @@ impl Study {
 
     fn measure(&self, world: &World, query: &Query<'_>, build_ms: f64, predictor: &mut Predictor) -> Result<Row> {
         let (index, environment) = (world.index(), world.environment());
-        let mut found = Found::default();
+        let mut found = QueryResult::default();
         let (mut access, mut returned, mut prediction) = (Vec::new(), Vec::new(), Vec::new());
         let mut images = Images::default();
         for (region, pose) in query.regions.iter().zip(&self.poses) {

@@ -1,11 +1,11 @@
 //! A quick stability study of every engine: no fault; and planted faults, each of which it has to find.
 
-use presight::compare::Precision;
 use presight::engine::{Device, Engine, EngineKind};
 use presight::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature, add_boxes};
+use presight::verify::Precision;
 use presight::{FramePlan, Images, Pose, Result, Sensor, Stats, Work, World};
 use presight_studies::stability::{
-    About, Outcome, Row, Study, Subject, all, faults, subjects, to_csv, to_html, to_json,
+    Outcome, Row, RunInfo, Study, Subject, all, faults, subjects, to_csv, to_html, to_json,
 };
 use presight_testkit::skip;
 
@@ -43,7 +43,7 @@ fn no_engine_has_a_fault() {
         let of = |r: &Row| r.family == family && r.difficulty == difficulty && r.finding.outcome == Outcome::Rejected;
         assert!(rows.iter().any(of), "{family} at {difficulty:e} is refused");
     }
-    let about = About { notes, ..About::default() };
+    let about = RunInfo { notes, ..RunInfo::default() };
     let (csv, html) = (to_csv(&rows), to_html(&study, &rows, &about).unwrap());
     assert_eq!(csv.lines().count(), rows.len() + 1);
     assert!(csv.starts_with("family,difficulty,engine,error,bound,outcome\ngrazing,1e0,reference,"), "{csv}");

@@ -1,8 +1,8 @@
 //! The engines under test, each as a function from a plan to images.
 
 use super::skip::no_adapter;
-use presight::compare::Precision;
 use presight::engine::{Engine, EngineKind};
+use presight::verify::Precision;
 use presight::{FramePlan, Images, Stats};
 
 /// Images that held something else before: an engine must write every pixel.

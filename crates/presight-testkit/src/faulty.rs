@@ -1,10 +1,10 @@
 //! Engines with something wrong, around the GPU engine on whatever adapter there is.
 
-use presight::compare::Precision;
 use presight::engine::{Device, Engine};
 use presight::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{self, DeviceOptions};
+use presight::verify::Precision;
 use presight::{Error, ErrorKind, FramePlan, Images, Pose, Result, Sensor, Stats, Work, World};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -31,7 +31,7 @@ impl Switches {
 
 /// The GPU engine, which may draw wrong and whose device may go away for good.
 pub struct Faulty {
-    engine: gpu::Engine,
+    engine: gpu::GpuEngine,
     wrong: bool,
     switches: Switches,
 }

@@ -37,7 +37,7 @@ pub enum Shape {
 
 /// How an object is placed.
 #[derive(Clone, Debug)]
-pub struct Placing {
+pub struct ShapePlacement {
     /// Turn of the object's own frame, which its pose undoes.
     pub turn: [f64; 3],
     /// Scale of the axes, mirrored where negative.
@@ -50,7 +50,7 @@ pub struct Placing {
 #[derive(Clone, Debug)]
 pub struct Case {
     /// Shapes with their placing.
-    pub shapes: Vec<(Shape, Placing)>,
+    pub shapes: Vec<(Shape, ShapePlacement)>,
     /// Metres that one unit of the shapes is.
     pub unit: f64,
     /// The sensor in the world.
@@ -242,11 +242,11 @@ fn shape() -> impl Strategy<Value = Shape> {
     ]
 }
 
-fn placing() -> impl Strategy<Value = Placing> {
-    let plain = Just(Placing { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 });
+fn placing() -> impl Strategy<Value = ShapePlacement> {
+    let plain = Just(ShapePlacement { turn: [0.0; 3], scale: [1.0; 3], shear: 0.0 });
     let signed = || prop_oneof![0.1..10.0f64, -10.0..-0.1f64];
     let any = ([-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64], [signed(), signed(), signed()], -2.0..2.0f64)
-        .prop_map(|(turn, scale, shear)| Placing { turn, scale, shear });
+        .prop_map(|(turn, scale, shear)| ShapePlacement { turn, scale, shear });
     prop_oneof![1 => plain, 1 => any]
 }
 

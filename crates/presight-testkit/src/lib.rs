@@ -38,7 +38,7 @@ pub fn env_number(name: &str, default: u64) -> u64 {
 }
 
 /// One line on a comparison.
-pub fn summary(report: &presight::compare::Report) -> String {
+pub fn summary(report: &presight::verify::Report) -> String {
     format!(
         "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: range {:.3}, depth_z {:.3}, \
          cos_incidence {:.3}, echo {:.3}",

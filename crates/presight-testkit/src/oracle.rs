@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
-use presight::compare::Values;
+use presight::verify::PixelValues;
 use presight::{Environment, Pose, Sensor};
 
 /// The triangles of an environment, each polygon cut into a fan, relative to an origin near the sensor.
@@ -85,7 +85,7 @@ impl Oracle {
     }
 
     /// What a right engine shows at a pixel; `None` without a ray.
-    pub fn cast(&self, sensor: &Sensor, world_from_sensor: &Pose, (column, row): (u32, u32)) -> Option<Values> {
+    pub fn cast(&self, sensor: &Sensor, world_from_sensor: &Pose, (column, row): (u32, u32)) -> Option<PixelValues> {
         let ray = sensor.ray(column, row)?;
         let direction = DMat3::from_quat(world_from_sensor.rotation) * (sensor.body_from_image() * ray);
         let from = world_from_sensor.translation - self.origin;
@@ -95,7 +95,7 @@ impl Oracle {
         let spec = sensor.spec();
         let camera = |z: f32| sensor.is_camera().then_some(z);
         let Some((triangle, range)) = hit.filter(|(_, range)| *range <= spec.range_max) else {
-            return Some(Values {
+            return Some(PixelValues {
                 range: Some(f32::INFINITY),
                 depth_z: camera(f32::INFINITY),
                 polygon_id: Some(0),
@@ -108,7 +108,7 @@ impl Oracle {
         let near = range < spec.range_min;
         let shown = |x: f64| if near { f32::NEG_INFINITY } else { x as f32 };
         let cos_incidence = normal.dot(direction).abs();
-        Some(Values {
+        Some(PixelValues {
             range: Some(shown(range)),
             depth_z: camera(shown(range * ray.z)),
             polygon_id: Some(slot + 1),

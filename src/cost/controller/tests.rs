@@ -1,7 +1,7 @@
 //! Recorded counts and times, replayed: no clock runs here.
 
 use super::*;
-use crate::deadline::{GivenUp, Kept};
+use crate::deadline::{DeadlineOutcome, Degradation};
 use crate::environment::Environment;
 use crate::geometry::Pose;
 use crate::world::World;
@@ -45,9 +45,9 @@ struct Replay {
 
 /// What became of a frame.
 #[derive(Debug)]
-struct Frame {
+struct TimedFrame {
     took_us: f64,
-    kept: Kept,
+    kept: DeadlineOutcome,
     drawn: usize,
     radius: Option<f32>,
 }
@@ -62,7 +62,7 @@ impl Replay {
     }
 
     /// A frame of runs of 10 polygons each, a decimetre apart, by an engine that stops between two runs.
-    fn frame(&mut self, deadline_us: f64, runs: usize, recorded: Recorded) -> Result<Frame> {
+    fn frame(&mut self, deadline_us: f64, runs: usize, recorded: Recorded) -> Result<TimedFrame> {
         let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
         let mut timed =
             self.controller.begin(Some(deadline), Some(1), (&self.sensor, outputs))?.expect("it has a deadline");
@@ -79,18 +79,21 @@ impl Replay {
         let drawn_ms = watch.elapsed().as_secs_f64() * 1e3;
         self.clock.pass(recorded.images * recorded.slow);
         let stopped = drawn < plan.runs.len();
-        let clock = MeansTaken { means: Means::Clock, at_ms: drawn_ms, metres: 0.0 };
-        let given_up = (stopped || plan.radius.is_some()).then(|| GivenUp {
+        let clock = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: 0.0 };
+        let given_up = (stopped || plan.radius.is_some()).then(|| Degradation {
             complete_to: 0.0,
             samples: 1,
             means: stopped.then_some(clock).into_iter().collect(),
         });
-        let mut stats = Stats { deadline: Some(Kept { drawn_ms, given_up, ..Kept::default() }), ..Stats::default() };
+        let mut stats = Stats {
+            deadline: Some(DeadlineOutcome { drawn_ms, given_up, ..DeadlineOutcome::default() }),
+            ..Stats::default()
+        };
         stats.count("runs selected", plan.runs.len());
         stats.count("polygons set up", 10 * drawn);
         self.controller.end(&timed, &mut stats);
         let took_us = watch.elapsed().as_secs_f64() * 1e6;
-        Ok(Frame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius })
+        Ok(TimedFrame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius })
     }
 
     /// Fifty frames without need.
@@ -139,7 +142,7 @@ fn a_radius_is_a_prefix_of_the_runs() {
     // Runs within 2 m are never cut, and 20 of them are.
     assert!((2.0..2.4).contains(&radius), "{radius}");
     let means = &frame.kept.given_up.as_ref().unwrap().means;
-    assert_eq!(means[0].means, Means::Radius);
+    assert_eq!(means[0].means, DegradationKind::Radius);
     assert!((means[0].metres - f64::from(radius)).abs() < 1e-9);
     // Rounded down: nothing that was cut off is nearer.
     let first_out = (0..300).map(|i| 0.1 * i as f32).find(|nearest| *nearest > radius).unwrap();

@@ -8,7 +8,9 @@ pub(super) use image::Image;
 pub(crate) use image::Kind;
 
 use super::prediction::given_at;
-use super::roi::{Finder, Level, Material, PoseCovariance, PoseErrors, Projection as _, Roi, Uncertain, Viewpoint};
+use super::roi::{
+    BodyPoint, BoxFinder, FeatureErrorModel, Level, PoseCovariance, PoseErrors, Projection as _, Roi, Viewpoint,
+};
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
 use crate::environment::check_covariance;
 use crate::error::{Error, Result};
@@ -124,7 +126,7 @@ pub fn add_boxes(
 ) -> Result<()> {
     let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
     let FeaturePrediction { features, given, .. } = prediction;
-    let add = |room: &mut Room, (i, seen): (usize, &mut SeenFeature)| {
+    let add = |room: &mut BoxScratch, (i, seen): (usize, &mut SeenFeature)| {
         // What is not seen is not looked for.
         if seen.visible.is_empty() {
             return;
@@ -137,16 +139,16 @@ pub fn add_boxes(
     };
     parallel(|| {
         let features = features.par_iter_mut().enumerate().with_min_len(64);
-        features.for_each_init(Room::default, add);
+        features.for_each_init(BoxScratch::default, add);
     })
 }
 
 /// What one worker keeps.
 #[derive(Default)]
-pub(crate) struct Room {
+pub(crate) struct BoxScratch {
     /// Those that a box is to hold.
-    pub points: Vec<Material>,
-    finder: Finder,
+    pub points: Vec<BodyPoint>,
+    finder: BoxFinder,
 }
 
 /// What the boxes of one prediction share.
@@ -178,13 +180,13 @@ impl<'a> BoxFrame<'a> {
     }
 
     /// The errors of a feature.
-    pub fn uncertain(&self, placed: &PlacedFeature) -> Uncertain {
+    pub fn uncertain(&self, placed: &PlacedFeature) -> FeatureErrorModel {
         let object = placed.object.and_then(|o| self.world.environment().objects().get(o as usize));
         let world_from_frame = object.map_or(Pose::IDENTITY, |o| o.world_from_object);
         let first = |object: u32| self.objects.partition_point(|(o, _)| *o < object);
         let known = |object: u32| self.objects.get(first(object)).filter(|(o, _)| *o == object).map(|(_, e)| e);
         let errors = placed.object.and_then(known);
-        Uncertain::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
+        FeatureErrorModel::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
     }
 
     /// Writes a box down. A patch that is seen over more than half a turn lies around the axis, and so does its box.
@@ -202,21 +204,21 @@ impl<'a> BoxFrame<'a> {
     #[cfg(feature = "gpu")]
     pub fn finish(&self, prediction: &mut FeaturePrediction, placed: &[PlacedFeature], which: &[u32]) {
         let features = &prediction.features;
-        let find = |room: &mut Room, i: &u32| {
+        let find = |room: &mut BoxScratch, i: &u32| {
             let (seen, placed) = (&features[*i as usize], &placed[prediction.given_at(*i as usize)]);
             let uncertain = self.uncertain(placed);
             points::seen(&self.image, &uncertain, seen, &mut room.points);
             room.finder.find(&self.image, &uncertain, &room.points, &self.level, self.method)
         };
-        let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(Room::default, find).collect();
+        let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(BoxScratch::default, find).collect();
         for (i, found) in which.iter().zip(found) {
             self.set(&mut prediction.features[*i as usize], found);
         }
     }
 
     /// Gives a feature that is seen its covariances, and lists the points that its box is to hold; false if there are none.
-    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &Uncertain, room: &mut Room) -> bool {
-        let Room { points, finder } = room;
+    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &FeatureErrorModel, room: &mut BoxScratch) -> bool {
+        let BoxScratch { points, finder } = room;
         points::defining(&seen.feature.shape, points);
         seen.image_covariance = finder.covariances(&self.image, uncertain, points);
         points::seen(&self.image, uncertain, seen, points);

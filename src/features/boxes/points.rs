@@ -5,7 +5,7 @@
 
 use super::image::{Image, Kind};
 use crate::environment::FeatureShape;
-use crate::features::roi::{Material, Projection, Uncertain};
+use crate::features::roi::{BodyPoint, FeatureErrorModel, Projection};
 use crate::features::{MAX_PATCH_SAMPLES, STEP, SeenFeature, VisibleInterval};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
@@ -23,16 +23,16 @@ const PARTS: usize = 8;
 const SAGITTA: f64 = 1.0 / 32.0;
 
 /// The points that define a feature.
-pub(super) fn defining(shape: &FeatureShape, into: &mut Vec<Material>) {
+pub(super) fn defining(shape: &FeatureShape, into: &mut Vec<BodyPoint>) {
     into.clear();
     match shape {
-        FeatureShape::Segment { ends, .. } => into.extend([0.0, 1.0].map(|t| Material::on_segment(ends, t))),
-        other => into.extend(other.points().iter().map(|p| Material::rigid(*p))),
+        FeatureShape::Segment { ends, .. } => into.extend([0.0, 1.0].map(|t| BodyPoint::on_segment(ends, t))),
+        other => into.extend(other.points().iter().map(|p| BodyPoint::rigid(*p))),
     }
 }
 
 /// The points that a feature's box is to hold.
-pub(super) fn seen(image: &Image<'_>, uncertain: &Uncertain, seen: &SeenFeature, into: &mut Vec<Material>) {
+pub(super) fn seen(image: &Image<'_>, uncertain: &FeatureErrorModel, seen: &SeenFeature, into: &mut Vec<BodyPoint>) {
     into.clear();
     let shape = &seen.feature.shape;
     match shape {
@@ -43,23 +43,23 @@ pub(super) fn seen(image: &Image<'_>, uncertain: &Uncertain, seen: &SeenFeature,
         }
         FeatureShape::Patch { corners, .. } => patch(image, uncertain, corners, seen, into),
         FeatureShape::Fiducial { corners, .. } => patch(image, uncertain, corners, seen, into),
-        FeatureShape::Point { at, .. } | FeatureShape::Reflector { at, .. } => into.push(Material::rigid(*at)),
+        FeatureShape::Point { at, .. } | FeatureShape::Reflector { at, .. } => into.push(BodyPoint::rigid(*at)),
     }
 }
 
 fn segment(
     image: &Image<'_>,
-    uncertain: &Uncertain,
+    uncertain: &FeatureErrorModel,
     ends: &[DVec3; 2],
     [from, to]: [f64; 2],
-    into: &mut Vec<Material>,
+    into: &mut Vec<BodyPoint>,
 ) {
-    let mut put = |t: f64| into.push(Material::on_segment(ends, t));
+    let mut put = |t: f64| into.push(BodyPoint::on_segment(ends, t));
     put(from);
     match image.kind {
         Kind::Pinhole(_) => {}
         Kind::Beams([_, rows]) => {
-            let [a, b] = [from, to].map(|t| uncertain.nominal(&Material::on_segment(ends, t)).p);
+            let [a, b] = [from, to].map(|t| uncertain.nominal(&BodyPoint::on_segment(ends, t)).p);
             // Near a pole columns turn as fast as the line passes it.
             let turns = |p: DVec3| p.x.hypot(p.y) < STEEP * p.length();
             // A great circle leaves the chord between two of its points by an eighth of the square of their angle at most.
@@ -85,18 +85,24 @@ fn culmination(a: DVec3, b: DVec3) -> Option<f64> {
     (t > 0.0 && t < 1.0).then_some(t)
 }
 
-fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &SeenFeature, into: &mut Vec<Material>) {
+fn patch(
+    image: &Image<'_>,
+    uncertain: &FeatureErrorModel,
+    corners: &[DVec3],
+    seen: &SeenFeature,
+    into: &mut Vec<BodyPoint>,
+) {
     let [visible] = seen.visible.as_slice() else { return };
-    let window = Window::of(image, uncertain, corners, visible);
+    let window = PatchWindow::of(image, uncertain, corners, visible);
     // What is outside the image is no hidden part: a patch is seen whole only if its corners are in the image.
     let (w, h) = image.size();
     let inside_image = |corner: &DVec3| {
-        let at = image.project(uncertain.nominal(&Material::rigid(*corner)).p);
+        let at = image.project(uncertain.nominal(&BodyPoint::rigid(*corner)).p);
         let within = |x: f64, size: u32| (-0.5..=f64::from(size) - 0.5).contains(&x);
         at.is_some_and(|[u, v]| within(u, w) && within(v, h))
     };
     let whole = seen.hidden.is_empty() && corners.iter().all(inside_image);
-    let holds = |p: DVec3| match image.project(uncertain.nominal(&Material::rigid(p)).p) {
+    let holds = |p: DVec3| match image.project(uncertain.nominal(&BodyPoint::rigid(p)).p) {
         Some(at) => whole || window.holds(at),
         None => false,
     };
@@ -104,7 +110,7 @@ fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &See
     let parts = if straight && whole { 1 } else { PARTS };
     // A straight edge is highest, or lowest, in a scanner's image where it passes nearest to the axis.
     let rises = matches!(image.kind, Kind::Beams(_) | Kind::Scanner);
-    let in_body = |p: &DVec3| uncertain.nominal(&Material::rigid(*p)).p;
+    let in_body = |p: &DVec3| uncertain.nominal(&BodyPoint::rigid(*p)).p;
     for (k, a) in corners.iter().enumerate() {
         let b = corners[(k + 1) % corners.len()];
         let mut before = (*a, holds(*a));
@@ -116,10 +122,10 @@ fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &See
             let p = a.lerp(b, t);
             let here = (p, holds(p));
             if before.1 {
-                into.push(Material::rigid(before.0));
+                into.push(BodyPoint::rigid(before.0));
             }
             if before.1 != here.1 {
-                into.push(Material::rigid(crossing(before, here, &holds)));
+                into.push(BodyPoint::rigid(crossing(before, here, &holds)));
             }
             before = here;
         }
@@ -130,7 +136,7 @@ fn patch(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], seen: &See
     if into.is_empty() {
         // Seen from its edge, at its middle.
         into.extend(
-            corners.iter().map(|p| Material::rigid(*p)).filter(|p| image.project(uncertain.nominal(p).p).is_some()),
+            corners.iter().map(|p| BodyPoint::rigid(*p)).filter(|p| image.project(uncertain.nominal(p).p).is_some()),
         );
     }
 }
@@ -149,12 +155,12 @@ fn crossing(a: (DVec3, bool), b: (DVec3, bool), holds: &impl Fn(DVec3) -> bool) 
 /// which a patch has no outermost points in the image.
 fn inside(
     image: &Image<'_>,
-    uncertain: &Uncertain,
+    uncertain: &FeatureErrorModel,
     corners: &[DVec3],
-    window: Option<Window>,
-    into: &mut Vec<Material>,
+    window: Option<PatchWindow>,
+    into: &mut Vec<BodyPoint>,
 ) {
-    let in_body: Vec<DVec3> = corners.iter().map(|c| uncertain.nominal(&Material::rigid(*c)).p).collect();
+    let in_body: Vec<DVec3> = corners.iter().map(|c| uncertain.nominal(&BodyPoint::rigid(*c)).p).collect();
     let Some(plane) = plane_of_polygon(&in_body) else { return };
     let sign = plane.offset.signum();
     let edge = |k: usize| sign * in_body[k].cross(in_body[(k + 1) % in_body.len()] - in_body[k]);
@@ -162,7 +168,7 @@ fn inside(
     let meet = |ray: DVec3| {
         let inverse = plane.normal.dot(ray) / plane.offset;
         let meets = inverse > 0.0 && edges.iter().all(|e| e.dot(ray) >= 0.0);
-        meets.then(|| Material::rigid(uncertain.in_frame(ray / inverse)))
+        meets.then(|| BodyPoint::rigid(uncertain.in_frame(ray / inverse)))
     };
     let body_from_image = image.image_from_body.transpose();
     let at = |pixel: DVec2| image.sensor.ray_at(pixel.x, pixel.y).and_then(|ray| meet(body_from_image * ray));
@@ -185,7 +191,7 @@ fn inside(
 }
 
 /// The last on the way from one pixel to another, if the first is one.
-fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<Material>) -> Option<Material> {
+fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<BodyPoint>) -> Option<BodyPoint> {
     let (mut inside, mut outside, mut last) = (from, to, at(from)?);
     for _ in 0..12 {
         let middle = 0.5 * (inside + outside);
@@ -199,7 +205,7 @@ fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<Material>) -> Op
 
 /// The part of the image in which a patch is seen.
 #[derive(Clone, Copy)]
-struct Window {
+struct PatchWindow {
     low: DVec2,
     high: DVec2,
     /// Least and greatest of what is seen.
@@ -207,14 +213,14 @@ struct Window {
     turn: Option<f64>,
 }
 
-impl Window {
+impl PatchWindow {
     /// Around samples, by a step of the grid that was laid over the patch's image: so far off may the next one be, and not seen.
-    fn of(image: &Image<'_>, uncertain: &Uncertain, corners: &[DVec3], visible: &VisibleInterval) -> Self {
+    fn of(image: &Image<'_>, uncertain: &FeatureErrorModel, corners: &[DVec3], visible: &VisibleInterval) -> Self {
         let (w, h) = image.size();
         let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
         let (mut low, mut high) = (most, DVec2::splat(-0.5));
         for corner in corners {
-            match image.project(uncertain.nominal(&Material::rigid(*corner)).p).map(DVec2::from) {
+            match image.project(uncertain.nominal(&BodyPoint::rigid(*corner)).p).map(DVec2::from) {
                 Some(at) if matches!(image.kind, Kind::Pinhole(_)) => {
                     (low, high) = (low.min(at).max(DVec2::splat(-0.5)), high.max(at).min(most));
                 }

@@ -12,12 +12,12 @@
 //! overlapping and crossing polygons, seams and T-junctions need no care: sides of an H run inside their neighbours.
 
 use super::local::Local;
-use super::patch::Under;
-use super::plane::{Flat, bounds_of, clip, inside, sides, within};
+use super::patch::CoplanarPart;
+use super::plane::{PatchPlane, bounds_of, clip, inside, sides, within};
 use super::segment::widest_gap;
 use crate::error::Result;
 use crate::geometry::Aabb;
-use crate::index::{Found, Params, Region, Skd, SpatialIndex};
+use crate::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 use glam::{DVec2, DVec3};
 use std::f64::consts::TAU;
 
@@ -34,15 +34,15 @@ const MOST_CUTS: usize = 256;
 /// least is on one. `compare` is told of how many pairs of polygons are compared.
 pub(super) fn uncovered(
     outline: &[DVec2],
-    under: &[Under<'_>],
-    flat: &Flat,
+    under: &[CoplanarPart<'_>],
+    flat: &PatchPlane,
     compare: &dyn Fn(usize) -> Result<()>,
 ) -> Result<Option<DVec3>> {
-    let holds_all = |u: &Under<'_>| outline.iter().all(|p| u.local.holds(flat.lift(*p)));
+    let holds_all = |u: &CoplanarPart<'_>| outline.iter().all(|p| u.local.holds(flat.lift(*p)));
     if under.iter().any(holds_all) {
         return Ok(None);
     }
-    let mut cover = Cover::new(under, flat);
+    let mut cover = PatchCover::new(under, flat);
     for own in 0..under.len() {
         for (u, v) in sides(&under[own].around(flat)) {
             let Some((from, to)) = within((u, v), outline) else { continue };
@@ -56,21 +56,21 @@ pub(super) fn uncovered(
 }
 
 /// The polygons under a patch, with an index over them.
-struct Cover<'a> {
-    under: &'a [Under<'a>],
-    flat: &'a Flat,
+struct PatchCover<'a> {
+    under: &'a [CoplanarPart<'a>],
+    flat: &'a PatchPlane,
     index: Skd<3>,
-    found: Found,
+    found: QueryResult,
 }
 
-impl<'a> Cover<'a> {
-    fn new(under: &'a [Under<'a>], flat: &'a Flat) -> Self {
+impl<'a> PatchCover<'a> {
+    fn new(under: &'a [CoplanarPart<'a>], flat: &'a PatchPlane) -> Self {
         let grown = |l: &Local| {
             let b = Aabb::of(l.corners.iter().copied());
             Aabb { min: b.min - l.reach, max: b.max + l.reach }
         };
         let boxes: Vec<(u32, Aabb)> = (0..).zip(under.iter().map(|u| grown(u.local))).collect();
-        Self { under, flat, index: Skd::build(Params::default(), &boxes), found: Found::default() }
+        Self { under, flat, index: Skd::build(Params::default(), &boxes), found: QueryResult::default() }
     }
 
     /// A point of a line that none of the other polygons holds.
@@ -97,7 +97,7 @@ impl<'a> Cover<'a> {
     }
 }
 
-impl Under<'_> {
+impl CoplanarPart<'_> {
     /// How far K reaches along a direction of the plane: each point of the polygon is the middle of a disc in it, the
     /// smaller the higher it is, and the farthest of these is on the polygon's outline.
     fn reaches(&self, direction: DVec2) -> f64 {
@@ -115,7 +115,7 @@ impl Under<'_> {
     }
 
     /// H: a convex polygon around K, counter-clockwise.
-    pub(super) fn around(&self, flat: &Flat) -> Vec<DVec2> {
+    pub(super) fn around(&self, flat: &PatchPlane) -> Vec<DVec2> {
         let stand = MARGIN * self.local.reach + self.local.warp;
         let (low, high) = bounds_of(&self.part);
         let (low, high) = (low - 2.0 * self.local.reach - stand, high + 2.0 * self.local.reach + stand);
@@ -142,7 +142,7 @@ impl Under<'_> {
 }
 
 /// From a point that is off to one nearby that is farther off: told to people, nothing depends on it.
-fn farther(start: DVec2, outline: &[DVec2], under: &[Under<'_>], flat: &Flat) -> DVec2 {
+fn farther(start: DVec2, outline: &[DVec2], under: &[CoplanarPart<'_>], flat: &PatchPlane) -> DVec2 {
     let off = |p: DVec2| under.iter().map(|u| u.local.distance(flat.lift(p))).fold(f64::INFINITY, f64::min);
     let (low, high) = bounds_of(outline);
     let (mut at, mut best, mut step) = (start, off(start), 0.25 * (high - low).max_element());

@@ -25,7 +25,7 @@ use super::PlacedFeature;
 use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Object};
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose, plane_of_polygon};
-use crate::index::{Found, Region};
+use crate::index::{QueryResult, Region};
 use crate::world::World;
 use glam::DVec3;
 use local::Local;
@@ -41,7 +41,7 @@ const LYING: f64 = 0.087;
 const ROUNDING: f64 = 1e-5;
 
 /// What a feature lies on, or where it does not.
-enum Lie {
+enum Support {
     /// Slots of the polygons, in any order.
     On(Vec<u32>),
     /// A point of it that is off all polygons, in the feature's frame about its first point.
@@ -82,17 +82,17 @@ enum Lie {
 /// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that does not exist, or a
 /// feature that is somewhere off its polygons by more than the layer's tolerance, with the distance.
 pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
-    let mut finder = Finder::new(world, layer)?;
+    let mut finder = SupportFinder::new(world, layer)?;
     layer.features.iter().map(|feature| finder.place(feature).map_err(|e| e.at(name_of(feature)))).collect()
 }
 
 /// As [`place`], but leaves out features that cannot be placed, and returns their numbers as the second value.
 pub(crate) fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
-    let mut finder = Finder::new(world, layer)?;
+    let mut finder = SupportFinder::new(world, layer)?;
     let (mut placed, mut off) = (Vec::with_capacity(layer.features.len()), Vec::new());
     for feature in &layer.features {
         match finder.lie(feature) {
-            Ok((frame, Lie::On(slots))) => placed.push(frame.placed(feature, slots)),
+            Ok((frame, Support::On(slots))) => placed.push(frame.placed(feature, slots)),
             // How far off it is takes a search of its own.
             _ => off.push(feature.id),
         }
@@ -107,22 +107,22 @@ fn name_of(feature: &Feature) -> String {
     }
 }
 
-struct Finder<'a> {
+struct SupportFinder<'a> {
     world: &'a World,
     environment: &'a Environment,
     tolerance: f64,
-    found: Found,
+    found: QueryResult,
 }
 
 /// The frame a feature is given in.
-struct Frame<'a> {
+struct FeatureFrame<'a> {
     /// Its object and the object's index; `None` is the world.
     object: Option<(&'a Object, u32)>,
     /// First point of the feature: what distances are computed about.
     anchor: DVec3,
 }
 
-impl Frame<'_> {
+impl FeatureFrame<'_> {
     fn placed(&self, feature: &Feature, mut slots: Vec<u32>) -> PlacedFeature {
         slots.sort_unstable();
         PlacedFeature { feature: feature.clone(), object: self.object.map(|(_, index)| index), slots }
@@ -155,45 +155,45 @@ impl Frame<'_> {
     }
 }
 
-impl<'a> Finder<'a> {
+impl<'a> SupportFinder<'a> {
     fn new(world: &'a World, layer: &FeatureLayer) -> Result<Self> {
         layer.check()?;
         let environment = world.environment();
         for (object, _) in &layer.pose_covariances {
             environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
         }
-        Ok(Self { world, environment, tolerance: layer.tolerance, found: Found::default() })
+        Ok(Self { world, environment, tolerance: layer.tolerance, found: QueryResult::default() })
     }
 
     fn place(&mut self, feature: &Feature) -> Result<PlacedFeature> {
         match self.lie(feature)? {
-            (frame, Lie::On(slots)) => Ok(frame.placed(feature, slots)),
-            (frame, Lie::Off(at)) => Err(self.off(&frame, at, feature)),
+            (frame, Support::On(slots)) => Ok(frame.placed(feature, slots)),
+            (frame, Support::Off(at)) => Err(self.off(&frame, at, feature)),
         }
     }
 
     /// The frame of a feature, and what it lies on.
-    fn lie(&mut self, feature: &Feature) -> Result<(Frame<'a>, Lie)> {
+    fn lie(&mut self, feature: &Feature) -> Result<(FeatureFrame<'a>, Support)> {
         let environment = self.environment;
         let object = match &feature.object {
             Some(path) => Some(environment.index_of(path)?),
             None => None,
         };
         let points = feature.shape.points();
-        let frame = Frame { object: object.map(|i| (&environment.objects()[i as usize], i)), anchor: points[0] };
+        let frame = FeatureFrame { object: object.map(|i| (&environment.objects()[i as usize], i)), anchor: points[0] };
         let boxes = boxes_around(&frame, &feature.shape);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
         let tolerance = self.tolerance;
         let mut within = |tolerance: f64| lie(&self.near(&frame, &boxes, tolerance), &about, &|_| Ok(()));
         let lie = match within(tolerance.min(ROUNDING))? {
-            Lie::Off(_) if tolerance > ROUNDING => within(tolerance)?,
+            Support::Off(_) if tolerance > ROUNDING => within(tolerance)?,
             lie => lie,
         };
         Ok((frame, lie))
     }
 
     /// The polygons that may come within a tolerance of the boxes (world).
-    fn near(&mut self, frame: &Frame<'_>, boxes: &[Aabb], tolerance: f64) -> Vec<Local> {
+    fn near(&mut self, frame: &FeatureFrame<'_>, boxes: &[Aabb], tolerance: f64) -> Vec<Local> {
         self.found.clear();
         for b in boxes {
             let reach = b.min.abs().max(b.max.abs()).max_element();
@@ -207,13 +207,13 @@ impl<'a> Finder<'a> {
         slots.into_iter().filter_map(|slot| self.local(frame, slot, tolerance)).collect()
     }
 
-    fn local(&self, frame: &Frame<'_>, slot: u32, tolerance: f64) -> Option<Local> {
+    fn local(&self, frame: &FeatureFrame<'_>, slot: u32, tolerance: f64) -> Option<Local> {
         let (index, polygon) = self.environment.locate(slot)?;
         let (corners, rounding) = frame.corners(&self.environment.objects()[index as usize], index, polygon);
         Some(Local::new(slot, corners, tolerance + rounding))
     }
 
-    fn off(&mut self, frame: &Frame<'_>, at: DVec3, feature: &Feature) -> Error {
+    fn off(&mut self, frame: &FeatureFrame<'_>, at: DVec3, feature: &Feature) -> Error {
         let p = at + frame.anchor;
         let whose = match &feature.object {
             Some(path) => format!("in the frame of object {path:?}"),
@@ -245,7 +245,7 @@ impl<'a> Finder<'a> {
     }
 
     /// From a point about the anchor to the nearest polygon, metres; `None` if there are no polygons.
-    fn distance(&mut self, frame: &Frame<'_>, at: DVec3) -> Option<f64> {
+    fn distance(&mut self, frame: &FeatureFrame<'_>, at: DVec3) -> Option<f64> {
         let p_in_world = frame.to_world(at + frame.anchor);
         let everything = self.environment.bounds();
         if everything.is_empty() {
@@ -268,7 +268,7 @@ impl<'a> Finder<'a> {
 }
 
 /// Boxes in the world that together hold the feature; several for a slanted segment, whose one box would be large.
-fn boxes_around(frame: &Frame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
+fn boxes_around(frame: &FeatureFrame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
     /// Most boxes along a segment.
     const MOST: f64 = 16.0;
     let points: Vec<DVec3> = shape.points().iter().map(|p| frame.to_world(*p)).collect();
@@ -281,7 +281,7 @@ fn boxes_around(frame: &Frame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
 }
 
 /// A point, the ends of a segment or the corners of a patch, the first of them the origin.
-fn lie(near: &[Local], points: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Lie> {
+fn lie(near: &[Local], points: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Support> {
     match points {
         [_] => Ok(on_point(near)),
         [_, end] => Ok(segment::lie(near, *end)),
@@ -289,9 +289,9 @@ fn lie(near: &[Local], points: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) 
     }
 }
 
-fn on_point(near: &[Local]) -> Lie {
+fn on_point(near: &[Local]) -> Support {
     let on: Vec<u32> = near.iter().filter(|l| l.holds(DVec3::ZERO)).map(|l| l.slot).collect();
-    if on.is_empty() { Lie::Off(DVec3::ZERO) } else { Lie::On(on) }
+    if on.is_empty() { Support::Off(DVec3::ZERO) } else { Support::On(on) }
 }
 
 /// True if a point, the ends of a segment or the corners of a patch lie on polygons, all of it, within a tolerance; both in
@@ -317,5 +317,5 @@ pub(crate) fn lies_on<C: AsRef<[DVec3]>>(
     if about.len() > 2 && plane_of_polygon(&about).is_none() {
         return Ok(false);
     }
-    lie(&near, &about, compare).map(|lie| matches!(lie, Lie::On(_)))
+    lie(&near, &about, compare).map(|lie| matches!(lie, Support::On(_)))
 }

@@ -2,14 +2,14 @@
 
 use super::cover::uncovered;
 use super::local::Local;
-use super::plane::{Flat, bounds_of, clip, doubled_area, inside, sides, width};
-use super::{LYING, Lie};
+use super::plane::{PatchPlane, bounds_of, clip, doubled_area, inside, sides, width};
+use super::{LYING, Support};
 use crate::error::{Error, Result};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
 
 /// A polygon that is as good as coplanar.
-pub(super) struct Under<'a> {
+pub(super) struct CoplanarPart<'a> {
     pub local: &'a Local,
     /// The part within the tolerance of the patch's plane, seen from above, counter-clockwise.
     pub part: Vec<DVec2>,
@@ -18,17 +18,17 @@ pub(super) struct Under<'a> {
 }
 
 /// A patch with these corners, the first of them the origin; `compare` is told of how many pairs of polygons are compared.
-pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Lie> {
+pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Support> {
     let plane = plane_of_polygon(corners)
         .ok_or_else(|| Error::invalid("the patch has no area", "give corners that are not on one line"))?;
-    let flat = Flat::of(&plane);
-    let under: Vec<Under<'_>> = near.iter().filter_map(|local| Under::new(local, &flat)).collect();
+    let flat = PatchPlane::of(&plane);
+    let under: Vec<CoplanarPart<'_>> = near.iter().filter_map(|local| CoplanarPart::new(local, &flat)).collect();
     if let Some(off) = corners.iter().find(|c| !under.iter().any(|u| u.local.holds(**c))) {
-        return Ok(Lie::Off(*off));
+        return Ok(Support::Off(*off));
     }
     let outline: Vec<DVec2> = corners.iter().map(|c| flat.project(*c)).collect();
     if let Some(off) = uncovered(&outline, &under, &flat, compare)? {
-        return Ok(Lie::Off(off));
+        return Ok(Support::Off(off));
     }
     let overlapping = under.iter().filter(|u| u.overlaps(&outline)).map(|u| u.local.slot);
     let mut slots: Vec<u32> = overlapping.collect();
@@ -36,11 +36,11 @@ pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> 
         // It lies within the tolerance beside them: better those than none.
         slots.extend(under.iter().filter(|u| corners.iter().any(|c| u.local.holds(*c))).map(|u| u.local.slot));
     }
-    Ok(Lie::On(slots))
+    Ok(Support::On(slots))
 }
 
-impl<'a> Under<'a> {
-    pub(super) fn new(local: &'a Local, flat: &Flat) -> Option<Self> {
+impl<'a> CoplanarPart<'a> {
+    pub(super) fn new(local: &'a Local, flat: &PatchPlane) -> Option<Self> {
         let heights = || local.corners.iter().map(|c| flat.height(*c));
         let (low, high) = heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
         let turned = local.normal.map_or(0.0, |n| n.cross(flat.normal).length());

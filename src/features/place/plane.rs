@@ -4,14 +4,14 @@ use crate::geometry::Plane;
 use glam::{DVec2, DVec3};
 
 /// A plane with axes; heights are taken from the mean of the patch's corners.
-pub(super) struct Flat {
+pub(super) struct PatchPlane {
     pub x: DVec3,
     pub y: DVec3,
     pub normal: DVec3,
     pub offset: f64,
 }
 
-impl Flat {
+impl PatchPlane {
     /// x, y and the normal are right-handed, so that what winds about the normal is counter-clockwise in them.
     pub fn of(plane: &Plane) -> Self {
         let x = plane.normal.any_orthonormal_vector();

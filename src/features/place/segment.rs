@@ -1,11 +1,11 @@
 //! The polygons along a segment.
 
 use super::local::Local;
-use super::{LYING, Lie};
+use super::{LYING, Support};
 use glam::DVec3;
 
 /// A segment from the origin to `end`.
-pub(super) fn lie(near: &[Local], end: DVec3) -> Lie {
+pub(super) fn lie(near: &[Local], end: DVec3) -> Support {
     let length = end.length();
     let mut on = Vec::new();
     let mut covered = Vec::new();
@@ -22,8 +22,8 @@ pub(super) fn lie(near: &[Local], end: DVec3) -> Lie {
         }
     }
     match widest_gap(&mut covered) {
-        None => Lie::On(on),
-        Some((from, to)) => Lie::Off(end * farthest(near, end, from, to)),
+        None => Support::On(on),
+        Some((from, to)) => Support::Off(end * farthest(near, end, from, to)),
     }
 }
 

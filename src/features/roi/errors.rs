@@ -18,11 +18,11 @@ pub(crate) const ERRORS: usize = 3 * KIND;
 pub(crate) const KIND: usize = 6;
 
 /// One number for each error: the sensor's, the object's, those of the ends.
-pub(super) type Each = [[f64; KIND]; 3];
+pub(super) type ErrorVector = [[f64; KIND]; 3];
 
 /// Something of every number.
 #[inline]
-pub(super) fn each(xi: &Each, f: impl Fn(f64) -> f64) -> Each {
+pub(super) fn each(xi: &ErrorVector, f: impl Fn(f64) -> f64) -> ErrorVector {
     xi.map(|kind| kind.map(&f))
 }
 
@@ -118,7 +118,7 @@ impl Columns {
 
 /// The uncertain state of one feature: all errors, through one matrix.
 #[derive(Clone, Debug)]
-pub struct Uncertain {
+pub struct FeatureErrorModel {
     body_from_frame: DMat3,
     /// The frame's origin in the body frame, composed in f64 with world positions subtracted first.
     origin: DVec3,
@@ -130,14 +130,14 @@ pub struct Uncertain {
 
 /// A material point of a feature: its position in the feature's frame, and its share in the error of each end.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Material {
+pub struct BodyPoint {
     /// Position in the feature's frame, metres.
     pub at: DVec3,
     /// Shares of the errors of the first and the second end; (1, 0) for features that move as a whole.
     pub shares: [f64; 2],
 }
 
-impl Material {
+impl BodyPoint {
     /// A point of a feature: by its share t of the length for segments, or anywhere on one that moves as a whole.
     pub fn on_segment(ends: &[DVec3; 2], t: f64) -> Self {
         Self { at: ends[0].lerp(ends[1], t), shares: [1.0 - t, t] }
@@ -151,7 +151,7 @@ impl Material {
 
 /// The nominal place of a material point, without errors, body axes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Placed {
+pub(crate) struct NominalPoint {
     /// From the sensor.
     pub p: DVec3,
     /// From the origin of the feature's frame.
@@ -159,7 +159,7 @@ pub(crate) struct Placed {
     pub shares: [f64; 2],
 }
 
-impl Uncertain {
+impl FeatureErrorModel {
     /// The errors of a feature seen from a pose. `world_from_frame` is the pose of the feature's object (identity for
     /// the world) with its covariance in the object's own axes; the sensor's covariance is along the world's axes,
     /// rotation by Exp(dtheta) from the left.
@@ -178,7 +178,7 @@ impl Uncertain {
         Ok(Self::seen_from(&viewpoint, world_from_frame, object.as_ref(), shape))
     }
 
-    /// As [`Uncertain::new`], with the data that many features share computed beforehand.
+    /// As [`FeatureErrorModel::new`], with the data that many features share computed beforehand.
     pub fn seen_from(
         viewpoint: &Viewpoint,
         world_from_frame: &Pose,
@@ -206,8 +206,8 @@ impl Uncertain {
     }
 
     /// The exact position of a point in the body frame under errors `xi` (standard normal, one for each dimension).
-    pub fn place(&self, point: &Material, xi: &[f64]) -> DVec3 {
-        let mut all = Each::default();
+    pub fn place(&self, point: &BodyPoint, xi: &[f64]) -> DVec3 {
+        let mut all = ErrorVector::default();
         for (i, x) in self.used().zip(xi) {
             all.as_flattened_mut()[i] = *x;
         }
@@ -235,9 +235,9 @@ impl Uncertain {
     }
 
     /// A point with nothing wrong.
-    pub(crate) fn nominal(&self, point: &Material) -> Placed {
+    pub(crate) fn nominal(&self, point: &BodyPoint) -> NominalPoint {
         let q = self.body_from_frame * point.at;
-        Placed { p: self.origin + q, q, shares: point.shares }
+        NominalPoint { p: self.origin + q, q, shares: point.shares }
     }
 
     /// A place of the body frame in the feature's frame.
@@ -246,12 +246,12 @@ impl Uncertain {
     }
 
     /// Where errors bring a point, body frame.
-    pub(super) fn moved(&self, point: &Placed, xi: &Each) -> DVec3 {
+    pub(super) fn moved(&self, point: &NominalPoint, xi: &ErrorVector) -> DVec3 {
         self.motion(xi).place(point)
     }
 
     /// What errors do to all points. Object and sensor may turn by large angles: exact, not linear.
-    pub(super) fn motion(&self, xi: &Each) -> Motion {
+    pub(super) fn motion(&self, xi: &ErrorVector) -> Motion {
         let [sensor, object, ends] = &self.columns;
         let object = self.has_object().then(|| object.sum(&xi[1])).map(|[shift, turn]| (Turn::new(turn), shift));
         let ends = self.has_ends().then(|| ends.sum(&xi[2]));
@@ -262,7 +262,7 @@ impl Uncertain {
 
     /// Derivatives, by each error at none, of what has the gradient `g` at a point.
     #[inline]
-    pub(super) fn slopes(&self, point: &Placed, g: DVec3) -> Each {
+    pub(super) fn slopes(&self, point: &NominalPoint, g: DVec3) -> ErrorVector {
         let [sensor, object, ends] = &self.columns;
         let none = [0.0; KIND];
         [
@@ -273,7 +273,7 @@ impl Uncertain {
     }
 
     /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
-    pub(crate) fn spread(&self, point: &Placed) -> f64 {
+    pub(crate) fn spread(&self, point: &NominalPoint) -> f64 {
         let [sensor, object, ends] = &self.sizes;
         let a = sensor[0] + sensor[1] * point.p.length();
         let b = object[0] + object[1] * point.q.length();
@@ -294,7 +294,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    pub fn place(&self, point: &Placed) -> DVec3 {
+    pub fn place(&self, point: &NominalPoint) -> DVec3 {
         let mut v = point.q;
         if let Some([first, second]) = self.ends {
             v += first * point.shares[0] + second * point.shares[1];

@@ -1,7 +1,7 @@
 //! Bounds by the projection's derivative, and how far the projection itself is from them.
 
-use super::errors::{Uncertain, each};
-use super::seen::{Seen, dot, unwrapped};
+use super::errors::{FeatureErrorModel, each};
+use super::image_point::{PointDerivatives, dot, unwrapped};
 use super::{Projection, SIDES};
 
 /// Where the derivative and the projection differ by more than this share of a side's distance, the derivative is given
@@ -12,12 +12,12 @@ pub(crate) const SLIGHTLY: f64 = 0.1;
 pub(crate) const SLIGHT: f64 = 0.1;
 
 /// The point that makes a side.
-fn maker(seen: &[Seen], side: (usize, f64), k: f64) -> Option<&Seen> {
+fn maker(seen: &[PointDerivatives], side: (usize, f64), k: f64) -> Option<&PointDerivatives> {
     seen.iter().max_by(|a, b| a.reach(side, k).total_cmp(&b.reach(side, k)))
 }
 
 /// Left, top, right, bottom.
-pub(super) fn linear_bounds(seen: &[Seen], k: f64) -> [f64; 4] {
+pub(super) fn linear_bounds(seen: &[PointDerivatives], k: f64) -> [f64; 4] {
     let limit = |side: (usize, f64)| side.1 * seen.iter().map(|s| s.reach(side, k)).fold(f64::NEG_INFINITY, f64::max);
     let [right, left, bottom, top] = SIDES.map(limit);
     [left, top, right, bottom]
@@ -27,8 +27,8 @@ pub(super) fn linear_bounds(seen: &[Seen], k: f64) -> [f64; 4] {
 /// is much.
 pub(super) fn bent_bounds(
     projection: &impl Projection,
-    uncertain: &Uncertain,
-    seen: &[Seen],
+    uncertain: &FeatureErrorModel,
+    seen: &[PointDerivatives],
     bounds: [f64; 4],
     k: f64,
 ) -> Option<[f64; 4]> {

@@ -27,7 +27,7 @@
 //! use glam::{DMat3, DVec3};
 //! use presight::Pose;
 //! use presight::environment::FeatureShape;
-//! use presight::features::roi::{Material, Projection, RoiFlag, Uncertain, roi};
+//! use presight::features::roi::{BodyPoint, Projection, RoiFlag, FeatureErrorModel, roi};
 //!
 //! /// A pinhole camera of 640 x 480 pixels, body axes: x forward, y left, z up.
 //! struct Camera;
@@ -54,8 +54,8 @@
 //! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
 //! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
 //! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
-//! let uncertain = Uncertain::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape)?;
-//! let points = [0.0, 1.0].map(|t| Material::on_segment(&ends, t));
+//! let uncertain = FeatureErrorModel::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape)?;
+//! let points = [0.0, 1.0].map(|t| BodyPoint::on_segment(&ends, t));
 //! let found = roi(&Camera, &uncertain, &points, 0.99).expect("it is before the camera");
 //!
 //! let sigma = 500.0 * ((xy * xy + line * line) / 16.0 + heading * heading).sqrt();
@@ -71,30 +71,30 @@
 //! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.
 
 mod errors;
+mod exceedance;
+mod image_point;
 mod linear;
-mod passing;
-mod seen;
 mod set;
 
-pub use errors::{Material, PoseErrors, Uncertain, Viewpoint};
-pub(crate) use passing::Level;
-pub(crate) use seen::differences;
+pub use errors::{BodyPoint, FeatureErrorModel, PoseErrors, Viewpoint};
+pub(crate) use exceedance::Level;
+pub(crate) use image_point::differences;
 
 // What the shader shares.
 #[cfg(all(feature = "gpu", test))]
-pub(crate) use passing::{EVENTS, MOST};
+pub(crate) use exceedance::{EVENTS, MOST};
 #[cfg(feature = "gpu")]
 pub(crate) use {
     errors::{ERRORS, KIND},
+    image_point::MARGIN,
     linear::{SLIGHT, SLIGHTLY},
-    seen::MARGIN,
 };
 
 use crate::features::BoxMethod;
+use exceedance::Exceedance;
 use glam::DVec3;
+use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
 use linear::{bent_bounds, linear_bounds};
-use passing::Passing;
-use seen::{Rough, Seen, dot, rough, see};
 use set::set_bounds;
 
 /// Covariance of a pose: x y z, then rotation about fixed x y z; metres and radians.
@@ -184,22 +184,22 @@ pub(crate) const MUCH: f64 = 0.35;
 
 /// Finds boxes of one feature after the other, in room that is kept.
 #[derive(Default)]
-pub(crate) struct Finder {
-    rough: Vec<Rough>,
-    seen: Vec<Seen>,
+pub(crate) struct BoxFinder {
+    rough: Vec<ImagePoint>,
+    seen: Vec<PointDerivatives>,
     /// The points that `seen` is of, while it is of all of them.
-    whole: Vec<Material>,
-    passing: Passing,
+    whole: Vec<BodyPoint>,
+    passing: Exceedance,
 }
 
-impl Finder {
+impl BoxFinder {
     /// Covariances in the image, pixels squared, of the points that define a feature; `None` if one has no image. What is
     /// asked next must be of the same feature.
     pub fn covariances(
         &mut self,
         projection: &impl Projection,
-        uncertain: &Uncertain,
-        points: &[Material],
+        uncertain: &FeatureErrorModel,
+        points: &[BodyPoint],
     ) -> Option<Vec<[[f64; 2]; 2]>> {
         self.whole.clear();
         rough(projection, uncertain, points, &mut self.rough);
@@ -207,17 +207,17 @@ impl Finder {
             return None;
         }
         self.seen.clear();
-        self.seen.extend(self.rough.iter().map(|rough| Seen::new(uncertain, rough)));
+        self.seen.extend(self.rough.iter().map(|rough| PointDerivatives::new(uncertain, rough)));
         self.whole.extend_from_slice(points);
-        Some(self.seen.iter().map(Seen::covariance).collect())
+        Some(self.seen.iter().map(PointDerivatives::covariance).collect())
     }
 
     /// See [`roi`].
     pub fn find(
         &mut self,
         projection: &impl Projection,
-        uncertain: &Uncertain,
-        points: &[Material],
+        uncertain: &FeatureErrorModel,
+        points: &[BodyPoint],
         level: &Level,
         method: BoxMethod,
     ) -> Option<Roi> {
@@ -256,12 +256,17 @@ impl Finder {
 
 /// The box that holds all given points of a feature (those visible at the nominal pose) with probability `confidence`. It is
 /// clipped to the image and at least one pixel wide and high. Returns `None` if no point has an image.
-pub fn roi(projection: &impl Projection, uncertain: &Uncertain, points: &[Material], confidence: f64) -> Option<Roi> {
-    Finder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
+pub fn roi(
+    projection: &impl Projection,
+    uncertain: &FeatureErrorModel,
+    points: &[BodyPoint],
+    confidence: f64,
+) -> Option<Roi> {
+    BoxFinder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
 }
 
 /// True if errors of `k` standard deviations may bring a point next to where it has no image, or beyond.
-fn is_lost(projection: &impl Projection, uncertain: &Uncertain, rough: &Rough, k: f64) -> bool {
+fn is_lost(projection: &impl Projection, uncertain: &FeatureErrorModel, rough: &ImagePoint, k: f64) -> bool {
     let left = (1.0 - GRAZING) * rough.clearance;
     if k * rough.spread < left {
         return false;

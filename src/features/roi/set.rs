@@ -11,9 +11,9 @@
 //! Draws are left out from the outside, as rare ones on one side as on the others, for as long as their probability, with
 //! twice its standard error, is within what the confidence leaves; the box is that of the others.
 
-use super::errors::{ERRORS, Each, Uncertain};
-use super::passing::Level;
-use super::seen::{Rough, Seen, unwrapped};
+use super::errors::{ERRORS, ErrorVector, FeatureErrorModel};
+use super::exceedance::Level;
+use super::image_point::{ImagePoint, PointDerivatives, unwrapped};
 use super::{GRAZING, Projection, SIDES};
 use std::sync::OnceLock;
 
@@ -52,12 +52,12 @@ const USED: f64 = 0.8;
 const MOST_OF_A_TURN: f64 = 0.9;
 
 /// Errors that are not nothing, in turn.
-type Few = [f64; ERRORS];
+type ActiveErrors = [f64; ERRORS];
 
 /// Standard normal numbers, the same for all features, by Box and Muller from multiples of the square roots of primes
 /// (Richtmyer 1951), which are spread more evenly than random numbers.
-fn normals() -> &'static [Few] {
-    static NORMALS: OnceLock<Vec<Few>> = OnceLock::new();
+fn normals() -> &'static [ActiveErrors] {
+    static NORMALS: OnceLock<Vec<ActiveErrors>> = OnceLock::new();
     const PRIMES: [f64; ERRORS] =
         [2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0, 47.0, 53.0, 59.0, 61.0];
     NORMALS.get_or_init(|| {
@@ -79,8 +79,8 @@ fn normals() -> &'static [Few] {
 /// `k` is the number of standard deviations at which linear bounds would stand.
 pub(super) fn set_bounds(
     projection: &impl Projection,
-    uncertain: &Uncertain,
-    rough: &[Rough],
+    uncertain: &FeatureErrorModel,
+    rough: &[ImagePoint],
     level: &Level,
     k: f64,
 ) -> Option<[f64; 4]> {
@@ -109,8 +109,8 @@ pub(super) fn set_bounds(
 /// What is asked of all errors.
 struct Set<'a, P> {
     projection: &'a P,
-    uncertain: &'a Uncertain,
-    rough: &'a [Rough],
+    uncertain: &'a FeatureErrorModel,
+    rough: &'a [ImagePoint],
     /// Numbers of the errors that are not nothing.
     used: &'a [usize],
 }
@@ -118,7 +118,7 @@ struct Set<'a, P> {
 /// Errors, how far towards each side they bring a feature, and how many draws of the normal distribution they stand for.
 #[derive(Clone, Copy)]
 struct Draw {
-    few: Few,
+    few: ActiveErrors,
     reach: [f64; 4],
     weight: f64,
 }
@@ -126,8 +126,8 @@ struct Draw {
 impl<P: Projection> Set<'_, P> {
     /// How far towards each side errors bring the feature; `None` if they bring it behind the sensor. What leaves the image
     /// elsewhere need not be found in it.
-    fn reach(&self, few: &Few) -> Option<[f64; 4]> {
-        let mut xi = Each::default();
+    fn reach(&self, few: &ActiveErrors) -> Option<[f64; 4]> {
+        let mut xi = ErrorVector::default();
         for (i, x) in self.used.iter().zip(few) {
             xi.as_flattened_mut()[*i] = *x;
         }
@@ -150,11 +150,11 @@ impl<P: Projection> Set<'_, P> {
     /// Errors of length `k` that move the feature far towards the sides: along the derivatives, and along each error, for a turn moves what
     /// is straight ahead up or down by the second order only. Of each side the farthest, and the farthest on the other
     /// side of none, if that is nearly as far.
-    fn centers(&self, k: f64) -> Vec<Few> {
+    fn centers(&self, k: f64) -> Vec<ActiveErrors> {
         let n = self.used.len();
-        let mut candidates: Vec<Few> = Vec::new();
+        let mut candidates: Vec<ActiveErrors> = Vec::new();
         for rough in self.rough {
-            let seen = Seen::new(self.uncertain, rough);
+            let seen = PointDerivatives::new(self.uncertain, rough);
             for (slopes, sigma) in seen.slopes.iter().zip(seen.sigma) {
                 if sigma > 0.0 {
                     let along = |i: usize| self.used.get(i).map_or(0.0, |i| k / sigma * slopes.as_flattened()[*i]);
@@ -163,12 +163,12 @@ impl<P: Projection> Set<'_, P> {
             }
         }
         candidates.extend((0..n).map(|axis| std::array::from_fn(|i| if i == axis { k } else { 0.0 })));
-        let both: Vec<Few> = candidates.iter().flat_map(|c| [*c, c.map(|x| -x)]).collect();
-        let reached: Vec<(Few, [f64; 4])> = both.iter().filter_map(|c| Some((*c, self.reach(c)?))).collect();
+        let both: Vec<ActiveErrors> = candidates.iter().flat_map(|c| [*c, c.map(|x| -x)]).collect();
+        let reached: Vec<(ActiveErrors, [f64; 4])> = both.iter().filter_map(|c| Some((*c, self.reach(c)?))).collect();
         let Some(nominal) = self.reach(&[0.0; ERRORS]) else { return Vec::new() };
-        let mut centers: Vec<Few> = Vec::with_capacity(CENTERS);
+        let mut centers: Vec<ActiveErrors> = Vec::with_capacity(CENTERS);
         for side in 0..SIDES.len() {
-            let farthest = |some: &mut dyn Iterator<Item = &(Few, [f64; 4])>| {
+            let farthest = |some: &mut dyn Iterator<Item = &(ActiveErrors, [f64; 4])>| {
                 some.max_by(|a, b| a.1[side].total_cmp(&b.1[side])).copied()
             };
             let Some((first, most)) = farthest(&mut reached.iter()) else { continue };
@@ -186,7 +186,7 @@ impl<P: Projection> Set<'_, P> {
 
     /// Where errors that pass a side lie on average, by some draws: for each side one place, and another if many lie on the
     /// other side of none.
-    fn passing(&self, draws: &[Draw], fail: f64) -> Vec<Few> {
+    fn passing(&self, draws: &[Draw], fail: f64) -> Vec<ActiveErrors> {
         let n = self.used.len();
         let mut centers = Vec::with_capacity(CENTERS);
         let mut order = Vec::new();
@@ -213,13 +213,13 @@ impl<P: Projection> Set<'_, P> {
     }
 
     /// Draws by normal numbers; those behind the sensor reach beyond every side.
-    fn draws(&self, normals: &[Few], centers: &[Few]) -> Vec<Draw> {
+    fn draws(&self, normals: &[ActiveErrors], centers: &[ActiveErrors]) -> Vec<Draw> {
         let n = self.used.len();
         let own = if centers.is_empty() { 1.0 - WIDE } else { NORMAL };
         let each = (1.0 - own - WIDE) / centers.len().max(1) as f64;
         let halves: Vec<f64> = centers.iter().map(|c| 0.5 * dot(c, c, n)).collect();
         let (thin, flat) = (WIDE * WIDTH.powi(-(n as i32)), 0.5 * (1.0 - 1.0 / (WIDTH * WIDTH)));
-        let one = |(i, z): (usize, &Few)| {
+        let one = |(i, z): (usize, &ActiveErrors)| {
             let share = (i as f64 * 0.754_877_666_246_692_7).fract() - own;
             let center = if share < WIDE { None } else { centers.get(((share - WIDE) / each) as usize) };
             let few = match center {
@@ -227,7 +227,7 @@ impl<P: Projection> Set<'_, P> {
                 None if share >= 0.0 => z.map(|x| WIDTH * x),
                 None => *z,
             };
-            let around = |(c, half): (&Few, &f64)| each * (dot(c, &few, n) - half).exp();
+            let around = |(c, half): (&ActiveErrors, &f64)| each * (dot(c, &few, n) - half).exp();
             let wide = thin * (flat * dot(&few, &few, n)).exp();
             let density = own + wide + centers.iter().zip(&halves).map(around).sum::<f64>();
             Draw { few, reach: self.reach(&few).unwrap_or([f64::INFINITY; 4]), weight: 1.0 / density }
@@ -288,6 +288,6 @@ fn farthest_first(draws: &[Draw], side: usize, order: &mut Vec<(f64, usize)>, mu
 }
 
 /// Of the first so many.
-fn dot(a: &Few, b: &Few, n: usize) -> f64 {
+fn dot(a: &ActiveErrors, b: &ActiveErrors, n: usize) -> f64 {
     (0..n).map(|i| a[i] * b[i]).sum()
 }

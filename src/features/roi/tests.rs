@@ -66,10 +66,12 @@ fn segment(a: DVec3, b: DVec3, sigma: f64) -> FeatureShape {
     FeatureShape::Segment { ends: [a, b], covariances: [isotropic(sigma); 2], cross: DMat3::ZERO }
 }
 
-fn samples(shape: &FeatureShape) -> Vec<Material> {
+fn samples(shape: &FeatureShape) -> Vec<BodyPoint> {
     match shape {
-        FeatureShape::Segment { ends, .. } => (0..=8).map(|i| Material::on_segment(ends, f64::from(i) / 8.0)).collect(),
-        other => other.points().iter().map(|p| Material::rigid(*p)).collect(),
+        FeatureShape::Segment { ends, .. } => {
+            (0..=8).map(|i| BodyPoint::on_segment(ends, f64::from(i) / 8.0)).collect()
+        }
+        other => other.points().iter().map(|p| BodyPoint::rigid(*p)).collect(),
     }
 }
 
@@ -80,7 +82,7 @@ fn slopes_are_those_of_place() {
     let mut covariance = diagonal([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]);
     (covariance[0][4], covariance[4][0]) = (1e-3, 1e-3);
     let shape = segment(DVec3::new(0.1, 0.2, 0.3), DVec3::new(1.0, -0.4, 0.6), 0.05);
-    let uncertain = Uncertain::new(&pose, &covariance, &frame, Some(&covariance), &shape).unwrap();
+    let uncertain = FeatureErrorModel::new(&pose, &covariance, &frame, Some(&covariance), &shape).unwrap();
     assert_eq!(uncertain.dimensions(), 18);
     let point = samples(&shape)[5];
     let placed = uncertain.nominal(&point);
@@ -96,7 +98,7 @@ fn slopes_are_those_of_place() {
         assert!((difference - slope).length() < 1e-7, "{i}: {difference} and {slope}");
     }
     // A turn of the sensor to the left moves what it sees to the right.
-    let turn = Uncertain::new(
+    let turn = FeatureErrorModel::new(
         &Pose::IDENTITY,
         &diagonal([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]),
         &Pose::IDENTITY,
@@ -104,13 +106,14 @@ fn slopes_are_those_of_place() {
         &FeatureShape::Point { at: DVec3::X, covariance: DMat3::ZERO },
     )
     .unwrap();
-    assert!(turn.place(&Material::rigid(DVec3::X), &[1.0]).y < -0.09);
+    assert!(turn.place(&BodyPoint::rigid(DVec3::X), &[1.0]).y < -0.09);
 }
 
 #[test]
 fn boxes_over_the_seam_go_on_beyond_the_width() {
     let shape = FeatureShape::Point { at: DVec3::new(-5.0, 0.01, 0.0), covariance: isotropic(0.1) };
-    let uncertain = Uncertain::new(&Pose::IDENTITY, &diagonal([0.0; 6]), &Pose::IDENTITY, None, &shape).unwrap();
+    let uncertain =
+        FeatureErrorModel::new(&Pose::IDENTITY, &diagonal([0.0; 6]), &Pose::IDENTITY, None, &shape).unwrap();
     let b = roi(&Scanner, &uncertain, &samples(&shape), 0.99).unwrap();
     assert!(b.bounds[0] > 700.0 && b.bounds[2] > 719.5 && b.bounds[2] < 740.0, "{b:?}");
 }
@@ -118,7 +121,8 @@ fn boxes_over_the_seam_go_on_beyond_the_width() {
 #[test]
 fn nothing_uncertain_is_a_pixel() {
     let shape = FeatureShape::Point { at: DVec3::new(4.0, 0.0, 0.0), covariance: DMat3::ZERO };
-    let uncertain = Uncertain::new(&Pose::IDENTITY, &diagonal([0.0; 6]), &Pose::IDENTITY, None, &shape).unwrap();
+    let uncertain =
+        FeatureErrorModel::new(&Pose::IDENTITY, &diagonal([0.0; 6]), &Pose::IDENTITY, None, &shape).unwrap();
     let b = roi(&Camera, &uncertain, &samples(&shape), 0.99).unwrap();
     assert_eq!((b.bounds, b.flag), ([319.0, 239.0, 320.0, 240.0], RoiFlag::Linear));
 }

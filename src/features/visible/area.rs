@@ -9,10 +9,10 @@
 //! of patches that lie behind their own polygon, which hides what may be between the two.
 
 use super::Visibility;
-use super::judge::{FeatureSurface, Judge};
-use super::known::Nearer;
-use super::open::Open;
-use super::tally::{State, Tally};
+use super::polygon::RelativeDepth;
+use super::tally::{SampleState, Tally};
+use super::undecided::UndecidedSample;
+use super::worker::{FeatureSurface, Worker};
 use crate::features::columns;
 use crate::features::sample::{PatchCone, Sample};
 use crate::features::{MAX_PATCH_SAMPLES, Reason, STEP};
@@ -49,7 +49,7 @@ struct Area<'o, 'p> {
     plain: bool,
 }
 
-impl Judge<'_> {
+impl Worker<'_> {
     /// Decides about a patch; `None` if it covers few pixels, or the image cannot.
     pub(super) fn area(&mut self, points: &[DVec3], own: &FeatureSurface<'_>) -> Option<Tally> {
         let cone = self.take_spans(points)?;
@@ -219,8 +219,10 @@ impl Judge<'_> {
             let one = Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight: 1.0 };
             let reason = if area.plain { None } else { self.before_occlusion(&one, range, area.own) };
             let state = match reason {
-                Some(reason) => Some(State::Hidden(reason, None)),
-                None if self.is_not_predicted(span.line, sample) => Some(State::Hidden(Reason::NotPredicted, None)),
+                Some(reason) => Some(SampleState::Hidden(reason, None)),
+                None if self.is_not_predicted(span.line, sample) => {
+                    Some(SampleState::Hidden(Reason::NotPredicted, None))
+                }
                 None => {
                     self.stats.samples += 1;
                     self.state_between([at; 2], id, area)
@@ -231,7 +233,7 @@ impl Judge<'_> {
                 // Its place among the spans stands where others have their piece and their place along a line.
                 None => {
                     let (piece, t) = (number, f64::from(sample));
-                    self.open.push(Open { piece, at, range, t, by: None, share: 0.0, unknown: false });
+                    self.open.push(UndecidedSample { piece, at, range, t, by: None, share: 0.0, unknown: false });
                 }
             }
         }
@@ -244,8 +246,8 @@ impl Judge<'_> {
 
     /// What is true of two places, and of all between them, of which the image shows the same surface; `None` if more than the
     /// image is needed to tell.
-    fn state_between(&mut self, ends: [DVec3; 2], id: u32, area: &Area<'_, '_>) -> Option<State> {
-        let Some(face) = self.face_of(id) else { return Some(State::Seen) };
+    fn state_between(&mut self, ends: [DVec3; 2], id: u32, area: &Area<'_, '_>) -> Option<SampleState> {
+        let Some(face) = self.face_of(id) else { return Some(SampleState::Seen) };
         let (known, faces) = (&self.faces.known[face], &self.faces);
         if !ends.iter().all(|at| faces.holds(known, *at)) {
             return None;
@@ -254,14 +256,15 @@ impl Judge<'_> {
         let shares = ends.map(|at| known.inverse.dot(at));
         let most = shares[0].max(shares[1]);
         if area.own.holds(known.slot) {
-            return (most <= 1.0 + ON).then_some(State::Seen);
+            return (most <= 1.0 + ON).then_some(SampleState::Seen);
         }
         let least = area.ranges.map(|range| known.least_share(most, range, rounding));
         if shares.iter().all(|share| *share > least[0].max(least[1])) {
-            return Some(State::Hidden(Reason::Occluded, Some(known.slot)));
+            return Some(SampleState::Hidden(Reason::Occluded, Some(known.slot)));
         }
-        let beside = |(share, at): (&f64, &DVec3)| matches!(known.nearer(*share, at.length(), rounding), Nearer::No);
-        shares.iter().zip(&ends).all(beside).then_some(State::Seen)
+        let beside =
+            |(share, at): (&f64, &DVec3)| matches!(known.nearer(*share, at.length(), rounding), RelativeDepth::No);
+        shares.iter().zip(&ends).all(beside).then_some(SampleState::Seen)
     }
 
     /// Decides about the pixels that wait for it.
@@ -273,9 +276,9 @@ impl Judge<'_> {
         let open = std::mem::take(&mut self.open);
         for o in &open {
             let state = match o.by {
-                Some(slot) => State::Hidden(Reason::Occluded, Some(slot)),
-                None if o.unknown => State::Hidden(Reason::Undecided, None),
-                None => State::Seen,
+                Some(slot) => SampleState::Hidden(Reason::Occluded, Some(slot)),
+                None if o.unknown => SampleState::Hidden(Reason::Undecided, None),
+                None => SampleState::Seen,
             };
             let sample = o.t as u32;
             self.take_pixels(&spans[o.piece as usize], sample..sample + 1, state, area, tally);
@@ -322,14 +325,21 @@ impl Judge<'_> {
         DVec2::new(f64::from(column) + span.turned, f64::from(row))
     }
 
-    fn take_pixels(&mut self, span: &Span, run: Range<u32>, state: State, area: &Area<'_, '_>, tally: &mut Tally) {
+    fn take_pixels(
+        &mut self,
+        span: &Span,
+        run: Range<u32>,
+        state: SampleState,
+        area: &Area<'_, '_>,
+        tally: &mut Tally,
+    ) {
         let count = run.len();
         tally.take_pixels(state, count);
         match state {
-            State::Hidden(Reason::Occluded, _) => self.stats.hidden_by_neighbours += count,
-            State::Hidden(Reason::Undecided, _) => self.stats.undecided += count,
-            State::Hidden(..) => {}
-            State::Seen => {
+            SampleState::Hidden(Reason::Occluded, _) => self.stats.hidden_by_neighbours += count,
+            SampleState::Hidden(Reason::Undecided, _) => self.stats.undecided += count,
+            SampleState::Hidden(..) => {}
+            SampleState::Seen => {
                 self.stats.visible += count;
                 for sample in [run.start, run.end - 1] {
                     tally.reach(self.pixel_at(span, sample));

@@ -19,14 +19,14 @@
 //! the polygon does not cover.
 
 mod area;
-mod frame;
-mod judge;
-mod known;
-mod open;
+mod context;
+mod polygon;
 mod select;
 mod straight;
 mod tally;
 mod tiles;
+mod undecided;
+mod worker;
 
 use super::tree::{FeatureTree, check_placed, newest};
 use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
@@ -37,11 +37,11 @@ use crate::plan::{IdScheme, Images};
 use crate::sensor::Sensor;
 use crate::threads::parallel;
 use crate::world::World;
-use frame::Frame;
+use context::VisibilityContext;
 use glam::DVec3;
-use judge::{Judge, Judged};
 use rayon::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use worker::{FeatureResult, Worker};
 
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -129,14 +129,14 @@ pub fn predict_features(
     placed: &[PlacedFeature],
     options: &FeatureSettings,
 ) -> Result<FeaturePrediction> {
-    let prepared = Prepared::new(world, sensor, world_from_sensor, images, (placed, None), options)?;
+    let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, None), options)?;
     parallel(|| prepared.finish(None))
 }
 
 /// Features that were checked against a world and a sensor, to be predicted.
-pub(crate) struct Prepared<'a> {
+pub(crate) struct PreparedFeatures<'a> {
     /// `None` without features: nothing is worked out for them.
-    frame: Option<Frame<'a>>,
+    frame: Option<VisibilityContext<'a>>,
     images: &'a Images,
     placed: &'a [PlacedFeature],
     feature_id: bool,
@@ -145,7 +145,7 @@ pub(crate) struct Prepared<'a> {
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
-pub(crate) type Asking = Vec<(DVec3, u32)>;
+pub(crate) type QuerySamples = Vec<(DVec3, u32)>;
 
 /// Samples of features on the image of a sensor, feature by feature.
 #[derive(Clone, Copy, Debug)]
@@ -169,7 +169,7 @@ pub enum OcclusionHint {
     Doubt,
 }
 
-impl<'a> Prepared<'a> {
+impl<'a> PreparedFeatures<'a> {
     /// Of features that exist in the world if their tree is given.
     ///
     /// # Errors
@@ -195,7 +195,7 @@ impl<'a> Prepared<'a> {
         let tree = tree.or(made.as_ref());
         let newest = || tree.map_or_else(|| newest(placed), |tree| tree.newest);
         let time = options.time.unwrap_or_else(newest);
-        let frame = Frame::new(world, sensor, world_from_sensor, images, time, options)?;
+        let frame = VisibilityContext::new(world, sensor, world_from_sensor, images, time, options)?;
         let some = match tree {
             Some(tree) if options.hidden == Hidden::Count => select::select(&frame, tree, placed),
             _ => (0..placed.len() as u32).collect(),
@@ -204,29 +204,29 @@ impl<'a> Prepared<'a> {
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
-    pub fn asking(&self) -> Vec<Asking> {
+    pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
-        let judges = Judges::new(frame);
+        let judges = WorkerPool::new(frame);
         self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, i| awake.judge().asking(&self.placed[*i as usize]))
+            .map_init(|| judges.wake(), |awake, i| awake.judge().query_samples(&self.placed[*i as usize]))
             .collect()
     }
 
-    /// The features asked about, in the order of [`Prepared::asking`].
+    /// The features asked about, in the order of [`PreparedFeatures::query_samples`].
     pub fn asked(&self) -> impl Iterator<Item = &'a PlacedFeature> {
         self.some.iter().map(|i| &self.placed[*i as usize])
     }
 
-    /// Predicts them. `told` are, in the order of [`Prepared::asking`], the slots of what may hide the samples; otherwise
+    /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
     /// the images are asked.
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
         let mut keys = vec![u64::MAX; pixels];
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
-        let judges = Judges::new(frame);
+        let judges = WorkerPool::new(frame);
         let some = self.some.par_iter().enumerate().with_min_len(BATCH);
         let parts = some.fold(
             || (judges.wake(), Part::default()),
@@ -270,7 +270,7 @@ struct Part {
 }
 
 impl Part {
-    fn take(&mut self, number: u32, Judged { seen, stats, pixels }: Judged) {
+    fn take(&mut self, number: u32, FeatureResult { seen, stats, pixels }: FeatureResult) {
         self.stats.add(&stats);
         if let Some(seen) = seen {
             self.features.push(seen);
@@ -286,38 +286,38 @@ impl Part {
 const BATCH: usize = 32;
 
 /// Workers at rest, with what they have set up: a pool may split the work into many tasks.
-struct Judges<'a> {
-    frame: &'a Frame<'a>,
-    idle: Mutex<Vec<Judge<'a>>>,
+struct WorkerPool<'a> {
+    frame: &'a VisibilityContext<'a>,
+    idle: Mutex<Vec<Worker<'a>>>,
 }
 
-impl<'a> Judges<'a> {
-    fn new(frame: &'a Frame<'a>) -> Self {
+impl<'a> WorkerPool<'a> {
+    fn new(frame: &'a VisibilityContext<'a>) -> Self {
         Self { frame, idle: Mutex::new(Vec::new()) }
     }
 
-    fn idle(&self) -> MutexGuard<'_, Vec<Judge<'a>>> {
+    fn idle(&self) -> MutexGuard<'_, Vec<Worker<'a>>> {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn wake(&self) -> Awake<'_, 'a> {
-        Awake { judge: self.idle().pop(), of: self }
+    fn wake(&self) -> WorkerGuard<'_, 'a> {
+        WorkerGuard { judge: self.idle().pop(), of: self }
     }
 }
 
 /// A worker that rests again when it is let go.
-struct Awake<'j, 'a> {
-    judge: Option<Judge<'a>>,
-    of: &'j Judges<'a>,
+struct WorkerGuard<'j, 'a> {
+    judge: Option<Worker<'a>>,
+    of: &'j WorkerPool<'a>,
 }
 
-impl<'a> Awake<'_, 'a> {
-    fn judge(&mut self) -> &mut Judge<'a> {
-        self.judge.get_or_insert_with(|| Judge::new(self.of.frame))
+impl<'a> WorkerGuard<'_, 'a> {
+    fn judge(&mut self) -> &mut Worker<'a> {
+        self.judge.get_or_insert_with(|| Worker::new(self.of.frame))
     }
 }
 
-impl Drop for Awake<'_, '_> {
+impl Drop for WorkerGuard<'_, '_> {
     fn drop(&mut self) {
         self.of.idle().extend(self.judge.take());
     }

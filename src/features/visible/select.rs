@@ -6,8 +6,8 @@
 //! the image shows nothing there that could hide it. The image only proposes, so that no feature is left out of which a sample
 //! is seen.
 
-use super::Frame;
-use super::known::{Faces, Known};
+use super::VisibilityContext;
+use super::polygon::{Faces, PreparedPolygon};
 use crate::features::PlacedFeature;
 use crate::features::place::clip;
 use crate::features::tree::{FeatureTree, Group, Node};
@@ -21,7 +21,7 @@ const INSIDE: f64 = 1e-12;
 const MOST_PARTS: usize = 24;
 
 /// Numbers of the features that may be seen, rising.
-pub(super) fn select(frame: &Frame<'_>, tree: &FeatureTree, placed: &[PlacedFeature]) -> Vec<u32> {
+pub(super) fn select(frame: &VisibilityContext<'_>, tree: &FeatureTree, placed: &[PlacedFeature]) -> Vec<u32> {
     let view = View::new(frame.sensor);
     let (faces, points, some) = (Faces::new(frame), Vec::new(), Vec::new());
     let mut selection = Selection { frame, tree, placed, view, faces, points, some };
@@ -32,7 +32,7 @@ pub(super) fn select(frame: &Frame<'_>, tree: &FeatureTree, placed: &[PlacedFeat
 }
 
 struct Selection<'s, 'a> {
-    frame: &'s Frame<'a>,
+    frame: &'s VisibilityContext<'a>,
     tree: &'s FeatureTree,
     placed: &'s [PlacedFeature],
     view: View,
@@ -152,7 +152,7 @@ impl Selection<'_, '_> {
 }
 
 /// True if a polygon hides all of a box, given by its middle and half of its edges.
-fn hides_box(known: &Known, planes: &[DVec3], middle: DVec3, axes: &[DVec3; 3], rounding: f64) -> bool {
+fn hides_box(known: &PreparedPolygon, planes: &[DVec3], middle: DVec3, axes: &[DVec3; 3], rounding: f64) -> bool {
     let reach = |n: DVec3| axes.iter().map(|a| n.dot(*a).abs()).sum::<f64>();
     let far = middle.length() + axes.iter().map(|a| a.length()).sum::<f64>();
     known.hides_all(known.inverse.dot(middle) - reach(known.inverse), far, rounding)
@@ -160,7 +160,7 @@ fn hides_box(known: &Known, planes: &[DVec3], middle: DVec3, axes: &[DVec3; 3], 
 }
 
 /// True if a polygon hides the convex hull of some points.
-fn hides_points(known: &Known, planes: &[DVec3], points: &[DVec3], rounding: f64) -> bool {
+fn hides_points(known: &PreparedPolygon, planes: &[DVec3], points: &[DVec3], rounding: f64) -> bool {
     let far = points.iter().map(|p| p.length()).fold(0.0, f64::max);
     let least = points.iter().map(|p| known.inverse.dot(*p)).fold(f64::INFINITY, f64::min);
     known.hides_all(least, far, rounding)

@@ -1,10 +1,10 @@
 //! Segments in a pinhole camera: samples in equal steps of a straight image, decided run by run and not one by one.
 
-use super::judge::{FeatureSurface, Judge};
-use super::known::{Known, Nearer};
-use super::tally::{State, Tally};
+use super::polygon::{PreparedPolygon, RelativeDepth};
+use super::tally::{SampleState, Tally};
 use super::tiles::Square;
-use super::{Frame, Visibility};
+use super::worker::{FeatureSurface, Worker};
+use super::{Visibility, VisibilityContext};
 use crate::features::Reason;
 use crate::features::straight::Straight;
 use glam::DVec3;
@@ -36,7 +36,7 @@ impl<'s> Stretch<'s> {
     }
 
     /// Marks what a polygon hides; false if nothing is known about its range there.
-    fn hide(&self, known: &Known, planes: &[DVec3], by: &mut [u32]) -> bool {
+    fn hide(&self, known: &PreparedPolygon, planes: &[DVec3], by: &mut [u32]) -> bool {
         let [p, q] = self.ends;
         let shares = [known.inverse.dot(p), known.inverse.dot(q)];
         if !(shares[0] > 1.0 || shares[1] > 1.0) {
@@ -73,16 +73,16 @@ impl<'s> Stretch<'s> {
         for (i, by) in by.iter_mut().enumerate().filter(|(_, by)| **by == NONE) {
             let at = self.part.middle(first + i).0;
             match known.nearer(known.inverse.dot(at), at.length(), self.rounding) {
-                Nearer::Yes => *by = known.slot,
-                Nearer::No => {}
-                Nearer::Unknown => return false,
+                RelativeDepth::Yes => *by = known.slot,
+                RelativeDepth::No => {}
+                RelativeDepth::Unknown => return false,
             }
         }
         true
     }
 }
 
-impl Judge<'_> {
+impl Worker<'_> {
     /// Decides about a segment; `None` if it takes more than what is in between, or more care.
     pub(super) fn straight(
         &mut self,
@@ -209,11 +209,11 @@ fn foot(part: &Straight) -> f64 {
 }
 
 /// Intervals and shares of samples hidden by slots.
-fn tally_of(frame: &Frame<'_>, part: &Straight, [a, b]: [DVec3; 2], by: &[u32]) -> Tally {
+fn tally_of(frame: &VisibilityContext<'_>, part: &Straight, [a, b]: [DVec3; 2], by: &[u32]) -> Tally {
     let mut tally = Tally::default();
     let outside = |tally: &mut Tally, piece| {
         if let crate::features::Piece::Outside { reason, .. } = piece {
-            tally.take(frame, &piece, State::Hidden(reason, None));
+            tally.take(frame, &piece, SampleState::Hidden(reason, None));
         }
     };
     part.before(a, b, &mut |piece| outside(&mut tally, piece));
@@ -223,11 +223,11 @@ fn tally_of(frame: &Frame<'_>, part: &Straight, [a, b]: [DVec3; 2], by: &[u32]) 
         let end = start + run.len();
         let ((t0, p0), (t1, p1)) = (part.bound(start), part.bound(end));
         let state = match run[0] {
-            NONE => State::Seen,
-            slot => State::Hidden(Reason::Occluded, Some(slot)),
+            NONE => SampleState::Seen,
+            slot => SampleState::Hidden(Reason::Occluded, Some(slot)),
         };
         tally.take_run(frame, state, run.len(), [t0, t1], [p0, p1]);
-        if state == State::Seen {
+        if state == SampleState::Seen {
             for i in [nearest.floor(), nearest.ceil()] {
                 tally.see_at(part.middle((i.max(0.0) as usize).clamp(start, end - 1)).0);
             }

@@ -1,12 +1,12 @@
 //! Intervals and shares of one feature, from the verdicts on its samples.
 
-use super::Frame;
+use super::VisibilityContext;
 use crate::features::sample::{Piece, Sample};
 use crate::features::{HiddenInterval, Reason, VisibleInterval};
 use glam::{DVec2, DVec3};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum State {
+pub(super) enum SampleState {
     Seen,
     Hidden(Reason, Option<u32>),
 }
@@ -17,11 +17,11 @@ pub(super) struct Tally {
     pub visible: Vec<VisibleInterval>,
     pub hidden: Vec<HiddenInterval>,
     /// The state of the piece before, and where its sum is.
-    last: Option<(State, usize)>,
+    last: Option<(SampleState, usize)>,
     /// Weights and numbers of samples: all inside image and limits, and those seen.
     pub inside: [f64; 2],
     pub seen: [f64; 2],
-    by_state: Vec<(State, [f64; 2])>,
+    by_state: Vec<(SampleState, [f64; 2])>,
     pub bounds: Option<[DVec2; 2]>,
     /// The nearest sample seen: its range squared, and its place.
     pub nearest: Option<(f64, DVec3)>,
@@ -29,7 +29,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    pub fn take(&mut self, frame: &Frame<'_>, piece: &Piece, state: State) {
+    pub fn take(&mut self, frame: &VisibilityContext<'_>, piece: &Piece, state: SampleState) {
         let (t, sample) = match piece {
             Piece::Inside(sample) => (sample.t, Some(sample)),
             Piece::Outside { t, .. } => (*t, None),
@@ -46,11 +46,11 @@ impl Tally {
         };
         add(&mut self.by_state[at].1);
         self.last = Some((state, at));
-        if !matches!(state, State::Hidden(reason, _) if reason.is_outside()) {
+        if !matches!(state, SampleState::Hidden(reason, _) if reason.is_outside()) {
             add(&mut self.inside);
         }
         match (state, sample) {
-            (State::Seen, Some(sample)) => {
+            (SampleState::Seen, Some(sample)) => {
                 add(&mut self.seen);
                 self.see(frame, sample);
                 match self.visible.last_mut().filter(|_| goes_on) {
@@ -58,29 +58,36 @@ impl Tally {
                     None => self.visible.push(VisibleInterval { t, pixels: sample.ends }),
                 }
             }
-            (State::Hidden(reason, slot), _) => match self.hidden.last_mut().filter(|_| goes_on) {
+            (SampleState::Hidden(reason, slot), _) => match self.hidden.last_mut().filter(|_| goes_on) {
                 Some(h) => h.t[1] = t[1],
                 None => {
                     let by = slot.and_then(|slot| frame.occluder(slot));
                     self.hidden.push(HiddenInterval { t, reason, by });
                 }
             },
-            (State::Seen, None) => {}
+            (SampleState::Seen, None) => {}
         }
     }
 
     /// Takes several samples of a segment at once: how many, their part of the length and of the image.
-    pub fn take_run(&mut self, frame: &Frame<'_>, state: State, count: usize, [t0, t1]: [f64; 2], pixels: [DVec2; 2]) {
+    pub fn take_run(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        state: SampleState,
+        count: usize,
+        [t0, t1]: [f64; 2],
+        pixels: [DVec2; 2],
+    ) {
         let more = [pixels[0].distance(pixels[1]), count as f64];
         let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
         add(&mut self.inside);
         self.last = None;
         match state {
-            State::Seen => {
+            SampleState::Seen => {
                 add(&mut self.seen);
                 self.visible.push(VisibleInterval { t: [t0, t1], pixels });
             }
-            State::Hidden(reason, slot) => {
+            SampleState::Hidden(reason, slot) => {
                 let by = slot.and_then(|slot| frame.occluder(slot));
                 self.hidden.push(HiddenInterval { t: [t0, t1], reason, by });
             }
@@ -88,7 +95,7 @@ impl Tally {
     }
 
     /// Takes several pixels of a patch at once.
-    pub fn take_pixels(&mut self, state: State, count: usize) {
+    pub fn take_pixels(&mut self, state: SampleState, count: usize) {
         let more = count as f64;
         let add = |sum: &mut [f64; 2]| sum.iter_mut().for_each(|s| *s += more);
         // What was there last comes again soonest.
@@ -96,10 +103,10 @@ impl Tally {
             Some((_, sum)) => add(sum),
             None => self.by_state.push((state, [more; 2])),
         }
-        if !matches!(state, State::Hidden(reason, _) if reason.is_outside()) {
+        if !matches!(state, SampleState::Hidden(reason, _) if reason.is_outside()) {
             add(&mut self.inside);
         }
-        if state == State::Seen {
+        if state == SampleState::Seen {
             add(&mut self.seen);
         }
     }
@@ -118,7 +125,7 @@ impl Tally {
         }
     }
 
-    fn see(&mut self, frame: &Frame<'_>, sample: &Sample) {
+    fn see(&mut self, frame: &VisibilityContext<'_>, sample: &Sample) {
         self.see_at(sample.at);
         let pixel = sample.pixel;
         self.reach(pixel);
@@ -128,7 +135,7 @@ impl Tally {
     }
 
     /// The pixel is one in which it shows.
-    pub fn mark(&mut self, frame: &Frame<'_>, pixel: DVec2) {
+    pub fn mark(&mut self, frame: &VisibilityContext<'_>, pixel: DVec2) {
         let (column, row) = frame.sampler.nearest_pixel(pixel);
         let at = (row * i64::from(frame.images.width) + column) as u32;
         if self.pixels.last() != Some(&at) {
@@ -138,17 +145,18 @@ impl Tally {
 
     /// For patches: shares of the area in place of parts of a length, one for what is seen and one for each reason and object
     /// that hides; of an object's polygons the one that hides most is told.
-    pub fn shares(&mut self, frame: &Frame<'_>) -> (Vec<VisibleInterval>, Vec<HiddenInterval>) {
-        let key = |(state, _): &(State, [f64; 2])| match state {
-            State::Seen => (0, None),
-            State::Hidden(reason, slot) => {
+    pub fn shares(&mut self, frame: &VisibilityContext<'_>) -> (Vec<VisibleInterval>, Vec<HiddenInterval>) {
+        let key = |(state, _): &(SampleState, [f64; 2])| match state {
+            SampleState::Seen => (0, None),
+            SampleState::Hidden(reason, slot) => {
                 let object = slot.and_then(|slot| frame.environment.locate(slot)).map(|(object, _)| object);
                 (1 + *reason as usize, object)
             }
         };
-        let slot = |state: &State| if let State::Hidden(_, slot) = state { *slot } else { None };
+        let slot = |state: &SampleState| if let SampleState::Hidden(_, slot) = state { *slot } else { None };
         self.by_state.sort_by_key(|s| (key(s), slot(&s.0)));
-        let sum = |some: &[(State, [f64; 2])]| some.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
+        let sum =
+            |some: &[(SampleState, [f64; 2])]| some.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
         let whole = sum(&self.by_state);
         let (mut visible, mut hidden, mut from, mut left) = (Vec::new(), Vec::new(), 0.0, self.by_state.len());
         for some in self.by_state.chunk_by(|a, b| key(a) == key(b)) {
@@ -157,8 +165,8 @@ impl Tally {
             let t = [from, to];
             let most = some.iter().skip(1).fold(&some[0], |most, s| if s.1[1] > most.1[1] { s } else { most });
             match most.0 {
-                State::Seen => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
-                State::Hidden(reason, slot) => {
+                SampleState::Seen => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
+                SampleState::Hidden(reason, slot) => {
                     let by = slot.and_then(|slot| frame.occluder(slot));
                     hidden.push(HiddenInterval { t, reason, by });
                 }

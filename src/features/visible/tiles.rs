@@ -5,11 +5,11 @@
 //! the few that are left. Where a polygon covers all of a tile, what is behind it there hides nothing that it does not hide itself:
 //! only features that lie on it look at what is behind.
 
-use super::Frame;
-use super::judge::FeatureSurface;
-use super::known::{Faces, Known};
+use super::VisibilityContext;
+use super::polygon::{Faces, PreparedPolygon};
+use super::worker::FeatureSurface;
 use crate::geometry::Aabb;
-use crate::index::{Found, Region};
+use crate::index::{QueryResult, Region};
 use glam::DVec3;
 use std::collections::HashMap;
 
@@ -29,7 +29,7 @@ const NONE: u32 = u32::MAX;
 
 /// A polygon that covers a ray of the tile. What most are passed over by stands beside its number.
 #[derive(Clone, Copy)]
-struct Candidate {
+struct TilePolygon {
     /// Where it is on the tile's side of the cube: least and greatest of both coordinates.
     bounds: Bounds,
     /// n / d.
@@ -38,7 +38,7 @@ struct Candidate {
     face: u32,
 }
 
-impl Candidate {
+impl TilePolygon {
     fn new(faces: &Faces, face: u32, square: &Square) -> Self {
         let known = &faces.known[face as usize];
         let bounds = Bounds::of(faces.corners_of(known), square);
@@ -84,7 +84,7 @@ pub(super) struct Tiles {
     across: f64,
     numbers: HashMap<u32, u32>,
     tiles: Vec<Tile>,
-    found: Found,
+    found: QueryResult,
 }
 
 /// A part of a side of the cube.
@@ -136,17 +136,17 @@ impl Square {
 struct Tile {
     square: Square,
     radius: f64,
-    candidates: Vec<Candidate>,
+    candidates: Vec<TilePolygon>,
     /// The polygon that covers all of it, and what is behind that one.
     cover: u32,
-    behind: Vec<Candidate>,
+    behind: Vec<TilePolygon>,
     /// Greatest product of those behind with a corner.
     most_behind: f64,
 }
 
 impl Tile {
     /// A tile of some polygons, of which it takes those that cover a ray of it.
-    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = Candidate>) -> Self {
+    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = TilePolygon>) -> Self {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
         let mut tile =
@@ -189,7 +189,7 @@ impl Tile {
 }
 
 /// True if rounding of its distance is far below [`BEHIND`].
-fn is_sharp(known: &Known, radius: f64) -> bool {
+fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
     known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
 }
 
@@ -197,7 +197,7 @@ impl Tiles {
     /// For a sensor whose neighbouring rays are about that far apart, radians.
     pub fn new(pixel_angle: f64) -> Self {
         let across = (2.0 / (PIXELS * pixel_angle)).ceil().clamp(1.0, MAX_ACROSS);
-        Self { across, numbers: HashMap::new(), tiles: Vec::new(), found: Found::default() }
+        Self { across, numbers: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
     }
 
     /// The tile of a place that is not the sensor's: its number, and where it is.
@@ -221,7 +221,7 @@ impl Tiles {
     }
 
     /// The tile of a place, with what may hide something in it up to a range in metres at least.
-    pub fn tile(&mut self, frame: &Frame<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
+    pub fn tile(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
         let (number, square) = self.of(at);
         if !self.knows(number, farthest) {
             let tile = self.find(frame, faces, square, FARTHER * farthest);
@@ -255,7 +255,7 @@ impl Tiles {
             .filter(|face| !own.holds(faces.known[*face as usize].slot))
     }
 
-    fn find(&mut self, frame: &Frame<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
+    fn find(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
         let corners = square.corners();
         let middle: DVec3 = corners.iter().sum();
         let world_from_image = frame.image_from_world.transpose();
@@ -270,7 +270,7 @@ impl Tiles {
             self.found.all().filter_map(|slot| faces.of_slot(frame, slot)).map(|face| face as u32).collect();
         let faces = &*faces;
         let some = some.into_iter().filter(|face| faces.known[*face as usize].covers);
-        Tile::new(square, radius, faces, some.map(|face| Candidate::new(faces, face, &square)))
+        Tile::new(square, radius, faces, some.map(|face| TilePolygon::new(faces, face, &square)))
     }
 }
 

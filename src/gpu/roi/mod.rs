@@ -7,7 +7,7 @@ mod plan;
 pub(super) use plan::MAX_POINTS;
 pub(super) use plan::{RoiBox, RoiFeature, RoiParams, RoiPlan, RoiPoint};
 
-use super::Engine;
+use super::GpuEngine;
 use super::buffers::{Growable, Mapping, Uploads};
 use super::device::Gpu;
 use super::layout::{GridKind, groups_for};
@@ -134,14 +134,14 @@ impl RoiStage {
     }
 }
 
-impl Engine {
+impl GpuEngine {
     /// [`crate::features::add_boxes`] on the device: features whose projection bends over their errors are finished on the CPU,
     /// and all of them for lenses, ray tables and uneven beams.
     /// Returns how many boxes the device made.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] as
-    /// [`Engine::render`]: the boxes may then be found on the CPU; those of [`crate::Threads::new`].
+    /// [`GpuEngine::render`]: the boxes may then be found on the CPU; those of [`crate::Threads::new`].
     pub fn add_boxes(
         &mut self,
         prediction: &mut FeaturePrediction,

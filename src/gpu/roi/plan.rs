@@ -1,8 +1,8 @@
 //! What the boxes of one prediction upload, worked out without a device: points and square roots of covariances, made in
 //! f64, turned into the image frame and rounded once.
 
-use crate::features::roi::{ERRORS, KIND, Material, Projection, Uncertain};
-use crate::features::{BoxFrame, BoxMethod, FeaturePrediction, ImageKind, PlacedFeature, Room};
+use crate::features::roi::{BodyPoint, ERRORS, FeatureErrorModel, KIND, Projection};
+use crate::features::{BoxFrame, BoxMethod, BoxScratch, FeaturePrediction, ImageKind, PlacedFeature};
 use crate::gpu::layout::GridKind;
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DVec3};
@@ -98,7 +98,7 @@ impl RoiPlan {
             ImageKind::Beams(by) => Some((GridKind::Scanner, by)),
             _ => None,
         };
-        let mut room = Room::default();
+        let mut room = BoxScratch::default();
         for i in 0..prediction.features.len() {
             let placed = &placed[prediction.given_at(i)];
             let seen = &mut prediction.features[i];
@@ -122,7 +122,7 @@ impl RoiPlan {
     }
 
     /// False if it is not for the device: too many points, or one without an image.
-    fn add(&mut self, frame: &BoxFrame<'_>, uncertain: &Uncertain, points: &[Material]) -> bool {
+    fn add(&mut self, frame: &BoxFrame<'_>, uncertain: &FeatureErrorModel, points: &[BodyPoint]) -> bool {
         let (image, turn) = (&frame.image, frame.image.image_from_body);
         let first_point = self.points.len();
         let mut first = None;
@@ -162,7 +162,7 @@ impl RoiPlan {
     /// Adds the errors of a kind that are not nothing; poses about another point than their own origin.
     fn add_columns(
         &mut self,
-        uncertain: &Uncertain,
+        uncertain: &FeatureErrorModel,
         of: std::ops::Range<usize>,
         turn: DMat3,
         about: Option<DVec3>,

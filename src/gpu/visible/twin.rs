@@ -3,7 +3,7 @@
 use super::*;
 use crate::gpu::layout::{Params, RECORD_WORDS, SLOT_WORDS};
 use crate::gpu::near::STAMPED;
-use crate::gpu::{DeviceOptions, Engine, testing};
+use crate::gpu::{DeviceOptions, GpuEngine, testing};
 use crate::plan::{FramePlan, ImageRequest, Images, Stats};
 use crate::random::SplitMix64;
 use crate::sensor::{Angles, Camera, Geometry, Scanner, SensorSpec};
@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// What the last frame left on the device.
-struct Left {
+struct LastFrame {
     params: Params,
     scanner: bool,
     keys: Vec<[u32; 2]>,
@@ -22,7 +22,7 @@ struct Left {
     records: Vec<u32>,
 }
 
-impl Left {
+impl LastFrame {
     fn word3(&self, at: usize) -> [f32; 3] {
         [0, 1, 2].map(|i| f32::from_bits(self.records[at + i]))
     }
@@ -78,7 +78,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 /// All of a buffer, word by word.
-fn words(engine: &Engine, buffer: &Growable) -> Vec<u32> {
+fn words(engine: &GpuEngine, buffer: &Growable) -> Vec<u32> {
     use wgpu::BufferUsages as U;
     let bytes = buffer.buffer().size();
     let mut to = Growable::new(&engine.gpu, "test", U::MAP_READ | U::COPY_DST, false);
@@ -170,7 +170,7 @@ fn the_device_answers_as_its_twin() {
             let answers = engine.query_occlusion(&asked).unwrap();
             let pairs = |words: Vec<u32>| words.chunks_exact(2).map(|w| [w[0], w[1]]).collect();
             let fours = |words: Vec<u32>| words.chunks_exact(4).map(|w| [w[0], w[1], w[2], w[3]]).collect();
-            let mut left = Left {
+            let mut left = LastFrame {
                 params: engine.frame.params,
                 scanner: engine.sensors[0].1.kind == GridKind::Scanner,
                 keys: pairs(words(&engine, &engine.store.keys)),

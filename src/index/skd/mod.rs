@@ -5,7 +5,7 @@ mod build;
 mod query;
 
 use super::boxes::{Box32, Boxes8, LANES};
-use super::{Found, Params, Region, SpatialIndex, ask};
+use super::{Params, QueryResult, Region, SpatialIndex, ask};
 use crate::geometry::Aabb;
 use glam::DVec3;
 
@@ -322,7 +322,7 @@ impl<const K: usize> SpatialIndex for Skd<K> {
         true
     }
 
-    fn query(&self, region: &Region, found: &mut Found) {
+    fn query(&self, region: &Region, found: &mut QueryResult) {
         ask(self, region, found);
     }
 

@@ -3,11 +3,11 @@
 use super::{LEAF, NOWHERE, Node, Skd};
 use crate::index::boxes::{Box32, LANES, Shift};
 use crate::index::shapes::Shape;
-use crate::index::{Found, Region, Walk};
+use crate::index::{QueryResult, Region, Traversal};
 
-impl<const K: usize> Walk for Skd<K> {
+impl<const K: usize> Traversal for Skd<K> {
     #[inline(always)]
-    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut Found) {
+    fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut QueryResult) {
         let shift = &self.shift(region);
         found.stack.clear();
         if self.root != NOWHERE {
@@ -53,7 +53,7 @@ impl<const K: usize> Skd<K> {
 
     /// Ids of everything below a reference, without a test.
     #[inline(always)]
-    fn take(&self, from: u32, found: &mut Found) {
+    fn take(&self, from: u32, found: &mut QueryResult) {
         let floor = found.stack.len();
         found.stack.push((from, Box32::EMPTY));
         while found.stack.len() > floor {
@@ -74,7 +74,7 @@ impl<const K: usize> Skd<K> {
         Shift::new(self.origin, region.origin(), &self.reach, K)
     }
 
-    fn leaves_below<S: Shape>(&self, from: u32, shape: &S, shift: &Shift, found: &mut Found) {
+    fn leaves_below<S: Shape>(&self, from: u32, shape: &S, shift: &Shift, found: &mut QueryResult) {
         let mut stack = vec![from];
         while let Some(at) = stack.pop() {
             if at & LEAF == 0 {
@@ -87,7 +87,7 @@ impl<const K: usize> Skd<K> {
     }
 
     #[inline(always)]
-    fn leaf<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut Found) {
+    fn leaf<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut QueryResult) {
         let bounds = shift.apply(&self.buckets[bucket].bounds);
         if !shape.meets(&bounds) {
             return;
@@ -100,7 +100,7 @@ impl<const K: usize> Skd<K> {
     }
 
     #[inline(always)]
-    fn filter<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut Found) {
+    fn filter<S: Shape>(&self, bucket: usize, shape: &S, shift: &Shift, found: &mut QueryResult) {
         if !self.params.filter {
             self.take(bucket as u32 | LEAF, found);
             return;

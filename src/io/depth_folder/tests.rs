@@ -19,7 +19,7 @@ fn images_are_read_in_order_with_their_times() {
     let folder = folder(CAMERA, &[("00007.png", 3, 0), ("00003.png", 3, 500)]);
     let frames: Vec<Frame> = DepthFolder::open(folder.path(), None).unwrap().map(|f| f.unwrap()).collect();
     assert_eq!(frames.iter().map(|f| f.stamp).collect::<Vec<_>>(), [3.0, 7.0]);
-    assert_eq!(frames[0].sensed(), &Sensed::DepthZ(vec![1.0; 6]));
+    assert_eq!(frames[0].sensed(), &Measurement::DepthZ(vec![1.0; 6]));
     assert!(frames[1].ranges().iter().all(|r| r.is_nan()));
 }
 
@@ -63,7 +63,7 @@ fn written_cameras_and_poses_are_read_again() {
     let mut spec = SensorSpec::new("c", "laser", Geometry::Camera(camera));
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 1.0), 0.0, 0.1, 0.3);
     let sensor = Sensor::new(spec).unwrap();
-    let robot = Stamped { time: 12.5, pose: Pose::from_xyz_rpy(DVec3::new(3.0, -1.0, 0.2), 0.01, 0.02, 2.0) };
+    let robot = StampedPose { time: 12.5, pose: Pose::from_xyz_rpy(DVec3::new(3.0, -1.0, 0.2), 0.01, 0.02, 2.0) };
     let folder = folder(&camera_json(&sensor).unwrap(), &[(&image_name(12.5), 3, 1500)]);
     std::fs::write(folder.path().join("poses.txt"), poses_txt(&sensor, &[robot])).unwrap();
     let log = DepthFolder::open(folder.path(), Some(&sensor)).unwrap();
@@ -74,7 +74,7 @@ fn written_cameras_and_poses_are_read_again() {
     let own = DepthFolder::open(folder.path(), None).unwrap();
     assert_eq!(own.sensor().spec().geometry, sensor.spec().geometry);
     let frames: Vec<Frame> = log.map(|f| f.unwrap()).collect();
-    assert_eq!((frames.len(), frames[0].stamp, frames[0].sensed()), (1, 12.5, &Sensed::DepthZ(vec![1.5; 6])));
+    assert_eq!((frames.len(), frames[0].stamp, frames[0].sensed()), (1, 12.5, &Measurement::DepthZ(vec![1.5; 6])));
     assert!(image_name(9.0) < image_name(10.0));
     assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
 }

@@ -1,7 +1,7 @@
 //! Round trips to the bit, and what broken files give.
 
 use super::*;
-use crate::deadline::{Means, MeansTaken};
+use crate::deadline::{DegradationKind, DegradationStep};
 use proptest::prelude::*;
 
 fn images(width: u32, height: u32, outputs: Outputs) -> Images {
@@ -34,10 +34,10 @@ fn attributes() -> Attributes {
         scene: Some("räume/hall.glb".into()),
         scene_blake3: Some("00ff".into()),
         ids: Some(IdScheme::Source),
-        given_up: Some(GivenUp {
+        given_up: Some(Degradation {
             complete_to: 3.25,
             samples: 7,
-            means: vec![MeansTaken { means: Means::Clock, at_ms: 1.5, metres: 3.25 }],
+            means: vec![DegradationStep { means: DegradationKind::Clock, at_ms: 1.5, metres: 3.25 }],
         }),
         objects: (1..=12).map(|i| (i, format!("Tür \"{i}\""))).collect(),
     }

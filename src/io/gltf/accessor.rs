@@ -104,7 +104,7 @@ impl<'a> Elements<'a> {
 }
 
 /// The accessors whose data was proven to be there, with their counts: each is proven once, however many primitives use it.
-pub(super) type Proven = HashMap<usize, u64>;
+pub(super) type AccessorCounts = HashMap<usize, u64>;
 
 impl<'a> Document<'a> {
     pub fn accessor(&self, index: json::Index<Accessor>) -> Result<&Accessor> {
@@ -117,7 +117,7 @@ impl<'a> Document<'a> {
     }
 
     /// The count of an accessor once its data is proven to be there, before anything is made of it.
-    pub fn proven_count(&self, index: json::Index<Accessor>, proven: &mut Proven) -> Result<u64> {
+    pub fn proven_count(&self, index: json::Index<Accessor>, proven: &mut AccessorCounts) -> Result<u64> {
         if let Some(&count) = proven.get(&index.value()) {
             return Ok(count);
         }

@@ -22,7 +22,7 @@ pub(super) struct Buffers<'a> {
 }
 
 /// A file that buffers name.
-struct Named {
+struct BufferFile {
     real: PathBuf,
     shown: PathBuf,
     /// The most bytes that a buffer claims, and the first that claims them.
@@ -108,7 +108,7 @@ impl<'a> Buffers<'a> {
 /// The files that buffers name, each once.
 #[derive(Default)]
 struct Files {
-    named: Vec<Named>,
+    named: Vec<BufferFile>,
     by_uri: HashMap<String, usize>,
     by_path: HashMap<PathBuf, usize>,
 }
@@ -132,7 +132,7 @@ impl Files {
                 let real = shown.canonicalize().unwrap_or_else(|_| shown.clone());
                 let number = *self.by_path.entry(real.clone()).or_insert(self.named.len());
                 if number == self.named.len() {
-                    self.named.push(Named { real, shown, claimed, buffer });
+                    self.named.push(BufferFile { real, shown, claimed, buffer });
                 }
                 self.by_uri.insert(uri.to_owned(), number);
                 number
@@ -146,7 +146,7 @@ impl Files {
     }
 }
 
-impl Named {
+impl BufferFile {
     /// Counts the bytes that are going to be read of it: as many as are claimed, if there are so many.
     fn count(&mut self, memory: &mut Memory) -> Result<()> {
         self.claimed = self.claimed.min(file::open_as(&self.real, &self.shown)?.limit());

@@ -97,7 +97,7 @@ impl Document<'_> {
 }
 
 /// What our own writer says of a root node.
-pub(super) enum Placed {
+pub(super) enum RootPlacement {
     /// Where an object is.
     Object(PlacedObject),
     /// The frame of a group.
@@ -116,7 +116,7 @@ pub(super) struct PlacedGroup {
     world_from_group: [f64; 7],
 }
 
-impl Placed {
+impl RootPlacement {
     /// Of a node's extras.
     pub fn of(extras: &serde_json::Value) -> Option<Self> {
         let ours = extras.get("presight")?;

@@ -1,9 +1,9 @@
 //! The triangles of a glTF mesh: all topologies, all its primitives together, equal positions welded.
 
-use super::accessor::{Document, Positions, Proven};
+use super::accessor::{AccessorCounts, Document, Positions};
 use super::quoted;
-use crate::acquire::{ProblemKind, TriangleMesh, Welder};
 use crate::error::{Error, Result};
+use crate::preparation::{ProblemKind, TriangleMesh, Welder};
 use glam::Vec3;
 use gltf::json;
 use json::mesh::{Mode, Primitive, Semantic};
@@ -12,7 +12,7 @@ use json::validation::Checked;
 const REPAIR: &str = "repair the model or export it again";
 
 /// The triangles of a mesh, and problems that are not about triangles: (kind, primitive, words).
-pub(super) struct Read {
+pub(super) struct MeshTriangles {
     pub triangles: TriangleMesh,
     pub notes: Vec<(ProblemKind, String)>,
 }
@@ -45,7 +45,7 @@ pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
 
 impl Document<'_> {
     /// Triangles that a mesh claims to have, from the accessors' counts alone; the data is proven to be there.
-    pub fn claimed_triangles(&self, mesh: usize, proven: &mut Proven) -> Result<u64> {
+    pub fn claimed_triangles(&self, mesh: usize, proven: &mut AccessorCounts) -> Result<u64> {
         let place = |e: Error| e.at(mesh_words(&self.root, mesh));
         let Some(m) = self.root.meshes.get(mesh) else {
             let what = format!("mesh {mesh} does not exist, there are {}", self.root.meshes.len());
@@ -64,8 +64,8 @@ impl Document<'_> {
     }
 
     /// Reads a mesh whose index is known to be good; `default_material` is for primitives without one.
-    pub fn read_mesh(&self, mesh: usize, default_material: u16) -> Result<Read> {
-        let mut read = Read { triangles: TriangleMesh::default(), notes: Vec::new() };
+    pub fn read_mesh(&self, mesh: usize, default_material: u16) -> Result<MeshTriangles> {
+        let mut read = MeshTriangles { triangles: TriangleMesh::default(), notes: Vec::new() };
         let mut welder = Welder::default();
         let mut shared = None;
         for (i, primitive) in self.root.meshes[mesh].primitives.iter().enumerate() {
@@ -84,8 +84,8 @@ impl Document<'_> {
         primitive: &Primitive,
         default_material: u16,
         welder: &mut Welder,
-        shared: &mut Option<Shared<'a>>,
-        read: &mut Read,
+        shared: &mut Option<PositionCache<'a>>,
+        read: &mut MeshTriangles,
     ) -> Result<Vec<(ProblemKind, String)>> {
         let mut notes = Vec::new();
         let mode = mode_of(primitive)?;
@@ -99,7 +99,7 @@ impl Document<'_> {
         };
         let positions = match shared.take().filter(|s| s.accessor == accessor.value()) {
             Some(known) => shared.insert(known),
-            None => shared.insert(Shared {
+            None => shared.insert(PositionCache {
                 accessor: accessor.value(),
                 positions: self.positions(accessor)?,
                 welded: Vec::new(),
@@ -148,14 +148,14 @@ impl Document<'_> {
 }
 
 /// The positions of the last accessor: primitives of a mesh often share one.
-struct Shared<'a> {
+struct PositionCache<'a> {
     accessor: usize,
     positions: Positions<'a>,
     /// Welded vertex by vertex of the accessor, `u32::MAX` where not welded yet; empty where not worth its memory.
     welded: Vec<u32>,
 }
 
-impl Shared<'_> {
+impl PositionCache<'_> {
     /// Makes room to weld each vertex once, unless only a small part of a large accessor is in use.
     fn prepare(&mut self, corners: usize) {
         let count = self.positions.count();
@@ -167,7 +167,7 @@ impl Shared<'_> {
 
 /// From the corner numbers of a primitive to welded vertices.
 struct Corners<'a, 'b> {
-    shared: &'a mut Shared<'b>,
+    shared: &'a mut PositionCache<'b>,
     indices: Option<&'a [u32]>,
     welder: &'a mut Welder,
 }

@@ -18,18 +18,20 @@ mod write;
 
 pub use write::write_glb;
 
-use crate::acquire::{self, Edges, ImportReport, Imported, ProblemBook, ProblemKind, ProblemList, TriangleMesh};
-use crate::acquire::{SceneFrame, Up};
 use crate::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::io::file;
 use crate::io::materials::{self, Sidecar};
 use crate::limits;
+use crate::preparation::{
+    self, Edges, ImportReport, ImportedScene, ProblemBook, ProblemKind, ProblemList, TriangleMesh,
+};
+use crate::preparation::{SceneFrame, Up};
 use crate::threads::Threads;
-use accessor::{Document, Proven};
+use accessor::{AccessorCounts, Document};
 use buffers::Buffers;
-use exact::Placed;
+use exact::RootPlacement;
 use glam::{DAffine3, DMat3};
 use gltf::json;
 pub(in crate::io) use memory::Memory;
@@ -94,7 +96,7 @@ const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compressi
 /// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
 /// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
 /// impossible options; those of [`Threads::new`].
-pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Imported> {
+pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<ImportedScene> {
     import_within(path.as_ref(), None, options, &mut Memory::default())
 }
 
@@ -108,7 +110,7 @@ pub(in crate::io) fn import_within(
     within: Option<&Path>,
     options: &ImportOptions,
     memory: &mut Memory,
-) -> Result<Imported> {
+) -> Result<ImportedScene> {
     if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
         return Err(Error::usage(
             format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
@@ -132,7 +134,7 @@ fn import_bytes(
     sidecar: &Sidecar,
     options: &ImportOptions,
     memory: &mut Memory,
-) -> Result<Imported> {
+) -> Result<ImportedScene> {
     let container = container::open(bytes)?;
     memory.take_json(container.json)?;
     let root: json::Root = parse(container.json)?;
@@ -150,7 +152,7 @@ fn import_bytes(
     let mut environment = Environment::new();
     let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
     let build = |&claim| build_mesh(&document, claim, default_material, options);
-    let built: Vec<Result<Built>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
+    let built: Vec<Result<BuiltMesh>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
     let mut report = ImportReport::default();
     let mut by_mesh = HashMap::with_capacity(claims.len());
     for (&(mesh, _), built) in claims.iter().zip(built) {
@@ -171,7 +173,7 @@ fn import_bytes(
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
     report.problems = book.into_problems();
-    Ok(Imported { environment, report, frame: Some(frame) })
+    Ok(ImportedScene { environment, report, frame: Some(frame) })
 }
 
 /// A name in quotes for a message, cut where it would not fit a line.
@@ -227,7 +229,7 @@ fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
 /// checked against the limits.
 fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(usize, u64)>> {
     let mut claimed: HashMap<usize, u64> = HashMap::new();
-    let mut proven = Proven::default();
+    let mut proven = AccessorCounts::default();
     let mut claims = Vec::new();
     let (mut stored, mut in_scene) = (0u64, 0u64);
     for (node, mesh) in nodes.iter().filter_map(|node| Some((node, node.mesh?))) {
@@ -285,7 +287,7 @@ fn add_materials(root: &json::Root, sidecar: &Sidecar, path: &Path, environment:
 }
 
 /// A mesh ready for its instances.
-struct Built {
+struct BuiltMesh {
     mesh: Arc<Mesh>,
     source_count: u32,
     primitive_ends: Vec<u32>,
@@ -298,7 +300,7 @@ struct Built {
     exact: bool,
 }
 
-impl Built {
+impl BuiltMesh {
     /// Our own polygons, as they were.
     fn exact(mesh: Arc<Mesh>, triangles: u64) -> Self {
         Self {
@@ -315,7 +317,7 @@ impl Built {
     }
 
     fn place_of(&self, source: u32) -> (u32, u32) {
-        acquire::place_of(&self.primitive_ends, source)
+        preparation::place_of(&self.primitive_ends, source)
     }
 }
 
@@ -324,14 +326,14 @@ fn build_mesh(
     (index, claimed): (usize, u64),
     default_material: u16,
     options: &ImportOptions,
-) -> Result<Built> {
+) -> Result<BuiltMesh> {
     let exact = if options.merge { document.exact_mesh(index) } else { exact::Exact::None };
     let stale = match exact {
-        exact::Exact::Mesh(mesh) => return Ok(Built::exact(mesh, claimed)),
+        exact::Exact::Mesh(mesh) => return Ok(BuiltMesh::exact(mesh, claimed)),
         exact::Exact::Stale => true,
         exact::Exact::None => false,
     };
-    let mesh::Read { triangles, mut notes } = document.read_mesh(index, default_material)?;
+    let mesh::MeshTriangles { triangles, mut notes } = document.read_mesh(index, default_material)?;
     if stale {
         let what = format!(
             "{}: its polygons are of other vertices: its triangles are used",
@@ -344,14 +346,14 @@ fn build_mesh(
     let problems = triangles.problems(&edges, &twins);
     drop(edges);
     let (merged, order) = match options.merge {
-        true => (acquire::merge(&triangles, twins, options.merge_tolerance), PolygonOrder::Spatial),
-        false => (acquire::unmerged(&triangles), PolygonOrder::Given),
+        true => (preparation::merge(&triangles, twins, options.merge_tolerance), PolygonOrder::Spatial),
+        false => (preparation::unmerged(&triangles), PolygonOrder::Given),
     };
     let TriangleMesh { vertices, source_count, primitive_ends, .. } = triangles;
     let name = document.root.meshes[index].name.clone().unwrap_or_else(|| format!("mesh{index}"));
     let mesh = Arc::new(Mesh::from_parts(name, vertices, &merged.parts, order));
     let (merges, deviation) = (merged.merges, merged.largest_deviation);
-    Ok(Built { mesh, source_count, primitive_ends, problems, notes, merges, deviation, exact: false })
+    Ok(BuiltMesh { mesh, source_count, primitive_ends, problems, notes, merges, deviation, exact: false })
 }
 
 /// The most a transform can stretch any length: exact for scales along the axes, a bound for shears.
@@ -370,7 +372,7 @@ fn place_of(node: &SceneNode) -> String {
 
 fn insert_objects(
     nodes: &[SceneNode],
-    by_mesh: &HashMap<usize, Built>,
+    by_mesh: &HashMap<usize, BuiltMesh>,
     frame: &SceneFrame,
     environment: &mut Environment,
     report: &mut ImportReport,
@@ -409,15 +411,15 @@ fn insert_objects(
         if let Some(path) = path {
             let frame = frame_of_group(node, &world_from_gltf, exact);
             // A matrix without a rigid part gives none: the group then has that of what is above.
-            let _ = environment.set_group(&path, Some(frame));
+            let _ = environment.set_frame(&path, Some(frame));
         }
     }
     environment.settle_groups();
-    for node in nodes.iter().filter(|node| matches!(node.placed, Some(Placed::Group(_)))) {
+    for node in nodes.iter().filter(|node| matches!(node.placed, Some(RootPlacement::Group(_)))) {
         // Our own writer names it by its path; nothing hangs on the node.
         let free = environment.object(&node.name).is_none() && environment.group(&node.name).is_none();
         if free && environment.has_below(&node.name) {
-            let _ = environment.set_group(&node.name, Some(frame_of_group(node, &world_from_gltf, exact)));
+            let _ = environment.set_frame(&node.name, Some(frame_of_group(node, &world_from_gltf, exact)));
         }
     }
     Ok(())
@@ -427,12 +429,12 @@ fn insert_objects(
 fn object(
     node: &SceneNode,
     path: &str,
-    built: &Built,
+    built: &BuiltMesh,
     first_source: u32,
     (world_from_mesh, exact): (&DAffine3, bool),
 ) -> Result<NewObject> {
     let written = match &node.placed {
-        Some(Placed::Object(placed)) if exact => placed.object(node, path, built.mesh.clone()),
+        Some(RootPlacement::Object(placed)) if exact => placed.object(node, path, built.mesh.clone()),
         _ => None,
     };
     Ok(match written {
@@ -457,7 +459,7 @@ fn insert(environment: &mut Environment, new: NewObject) -> Result<()> {
 /// The frame of the group that a node is.
 fn frame_of_group(node: &SceneNode, world_from_gltf: &DAffine3, exact: bool) -> Pose {
     let written = match &node.placed {
-        Some(Placed::Group(group)) if exact => group.frame(node),
+        Some(RootPlacement::Group(group)) if exact => group.frame(node),
         _ => None,
     };
     written.unwrap_or_else(|| Pose::rigid_part(&(*world_from_gltf * node.scene_from_node)))

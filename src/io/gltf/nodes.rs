@@ -1,6 +1,6 @@
 //! The node hierarchy, read and composed in f64: an f32 matrix would lose a site in UTM metres.
 
-use super::exact::Placed;
+use super::exact::RootPlacement;
 use super::memory::Memory;
 use super::quoted;
 use crate::error::{Error, Result};
@@ -57,7 +57,7 @@ pub(super) struct SceneNode {
     pub scene_from_node: DAffine3,
     pub skinned: bool,
     /// What our own writer says besides, of a root.
-    pub placed: Option<Placed>,
+    pub placed: Option<RootPlacement>,
 }
 
 impl NodeText {
@@ -97,9 +97,9 @@ impl NodeText {
                 ));
             }
             let scene_from_node = scene_from_parent * node.transform().map_err(|what| self.error(index, what))?;
-            let placed = node.extras.as_ref().filter(|_| depth == 0).and_then(Placed::of);
+            let placed = node.extras.as_ref().filter(|_| depth == 0).and_then(RootPlacement::of);
             let mut own = None;
-            if carries[index] || matches!(placed, Some(Placed::Group(_))) {
+            if carries[index] || matches!(placed, Some(RootPlacement::Group(_))) {
                 memory.take_node(path.len())?;
                 own = Some(found.len());
                 found.push(SceneNode {

@@ -10,11 +10,11 @@
 //! Not carried: objects without polygons, materials' empty names, numbers of objects and slots, ids of deleted features,
 //! and feature layers, which are files of their own.
 
-use crate::acquire::Z_UP_FROM_Y_UP;
 use crate::environment::{Environment, Material, Mesh, Object, PolygonOrder};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::io::atomic::write_atomically;
+use crate::preparation::Z_UP_FROM_Y_UP;
 use glam::{DAffine3, DMat4, DVec3};
 use serde_json::{Value, json};
 use std::collections::HashMap;

@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Layers for one sensor class, merged.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Loaded {
+pub struct MergedLayers {
     /// The remaining features of each file, in the order in which they were read; see [`merge`].
     pub layers: Vec<LayerFile>,
     /// Number of features for other classes, which are not used.
@@ -20,7 +20,7 @@ pub struct Loaded {
 ///
 /// # Errors
 /// Those of [`read`] and [`merge`], for all files alike.
-pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<Loaded> {
+pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<MergedLayers> {
     let mut files = Vec::with_capacity(paths.len() + 1);
     files.extend(own.map(|layer| LayerFile { layer: layer.clone(), ..LayerFile::default() }));
     let mut other_classes = 0;
@@ -32,7 +32,7 @@ pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str
             other_classes += file.layer.features.len();
         }
     }
-    Ok(Loaded { layers: merge(files)?, other_classes })
+    Ok(MergedLayers { layers: merge(files)?, other_classes })
 }
 
 /// Merges layers and returns what remains of each. A later feature replaces an earlier one of the same id. A removal drops

@@ -63,7 +63,7 @@ mod write;
 
 #[cfg(feature = "store")]
 pub(crate) use fields::FeatureFields;
-pub use merge::{Loaded, load, merge};
+pub use merge::{MergedLayers, load, merge};
 #[cfg(feature = "store")]
 pub(crate) use read::from_fields;
 pub use read::{LayerFile, parse, read};

@@ -6,7 +6,7 @@
 //! are numbered from 0), `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`,
 //! `reference_pose` or `pose_in_model`. Other keys are not read.
 
-use super::{Frame, Log, check_time};
+use super::{Log, LogFrame, check_time};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::io::text::check_json_memory;
@@ -91,7 +91,7 @@ impl Document {
         Ok(Self { path: path.to_owned(), sensor, scans: file.scans.into_iter().enumerate(), time: None, ended: false })
     }
 
-    fn read(&mut self, index: usize, scan: Scan) -> Result<Frame> {
+    fn read(&mut self, index: usize, scan: Scan) -> Result<LogFrame> {
         let valid = scan.valid.as_bytes();
         if valid.len() != scan.ranges.len() || !valid.iter().all(|v| matches!(v, b'0' | b'1')) {
             let remedy = "give a digit 0 or 1 for each beam";
@@ -110,7 +110,7 @@ impl Document {
             });
         }
         let planar = |x, y, yaw| Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, yaw);
-        let frame = Frame {
+        let frame = LogFrame {
             time: scan.t.unwrap_or(index as f64),
             range: ranges,
             odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
@@ -124,9 +124,9 @@ impl Document {
 }
 
 impl Iterator for Document {
-    type Item = Result<Frame>;
+    type Item = Result<LogFrame>;
 
-    fn next(&mut self) -> Option<Result<Frame>> {
+    fn next(&mut self) -> Option<Result<LogFrame>> {
         if self.ended {
             return None;
         }

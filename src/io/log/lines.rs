@@ -13,7 +13,7 @@
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, written the same way.
 
-use super::{Frame, Log, check_time};
+use super::{Log, LogFrame, check_time};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::io::sensor_toml;
@@ -58,7 +58,7 @@ pub fn header(sensor: &SensorSpec) -> String {
 }
 
 /// The line of a frame, without its end. It reads back to the same frame, bit for bit.
-pub fn line(frame: &Frame) -> String {
+pub fn line(frame: &LogFrame) -> String {
     let pose = |p: &Pose| [p.translation.to_array().as_slice(), p.rotation.to_array().as_slice()].concat();
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
     let mut text = format!("{{\"t\":{:?},\"range\":[{}]", frame.time, range.join(","));
@@ -85,7 +85,7 @@ impl Lines {
         Ok(Self { path: path.to_owned(), reader, sensor, line: 1, time: None, ended: false })
     }
 
-    fn read(&mut self) -> Result<Option<Frame>> {
+    fn read(&mut self) -> Result<Option<LogFrame>> {
         loop {
             self.line += 1;
             let Some(text) = read_line(&mut self.reader, self.line)? else { return Ok(None) };
@@ -97,13 +97,13 @@ impl Lines {
         }
     }
 
-    fn parse(&self, text: &str) -> Result<Frame> {
+    fn parse(&self, text: &str) -> Result<LogFrame> {
         let Entry { t, range, odometry, reference } = serde_json::from_str(text).map_err(|e| match e.is_eof() {
             true => Error::invalid("the line is cut in the middle", "drop it, or record the log again"),
             false => Error::invalid(format!("it is no frame: {e}"), REMEDY),
         })?;
         let pose = |numbers: Option<Vec<f64>>, name| numbers.map(|n| pose(&n).map_err(|e| e.at(name))).transpose();
-        let frame = Frame {
+        let frame = LogFrame {
             time: t,
             range: range.into_iter().map(|r| r.0).collect(),
             odometry: pose(odometry, "odometry")?,
@@ -116,9 +116,9 @@ impl Lines {
 }
 
 impl Iterator for Lines {
-    type Item = Result<Frame>;
+    type Item = Result<LogFrame>;
 
-    fn next(&mut self) -> Option<Result<Frame>> {
+    fn next(&mut self) -> Option<Result<LogFrame>> {
         if self.ended {
             return None;
         }

@@ -23,7 +23,7 @@ use std::path::Path;
 
 /// What a sensor measured at one time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct LogFrame {
     /// Seconds. Frames of a log have rising times.
     pub time: f64,
     /// Metres along each ray, row-major, after REP-117: `+inf` where nothing was sensed, `-inf` where something was nearer than
@@ -35,7 +35,7 @@ pub struct Frame {
     pub reference: Option<Pose>,
 }
 
-impl Frame {
+impl LogFrame {
     /// Checks the frame of a sensor: its size, finite times and poses, and that each reading is within the sensor's limits, or
     /// not finite.
     ///
@@ -70,7 +70,7 @@ impl Frame {
 }
 
 /// The frames of one sensor, in the order of time. After an error there is none.
-pub trait Log: Iterator<Item = Result<Frame>> {
+pub trait Log: Iterator<Item = Result<LogFrame>> {
     /// The sensor; its mount says where it sits on the robot.
     fn sensor(&self) -> &Sensor;
 }
@@ -82,7 +82,7 @@ pub trait Log: Iterator<Item = Result<Frame>> {
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("run.log.jsonl");
 /// let sensor = presight::preset("laser-scanner")?;
-/// let frame = log::Frame { time: 0.5, range: vec![2.0; 361], odometry: None, reference: None };
+/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], odometry: None, reference: None };
 /// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)))?;
 /// let mut log = log::open(&path)?;
 /// assert_eq!(log.sensor().spec(), sensor.spec());
@@ -113,7 +113,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
 ///
 /// # Errors
 /// Those of [`open`] and of all frames up to it; [`crate::ErrorKind::Usage`] if the log has fewer.
-pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, Frame)> {
+pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
     let mut log = open(path)?;
     for i in 0..=index {
         match log.next().transpose()? {

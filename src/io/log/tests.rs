@@ -18,7 +18,7 @@ fn write(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
 }
 
 /// What the log gives, the first error included.
-fn frames(text: &str) -> Result<Vec<Frame>> {
+fn frames(text: &str) -> Result<Vec<LogFrame>> {
     let (_folder, path) = write(text);
     open(&path)?.collect()
 }
@@ -39,10 +39,10 @@ proptest! {
         moved in prop::option::of(prop::array::uniform3(-3.0..3.0f64)),
     ) {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
-        let frame = Frame { time, range: range.to_vec(), odometry, reference: odometry };
+        let frame = LogFrame { time, range: range.to_vec(), odometry, reference: odometry };
         let read = frames(&log(&[&lines::line(&frame), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
-        let bits = |f: &Frame| f.range.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
+        let bits = |f: &LogFrame| f.range.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
         prop_assert_eq!(bits(&read[0]), bits(&frame));
         prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry));
     }

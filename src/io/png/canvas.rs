@@ -18,14 +18,14 @@ pub const TEXT_HEIGHT: u32 = font::HEIGHT * TEXT_SCALE;
 
 /// A rectangle of pixels on the page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Frame {
+pub struct PageRect {
     pub left: u32,
     pub top: u32,
     pub width: u32,
     pub height: u32,
 }
 
-impl Frame {
+impl PageRect {
     /// Left, top, right and bottom border.
     fn borders(self) -> [f64; 4] {
         [self.left, self.top, self.left + self.width, self.top + self.height].map(f64::from)
@@ -64,18 +64,18 @@ pub struct Canvas {
     height: u32,
     bytes: Vec<u8>,
     /// Outside of it nothing is drawn for the time being.
-    frame: Frame,
+    frame: PageRect,
 }
 
 impl Canvas {
     /// A blank page.
     pub fn new(width: u32, height: u32) -> Self {
         let bytes = PAGE.repeat(width as usize * height as usize);
-        Self { width, height, bytes, frame: Frame { left: 0, top: 0, width, height } }
+        Self { width, height, bytes, frame: PageRect { left: 0, top: 0, width, height } }
     }
 
     /// Draws only inside of a frame.
-    pub fn inside(&mut self, frame: Frame, draw: impl FnOnce(&mut Self)) {
+    pub fn inside(&mut self, frame: PageRect, draw: impl FnOnce(&mut Self)) {
         let before = std::mem::replace(&mut self.frame, frame);
         draw(self);
         self.frame = before;
@@ -95,7 +95,7 @@ impl Canvas {
     }
 
     pub fn set(&mut self, x: i64, y: i64, color: Rgb) {
-        let Frame { left, top, width, height } = self.frame;
+        let PageRect { left, top, width, height } = self.frame;
         let framed = |v: i64, from: u32, size: u32| (i64::from(from)..i64::from(from + size)).contains(&v);
         if framed(x, left, width)
             && framed(y, top, height)

@@ -1,6 +1,6 @@
 //! Lines of features: solid where they are seen, dashed where they are hidden.
 
-use super::canvas::{Canvas, Frame, Rgb};
+use super::canvas::{Canvas, PageRect, Rgb};
 
 /// What is seen.
 pub const SEEN: Rgb = [0xff, 0x4f, 0xd8];
@@ -36,14 +36,14 @@ impl Style {
 /// Draws one line after another; dashes go on from each to the next.
 pub struct Pen<'a> {
     pub canvas: &'a mut Canvas,
-    pub frame: Frame,
+    pub frame: PageRect,
     pub style: Style,
     /// Length drawn so far, in dashes and gaps.
     walked: f64,
 }
 
 impl<'a> Pen<'a> {
-    pub fn new(canvas: &'a mut Canvas, frame: Frame, style: Style) -> Self {
+    pub fn new(canvas: &'a mut Canvas, frame: PageRect, style: Style) -> Self {
         Self { canvas, frame, style, walked: 0.0 }
     }
 

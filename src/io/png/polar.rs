@@ -1,10 +1,10 @@
 //! A scan of one row, seen from above: x forward is up, y left is left.
 
-use super::above::draw_from_above;
-use super::canvas::{Canvas, FAINT, Frame, INK, Rgb, TEXT_HEIGHT, mix, text_width};
+use super::canvas::{Canvas, FAINT, INK, PageRect, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{MISS, Palette};
 use super::overlay::Overlay;
 use super::scale::{Scale, nice_step};
+use super::top_view::draw_from_above;
 use super::view::{HEADER, MARGIN, footer, page, title};
 use crate::plan::{Images, Output};
 use crate::sensor::Sensor;
@@ -86,7 +86,7 @@ pub fn draw(
         canvas.disc(map.page(*point), 2.0, color);
     }
     if let Some(overlay) = overlay {
-        let frame = Frame { left: MARGIN, top: MARGIN + HEADER, width: map.size[0], height: map.size[1] };
+        let frame = PageRect { left: MARGIN, top: MARGIN + HEADER, width: map.size[0], height: map.size[1] };
         draw_from_above(overlay, &mut canvas, frame, &images.range, &|p| map.page(p));
     }
     marker(&mut canvas, &map);

@@ -1,6 +1,6 @@
 //! The image as the sensor sees it, with title and scale bar.
 
-use super::canvas::{Canvas, FAINT, Frame, INK, PAGE, Rgb, TEXT_HEIGHT, mix, text_width};
+use super::canvas::{Canvas, FAINT, INK, PAGE, PageRect, Rgb, TEXT_HEIGHT, mix, text_width};
 use super::color::{Palette, by_distance, grey};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::scale::Scale;
@@ -62,7 +62,7 @@ pub fn draw(
     }
     if let Some(overlay) = overlay {
         let size = DVec2::new(f64::from(images.width), f64::from(images.height));
-        overlay.draw(&mut canvas, Frame { left, top, width, height }, &|pixel| {
+        overlay.draw(&mut canvas, PageRect { left, top, width, height }, &|pixel| {
             let share = (pixel + 0.5) / size;
             let across = if mirrored { 1.0 - share.x } else { share.x };
             [f64::from(left) + across * f64::from(width), f64::from(top) + share.y * f64::from(height)]

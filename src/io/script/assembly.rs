@@ -1,8 +1,8 @@
 //! Assemblies: named parts with poses, themselves parts of larger ones; placed, each becomes objects under one path.
 
-use super::budget::{Budget, Held, corners_worth};
+use super::budget::{Budget, BudgetShare, corners_worth};
 use super::call::Spot;
-use super::lost::{Added, Lost};
+use super::lost::{LostPart, PendingPart};
 use super::shape::Shape;
 use crate::environment::Mesh;
 use crate::error::{Error, Result};
@@ -15,15 +15,15 @@ use std::sync::Arc;
 
 /// What can be placed.
 #[derive(Clone, Debug)]
-pub(super) enum Thing {
+pub(super) enum Placeable {
     Shape(Shape),
     Assembly(Assembly),
-    Imported(Imported),
+    Imported(ImportedObject),
 }
 
 /// An object of a glTF file.
 #[derive(Clone, Debug)]
-pub(super) struct Imported {
+pub(super) struct ImportedObject {
     pub mesh: Arc<Mesh>,
     pub object_from_mesh: DAffine3,
     /// Source triangles, degenerate ones counted.
@@ -42,11 +42,11 @@ struct Data {
     objects: u64,
     polygons: u64,
     depth: u32,
-    held: Vec<Held>,
+    held: Vec<BudgetShare>,
     /// It is a copy, or was placed or added to another: who adds to it now may mean the other one.
     known_elsewhere: Cell<bool>,
     /// A part that it got after that, and nothing has been done with.
-    unused: RefCell<Option<Added>>,
+    unused: RefCell<Option<PendingPart>>,
 }
 
 /// A named part.
@@ -54,7 +54,7 @@ struct Data {
 pub(super) struct Part {
     pub name: String,
     pub assembly_from_part: Pose,
-    pub thing: Thing,
+    pub thing: Placeable,
 }
 
 impl Part {
@@ -69,7 +69,7 @@ fn worth(name: &str) -> u64 {
     16 + corners_worth(name.len())
 }
 
-impl Thing {
+impl Placeable {
     /// Objects it becomes.
     pub fn objects(&self) -> u64 {
         match self {
@@ -149,7 +149,7 @@ impl Assembly {
     }
 
     /// Adds a part; `lost` is told if nothing comes of it.
-    pub fn add(&mut self, part: Part, budget: &Rc<Budget>, (lost, at): (&Rc<Lost>, &Spot)) -> Result<()> {
+    pub fn add(&mut self, part: Part, budget: &Rc<Budget>, (lost, at): (&Rc<LostPart>, &Spot)) -> Result<()> {
         let (objects, polygons) = (part.thing.objects(), part.thing.polygons());
         let depth = self.0.depth.max(part.thing.depth() + 1);
         check_counts(self.0.objects.saturating_add(objects), self.0.polygons.saturating_add(polygons))?;
@@ -171,7 +171,7 @@ impl Assembly {
         part.thing.mark_used();
         if let Some(data) = Rc::get_mut(&mut self.0) {
             if data.known_elsewhere.get() && data.unused.get_mut().is_none() {
-                data.unused = RefCell::new(Some(Added::new(&part.name, at, lost)));
+                data.unused = RefCell::new(Some(PendingPart::new(&part.name, at, lost)));
             }
             data.parts.push(part);
             data.held.push(held);
@@ -184,7 +184,7 @@ impl Assembly {
 }
 
 /// That there is something in a thing which is placed or added.
-pub(super) fn check_not_empty(thing: &Thing) -> Result<()> {
+pub(super) fn check_not_empty(thing: &Placeable) -> Result<()> {
     if thing.objects() > 0 {
         return Ok(());
     }

@@ -28,14 +28,14 @@ pub(super) fn corners_worth(bytes: usize) -> u64 {
 
 /// A part of the budget, given back on drop.
 #[derive(Debug)]
-pub(super) struct Held {
+pub(super) struct BudgetShare {
     budget: Rc<Budget>,
     corners: u64,
 }
 
 impl Budget {
     /// Takes so many corners, before they are made.
-    pub fn take(self: &Rc<Self>, corners: u64) -> Result<Held> {
+    pub fn take(self: &Rc<Self>, corners: u64) -> Result<BudgetShare> {
         self.work(corners)?;
         self.room(corners.saturating_mul(BYTES_OF_CORNER as u64))?;
         let held = self.held.get().saturating_add(corners);
@@ -45,7 +45,7 @@ impl Budget {
             return Err(Error::invalid(what, remedy));
         }
         self.held.set(held);
-        Ok(Held { budget: self.clone(), corners })
+        Ok(BudgetShare { budget: self.clone(), corners })
     }
 
     /// Takes so many corners for good: what is placed stays.
@@ -76,7 +76,7 @@ impl Budget {
     }
 }
 
-impl Drop for Held {
+impl Drop for BudgetShare {
     fn drop(&mut self) {
         self.budget.held.set(self.budget.held.get() - self.corners);
     }

@@ -1,6 +1,6 @@
 //! A call from a script: its arguments, read with their names in every error.
 
-use super::assembly::{Assembly, Imported, Thing};
+use super::assembly::{Assembly, ImportedObject, Placeable};
 use super::random::Random;
 use super::shape::Shape;
 use super::studio::Studio;
@@ -65,9 +65,9 @@ pub(super) struct Call<'a, 'b> {
 
 impl Call<'_, '_> {
     /// An argument by its number.
-    pub fn arg(&self, i: usize) -> Given<'_> {
+    pub fn arg(&self, i: usize) -> NamedValue<'_> {
         let name = self.function.parameters().nth(i).unwrap_or_default();
-        Given { name: name.to_owned(), value: &*self.args[i] }
+        NamedValue { name: name.to_owned(), value: &*self.args[i] }
     }
 
     /// True if so many arguments are there.
@@ -117,8 +117,8 @@ impl Options {
     }
 
     /// An entry, if it is there.
-    pub fn get(&self, key: &str) -> Option<Given<'_>> {
-        self.map.get(key).map(|value| Given { name: format!("{}.{key}", self.name), value })
+    pub fn get(&self, key: &str) -> Option<NamedValue<'_>> {
+        self.map.get(key).map(|value| NamedValue { name: format!("{}.{key}", self.name), value })
     }
 
     /// A number, if it is there.
@@ -128,7 +128,7 @@ impl Options {
 }
 
 /// A value with the name that errors give it.
-pub(super) struct Given<'a> {
+pub(super) struct NamedValue<'a> {
     name: String,
     value: &'a Dynamic,
 }
@@ -145,7 +145,7 @@ fn in_words(value: &Dynamic) -> String {
     let word = match value.type_name() {
         name if name == std::any::type_name::<Shape>() => "a shape",
         name if name == std::any::type_name::<Assembly>() => "an assembly",
-        name if name == std::any::type_name::<Imported>() => "an imported object",
+        name if name == std::any::type_name::<ImportedObject>() => "an imported object",
         name if name == std::any::type_name::<Pose>() => "a pose",
         name if name == std::any::type_name::<Random>() => "random numbers",
         _ if value.is_array() => "an array",
@@ -157,7 +157,7 @@ fn in_words(value: &Dynamic) -> String {
     word.to_owned()
 }
 
-impl Given<'_> {
+impl NamedValue<'_> {
     /// The error of another type than the one needed.
     fn wrong(&self, needed: &str) -> Error {
         Error::invalid(format!("{} is {}", self.name, in_words(self.value)), format!("give {needed}"))
@@ -198,9 +198,9 @@ impl Given<'_> {
     }
 
     /// The elements of an array.
-    pub fn list<T>(&self, needed: &str, read: impl Fn(&Given<'_>) -> Result<T>) -> Result<Vec<T>> {
+    pub fn list<T>(&self, needed: &str, read: impl Fn(&NamedValue<'_>) -> Result<T>) -> Result<Vec<T>> {
         let array = self.value.as_array_ref().map_err(|_| self.wrong(needed))?;
-        let element = |(i, value)| read(&Given { name: format!("{}[{i}]", self.name), value });
+        let element = |(i, value)| read(&NamedValue { name: format!("{}[{i}]", self.name), value });
         array.iter().enumerate().map(element).collect()
     }
 
@@ -242,10 +242,10 @@ impl Given<'_> {
     }
 
     /// Anything that can be placed.
-    pub fn thing(&self) -> Result<Thing> {
-        let assembly = || self.held::<Assembly>("").map(Thing::Assembly);
+    pub fn placeable(&self) -> Result<Placeable> {
+        let assembly = || self.held::<Assembly>("").map(Placeable::Assembly);
         self.held::<Shape>("")
-            .map(Thing::Shape)
+            .map(Placeable::Shape)
             .or_else(|_| assembly())
             .map_err(|_| self.wrong("a shape or an assembly"))
     }
@@ -253,5 +253,5 @@ impl Given<'_> {
 
 /// The point in an operand of an operator.
 pub(super) fn point_of(value: &Dynamic) -> Result<DVec3> {
-    Given { name: "the right side".to_owned(), value }.point()
+    NamedValue { name: "the right side".to_owned(), value }.point()
 }

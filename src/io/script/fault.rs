@@ -2,7 +2,7 @@
 
 use super::call::Function;
 use super::functions::signatures;
-use super::meter::Ended;
+use super::meter::EndReason;
 use super::tokens::Excess;
 use crate::error::{Error, ErrorKind};
 use crate::limits;
@@ -119,8 +119,8 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
             None => invalid(format!("the script throws {}", shortened(&value.to_string())), "see the script"),
         },
         E::ErrorFunctionNotFound(signature, _) => unknown_function(signature),
-        E::ErrorTooManyOperations(_) => ended(Ended::Operations),
-        E::ErrorTerminated(why, _) => ended(why.clone().try_cast().unwrap_or(Ended::Clock)),
+        E::ErrorTooManyOperations(_) => ended(EndReason::Operations),
+        E::ErrorTerminated(why, _) => ended(why.clone().try_cast().unwrap_or(EndReason::Clock)),
         E::ErrorStackOverflow(_) => invalid(
             format!("calls nest over {} levels", limits::MAX_SCRIPT_CALLS),
             "look for a function that calls itself without end",
@@ -150,10 +150,10 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
     }
 }
 
-fn ended(why: Ended) -> (ErrorKind, String, String, Option<&'static str>) {
+fn ended(why: EndReason) -> (ErrorKind, String, String, Option<&'static str>) {
     let what = match why {
-        Ended::Operations => format!("the script takes over {} operations", limits::MAX_SCRIPT_OPERATIONS),
-        Ended::Clock => format!("the script takes over {} s", limits::MAX_SCRIPT_SECONDS),
+        EndReason::Operations => format!("the script takes over {} operations", limits::MAX_SCRIPT_OPERATIONS),
+        EndReason::Clock => format!("the script takes over {} s", limits::MAX_SCRIPT_SECONDS),
     };
     let remedy =
         "look for an endless loop, and for large arrays that are read often; make parts once and place them often";

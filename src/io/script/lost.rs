@@ -8,9 +8,9 @@ use std::rc::Rc;
 
 /// The first part that was lost.
 #[derive(Debug, Default)]
-pub(super) struct Lost(RefCell<Option<(String, Spot)>>);
+pub(super) struct LostPart(RefCell<Option<(String, Spot)>>);
 
-impl Lost {
+impl LostPart {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming a part that was lost, and where it was added.
     pub fn check(&self) -> Result<()> {
@@ -24,14 +24,14 @@ impl Lost {
 
 /// A part that was added where it may be lost: dropped before it is used, it is.
 #[derive(Debug)]
-pub(super) struct Added {
+pub(super) struct PendingPart {
     part: Option<(String, Spot)>,
-    lost: Rc<Lost>,
+    lost: Rc<LostPart>,
 }
 
-impl Added {
+impl PendingPart {
     /// A part of that name, and where it was added.
-    pub fn new(name: &str, at: &Spot, lost: &Rc<Lost>) -> Self {
+    pub fn new(name: &str, at: &Spot, lost: &Rc<LostPart>) -> Self {
         Self { part: Some((name.to_owned(), at.clone())), lost: lost.clone() }
     }
 
@@ -41,7 +41,7 @@ impl Added {
     }
 }
 
-impl Drop for Added {
+impl Drop for PendingPart {
     fn drop(&mut self) {
         if let Some(part) = self.part.take() {
             self.lost.0.borrow_mut().get_or_insert(part);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 /// Why a script was ended, as the language's error carries it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ended {
+pub(super) enum EndReason {
     /// By the limit on operations.
     Operations,
     /// By the clock.
@@ -52,8 +52,8 @@ pub(super) fn limit(engine: &mut Engine, busy: Rc<Cell<Duration>>) {
         let late = || start.elapsed() > Duration::from_secs(limits::MAX_SCRIPT_SECONDS) + busy.get();
         match now {
             _ if end.get().is_some() => {}
-            _ if now > limits::MAX_SCRIPT_OPERATIONS => end.set(Some(Ended::Operations)),
-            _ if now.is_multiple_of(LOOK) && late() => end.set(Some(Ended::Clock)),
+            _ if now > limits::MAX_SCRIPT_OPERATIONS => end.set(Some(EndReason::Operations)),
+            _ if now.is_multiple_of(LOOK) && late() => end.set(Some(EndReason::Clock)),
             _ => {}
         }
         let why = end.get()?;

@@ -54,11 +54,11 @@ mod tokens;
 
 pub use functions::reference;
 
-use crate::acquire::Imported;
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::gltf::ImportOptions;
 use crate::io::materials::sidecar_path;
 use crate::limits;
+use crate::preparation::ImportedScene;
 use fault::{Fault, Sources, explain};
 use folder::{Folder, read_script};
 use modules::Modules;
@@ -85,7 +85,7 @@ const STACK: usize = 256 << 20;
 /// # Errors
 /// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai, calls a
 /// function wrongly, exceeds a limit, or fails a `require`; those of [`crate::io::gltf::import`] for models that it imports.
-pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<Imported> {
+pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     let path = path.as_ref();
     let (sender, receiver) = channel();
     std::thread::scope(|scope| {
@@ -112,7 +112,7 @@ fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
     }
 }
 
-fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Imported> {
+fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<ImportedScene> {
     let (folder, modules_folder) = (Folder::of(path)?, Folder::of(path)?);
     let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
     refuse_sidecar(path)?;

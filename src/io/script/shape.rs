@@ -1,12 +1,12 @@
 //! Shapes: polygons with materials and landmarks, in a frame of their own; what scripts make, turn, join and place.
 
-use super::budget::{Budget, Held, corners_worth};
-use crate::acquire::Welder;
-use crate::acquire::primitives::Solid;
+use super::budget::{Budget, BudgetShare, corners_worth};
 use crate::environment::{Existence, FeatureShape, Mesh, Polygon, PolygonOrder, Properties};
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;
 use crate::io::gltf::ImportOptions;
+use crate::preparation::Welder;
+use crate::preparation::primitives::Solid;
 use glam::{DMat3, DVec3};
 use std::cell::OnceCell;
 use std::rc::Rc;
@@ -24,7 +24,7 @@ struct Data {
     marks: Vec<Mark>,
     /// Made when it is first placed; every placing shares it.
     mesh: OnceCell<Arc<Mesh>>,
-    _held: Held,
+    _held: BudgetShare,
 }
 
 /// A feature on a shape.

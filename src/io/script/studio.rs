@@ -1,13 +1,12 @@
 //! What a running script builds: the environment, its features, and the account of it.
 
-use super::assembly::{Assembly, Imported, Part, Thing, check_counts, check_not_empty};
+use super::assembly::{Assembly, ImportedObject, Part, Placeable, check_counts, check_not_empty};
 use super::budget::{Budget, corners_worth};
 use super::call::Spot;
 use super::fault::shortened;
 use super::folder::Folder;
-use super::lost::Lost;
+use super::lost::LostPart;
 use super::shape::{Mark, Shape};
-use crate::acquire::{ImportReport, Imported as Outcome, Problem};
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer, Material, NewObject, Paths};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -15,6 +14,7 @@ use crate::io::gltf::{self, ImportOptions};
 use crate::limits;
 use crate::memory;
 use crate::placement;
+use crate::preparation::{ImportReport, ImportedScene as Outcome, Problem};
 use crate::world::World;
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -32,17 +32,17 @@ const ENTRY: usize = 48;
 pub(super) struct Studio {
     pub folder: Folder,
     pub budget: Rc<Budget>,
-    pub lost: Rc<Lost>,
+    pub lost: Rc<LostPart>,
     /// How long its functions took so far.
     pub busy: Rc<Cell<Duration>>,
     options: ImportOptions,
     /// What all imports take of memory.
     imported: RefCell<gltf::Memory>,
-    built: RefCell<Built>,
+    built: RefCell<SceneBuild>,
 }
 
 #[derive(Default)]
-struct Built {
+struct SceneBuild {
     environment: Environment,
     /// Those of objects and of placed assemblies.
     paths: Paths,
@@ -52,14 +52,14 @@ struct Built {
     default_material: Option<u16>,
     imports: HashMap<PathBuf, Assembly>,
     /// By class.
-    features: BTreeMap<String, Vec<Marked>>,
+    features: BTreeMap<String, Vec<ObjectFeature>>,
     feature_count: u64,
     /// Names of the files that features were placed in.
     files: BTreeSet<Rc<str>>,
 }
 
 /// A feature of a placed object.
-struct Marked {
+struct ObjectFeature {
     /// If the script gives one.
     id: Option<u32>,
     feature: Feature,
@@ -124,14 +124,14 @@ impl Studio {
     }
 
     /// Places a thing, and all that is in it, under a path; `at` is where the script says so.
-    pub fn place(&self, path: &str, thing: &Thing, world_from_thing: &Pose, at: &Spot) -> Result<()> {
+    pub fn place(&self, path: &str, thing: &Placeable, world_from_thing: &Pose, at: &Spot) -> Result<()> {
         check_not_empty(thing)?;
         thing.mark_used();
         let mut built = self.built.borrow_mut();
         let objects = built.environment.objects().len() as u64 + thing.objects();
         check_counts(objects, u64::from(built.environment.slot_count()) + thing.polygons())?;
         let (options, budget) = (&self.options, &self.budget);
-        Placing { built: &mut built, options, budget, at }.place(path, thing, world_from_thing)
+        PlaceCall { built: &mut built, options, budget, at }.place(path, thing, world_from_thing)
     }
 
     /// The objects of a glTF file as an assembly, read once.
@@ -200,15 +200,15 @@ fn check_features(environment: Environment, spots: &BTreeMap<String, BTreeMap<u3
 }
 
 /// One call of `place`.
-struct Placing<'a> {
-    built: &'a mut Built,
+struct PlaceCall<'a> {
+    built: &'a mut SceneBuild,
     options: &'a ImportOptions,
     budget: &'a Rc<Budget>,
     at: &'a Spot,
 }
 
-impl Placing<'_> {
-    fn place(&mut self, path: &str, thing: &Thing, world_from_thing: &Pose) -> Result<()> {
+impl PlaceCall<'_> {
+    fn place(&mut self, path: &str, thing: &Placeable, world_from_thing: &Pose) -> Result<()> {
         if path.len() > limits::MAX_NAME_BYTES {
             let what = format!("a path is over {} bytes", limits::MAX_NAME_BYTES);
             return Err(Error::invalid(what, "give shorter names"));
@@ -216,8 +216,8 @@ impl Placing<'_> {
         // Twice in the environment, twice among the paths.
         self.budget.keep(4 + corners_worth(4 * path.len()))?;
         match thing {
-            Thing::Shape(shape) => self.place_shape(path, shape, world_from_thing),
-            Thing::Imported(imported) => {
+            Placeable::Shape(shape) => self.place_shape(path, shape, world_from_thing),
+            Placeable::Imported(imported) => {
                 let path = self.built.paths.take(path.to_owned());
                 let object = NewObject {
                     object_from_mesh: imported.object_from_mesh,
@@ -225,9 +225,9 @@ impl Placing<'_> {
                 };
                 self.built.insert(object, imported.triangles).map(|_| ())
             }
-            Thing::Assembly(assembly) => {
+            Placeable::Assembly(assembly) => {
                 let path = self.built.paths.take(path.to_owned());
-                self.built.environment.set_group(&path, Some(*world_from_thing))?;
+                self.built.environment.set_frame(&path, Some(*world_from_thing))?;
                 for Part { name, assembly_from_part, thing } in assembly.parts() {
                     let world_from_part = *world_from_thing * *assembly_from_part;
                     self.place(&format!("{path}/{name}"), thing, &world_from_part)?;
@@ -244,7 +244,7 @@ impl Placing<'_> {
     fn frame(&mut self, path: String, world_from_group: &Pose) -> Result<()> {
         self.budget.keep(4 + corners_worth(4 * path.len()))?;
         if self.built.paths.reserve(&path) {
-            self.built.environment.set_group(&path, Some(*world_from_group))?;
+            self.built.environment.set_frame(&path, Some(*world_from_group))?;
         }
         Ok(())
     }
@@ -274,7 +274,7 @@ impl Placing<'_> {
             return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_FEATURES)));
         }
         let texts = mark.name.as_ref().map_or(0, String::len) + object.len();
-        let bytes = size_of::<Marked>() + texts + size_of_val(mark.shape.points());
+        let bytes = size_of::<ObjectFeature>() + texts + size_of_val(mark.shape.points());
         for class in &mark.classes {
             self.budget.keep(corners_worth(bytes + class.len()))?;
             let feature = Feature {
@@ -285,14 +285,14 @@ impl Placing<'_> {
                 existence: mark.existence,
                 properties: mark.properties.clone(),
             };
-            let marked = Marked { id: mark.id, feature, at: self.at.clone() };
+            let marked = ObjectFeature { id: mark.id, feature, at: self.at.clone() };
             self.built.features.entry(class.clone()).or_default().push(marked);
         }
         Ok(())
     }
 }
 
-impl Built {
+impl SceneBuild {
     fn insert(&mut self, new: NewObject, triangles: u32) -> Result<u32> {
         let far = !(new.world_from_object.translation.abs().max_element() <= limits::MAX_COORDINATE);
         if far {
@@ -330,7 +330,7 @@ impl Built {
             let mesh = meshes
                 .entry(Arc::as_ptr(&object.mesh))
                 .or_insert_with(|| Arc::new(object.mesh.with_materials(|m| materials[usize::from(m)])));
-            let thing = Thing::Imported(Imported {
+            let thing = Placeable::Imported(ImportedObject {
                 mesh: mesh.clone(),
                 object_from_mesh: object.object_from_mesh,
                 triangles: end - object.first_source,
@@ -365,7 +365,7 @@ impl Built {
 
 /// Gives numbers to features that have none: from 1, in the order they were placed, leaving out those in use. The second
 /// answer is where each was placed.
-fn numbered(features: Vec<Marked>) -> Result<(Vec<Feature>, BTreeMap<u32, Spot>)> {
+fn numbered(features: Vec<ObjectFeature>) -> Result<(Vec<Feature>, BTreeMap<u32, Spot>)> {
     let mut taken = BTreeSet::new();
     for id in features.iter().filter_map(|marked| marked.id) {
         if !taken.insert(id) {
@@ -377,7 +377,7 @@ fn numbered(features: Vec<Marked>) -> Result<(Vec<Feature>, BTreeMap<u32, Spot>)
     let mut free = (1u32..).filter(|id| !taken.contains(id));
     let mut all: Vec<Feature> = Vec::with_capacity(features.len());
     let mut spots = BTreeMap::new();
-    for Marked { id, feature, at } in features {
+    for ObjectFeature { id, feature, at } in features {
         let id = id.or_else(|| free.next()).unwrap_or_default();
         all.push(Feature { id, ..feature });
         spots.insert(id, at);

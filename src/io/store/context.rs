@@ -55,7 +55,7 @@ impl<'a> Context<'a> {
             Op::SetPose { object, pose } => Change::SetPose { name: object, world_from_object: pose_of(&pose)? },
             Op::DeleteObject { object } => Change::DeleteObject { name: object },
             Op::SetGroup { group, pose } => {
-                Change::SetGroup { name: group, world_from_group: pose.as_deref().map(pose_of).transpose()? }
+                Change::SetFrame { name: group, world_from_group: pose.as_deref().map(pose_of).transpose()? }
             }
             Op::InsertObject(new) => {
                 let place = format!("object {:?}", new.object);

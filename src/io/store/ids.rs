@@ -14,13 +14,13 @@ use crate::printable::quoted;
 use std::sync::Arc;
 
 /// What stands in the log under an id.
-pub(super) struct Known {
+pub(super) struct RecordedChange {
     pub number: u64,
     change: String,
     request: Option<[u8; 32]>,
 }
 
-impl Known {
+impl RecordedChange {
     /// The error of another change under the same id.
     fn taken(&self, id: &str) -> Error {
         let what = format!("id {} is that of change {}, which is another change", quoted(id), self.number);
@@ -101,7 +101,7 @@ fn step(op: &Op) -> Result<String> {
 
 impl Store {
     /// What stands in the log under an id.
-    pub(super) fn known(&self, id: &str) -> Result<Option<Known>> {
+    pub(super) fn known(&self, id: &str) -> Result<Option<RecordedChange>> {
         let Some(number) = self.ids.get(id).copied() else { return Ok(None) };
         let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?));
         let found = self
@@ -109,6 +109,6 @@ impl Store {
             .prepare_cached("SELECT change, request FROM log WHERE number = ?1")
             .and_then(|mut statement| statement.query_row([number as i64], columns));
         let (change, request) = found.map_err(|e| refusal(&self.path, "read the log", e))?;
-        Ok(Some(Known { number, change, request }))
+        Ok(Some(RecordedChange { number, change, request }))
     }
 }

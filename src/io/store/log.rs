@@ -1,7 +1,7 @@
 //! The log: every change with its time and cause, each entry hashed over the one before.
 
 use super::hash::{Field, Hash, of_row};
-use super::op::{Op, Touched};
+use super::op::{KeySets, Op};
 use super::read::get;
 use super::rows::{Meta, from_json};
 use super::schema::{damaged, refusal};
@@ -121,9 +121,9 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
         }
     }
     // What only its inverse reads is needed to undo it, and no reason to do that.
-    let touched = |entry: &LogEntry| -> Result<Touched> {
+    let touched = |entry: &LogEntry| -> Result<KeySets> {
         let (change, inverse): (Op, Op) = (from_json(&entry.change)?, from_json(&entry.inverse)?);
-        Ok(Touched { reads: Touched::of(&[&change]).reads, ..Touched::of(&[&change, &inverse]) })
+        Ok(KeySets { reads: KeySets::of(&[&change]).reads, ..KeySets::of(&[&change, &inverse]) })
     };
     let mut wrote = touched(wanted)?.writes;
     let (mut plan, mut in_the_way) = (vec![number], Vec::new());

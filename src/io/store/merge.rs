@@ -143,7 +143,7 @@ fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, t
                 let remedy = "give --replace to put that of the file in its place";
                 return Err(Error::invalid(what, remedy).at(format!("group {path:?}")));
             }
-            _ => to.push(Change::SetGroup { name: path.to_owned(), world_from_group: given }),
+            _ => to.push(Change::SetFrame { name: path.to_owned(), world_from_group: given }),
         }
     }
     Ok(())

@@ -160,7 +160,7 @@ pub struct Info {
 pub fn info(path: &Path) -> Result<Info> {
     let connection = connect(path, Access::Read)?;
     in_one_version(&connection, path, |c| {
-        let read::Loaded { environment, meta, .. } = read::load(c, path, false)?;
+        let read::StoreVersion { environment, meta, .. } = read::load(c, path, false)?;
         log::walk(c, path, &meta, |_| Ok(()))?;
         let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
         Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
@@ -342,8 +342,8 @@ impl Store {
     }
 
     /// Takes note of what the file holds.
-    fn take_in(&mut self, loaded: read::Loaded) -> Environment {
-        let read::Loaded { environment, meta, meshes, .. } = loaded;
+    fn take_in(&mut self, loaded: read::StoreVersion) -> Environment {
+        let read::StoreVersion { environment, meta, meshes, .. } = loaded;
         self.meta = meta;
         self.materials = environment.materials().len();
         let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());

@@ -142,13 +142,13 @@ impl std::fmt::Display for Key {
 
 /// What an operation changes, and what must be there for it.
 #[derive(Default)]
-pub(super) struct Touched {
+pub(super) struct KeySets {
     pub writes: BTreeSet<Key>,
     pub reads: BTreeSet<Key>,
 }
 
 impl Op {
-    pub fn touched(&self, to: &mut Touched) {
+    pub fn touched(&self, to: &mut KeySets) {
         match self {
             Self::Move { object, .. } | Self::SetPose { object, .. } => {
                 to.writes.insert(Key::Object(object.clone()));
@@ -202,7 +202,7 @@ impl Op {
                 Self::SetPose { object: name.clone(), pose: pose(world_from_object) }
             }
             Change::DeleteObject { name } => Self::DeleteObject { object: name.clone() },
-            Change::SetGroup { name, world_from_group } => {
+            Change::SetFrame { name, world_from_group } => {
                 Self::SetGroup { group: name.clone(), pose: world_from_group.as_ref().map(pose) }
             }
             Change::InsertFeature { class, feature } => {
@@ -228,7 +228,7 @@ impl Op {
     }
 }
 
-impl Touched {
+impl KeySets {
     fn existence(&mut self, object: &str) {
         self.writes.insert(Key::Object(object.to_owned()));
         self.writes.insert(Key::Existence(object.to_owned()));

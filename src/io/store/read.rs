@@ -17,7 +17,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 /// A version of the store, in memory.
-pub(super) struct Loaded {
+pub(super) struct StoreVersion {
     pub environment: Environment,
     pub meta: Meta,
     pub meshes: HashMap<i64, LoadedMesh>,
@@ -26,7 +26,7 @@ pub(super) struct Loaded {
 }
 
 /// Reads within the caller's transaction, with trees for the meshes if these will be indexed.
-pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<Loaded> {
+pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<StoreVersion> {
     let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
     reader.load().map_err(|e| e.in_file(path))
 }
@@ -39,7 +39,7 @@ pub(super) struct Reader<'a> {
 }
 
 /// An object's row, proven; its mesh is not read yet.
-struct Placed {
+struct ObjectRecord {
     number: u32,
     name: String,
     pose: Pose,
@@ -50,7 +50,7 @@ struct Placed {
 }
 
 impl Reader<'_> {
-    fn load(&self) -> Result<Loaded> {
+    fn load(&self) -> Result<StoreVersion> {
         let meta = Meta::read(self.connection, self.path)?;
         // Without reading them: SQLite knows the lengths.
         self.each("meshes", "COALESCE(SUM(length(content)), 0)", |row| {
@@ -84,7 +84,7 @@ impl Reader<'_> {
         if self.digest.get() != meta.digest {
             return Err(damaged("rows are missing, or there are too many"));
         }
-        Ok(Loaded { environment, meta, meshes, trees })
+        Ok(StoreVersion { environment, meta, meshes, trees })
     }
 
     /// Each row through `read`, whose error names table and row.
@@ -126,7 +126,7 @@ impl Reader<'_> {
         })
     }
 
-    fn objects(&self, to: &mut Vec<Placed>) -> Result<()> {
+    fn objects(&self, to: &mut Vec<ObjectRecord>) -> Result<()> {
         let columns = "number, name, pose, object_from_mesh, mesh, first_slot, first_source, hash";
         self.each("objects", columns, |row| {
             // There are many, and each is soon read: no copies.
@@ -139,7 +139,7 @@ impl Reader<'_> {
             let (Ok(number), Ok(first_slot), Ok(first_source)) = (number, slot, source) else {
                 return Err(damaged("a number is out of range"));
             };
-            to.push(Placed {
+            to.push(ObjectRecord {
                 number,
                 name: name.to_owned(),
                 pose: pose_of(&seven(pose)?)?,

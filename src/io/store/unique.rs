@@ -5,9 +5,9 @@ use serde_json::{Map, Number, Value};
 use std::fmt;
 
 /// A value without repeated keys.
-pub(super) struct Unique(pub Value);
+pub(super) struct UniqueKeys(pub Value);
 
-impl<'de> Deserialize<'de> for Unique {
+impl<'de> Deserialize<'de> for UniqueKeys {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_any(AnyValue).map(Self)
     }
@@ -52,7 +52,7 @@ impl<'de> Visitor<'de> for AnyValue {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Value, A::Error> {
         let mut all = Vec::new();
-        while let Some(Unique(value)) = seq.next_element()? {
+        while let Some(UniqueKeys(value)) = seq.next_element()? {
             all.push(value);
         }
         Ok(all.into())
@@ -64,7 +64,7 @@ impl<'de> Visitor<'de> for AnyValue {
             if all.contains_key(&key) {
                 return Err(A::Error::custom(format!("the key {key:?} is given twice")));
             }
-            all.insert(key, map.next_value::<Unique>()?.0);
+            all.insert(key, map.next_value::<UniqueKeys>()?.0);
         }
         Ok(all.into())
     }
@@ -77,9 +77,9 @@ mod tests {
     #[test]
     fn only_repeated_keys_make_a_difference() {
         let text = r#"{"a": [1, -2, 0.1, 1e300, true, null, "b"], "b": {"a": {}, "c": []}, "d": 18446744073709551615}"#;
-        assert_eq!(serde_json::from_str::<Unique>(text).unwrap().0, serde_json::from_str::<Value>(text).unwrap());
+        assert_eq!(serde_json::from_str::<UniqueKeys>(text).unwrap().0, serde_json::from_str::<Value>(text).unwrap());
         for twice in [r#"{"a": 1, "a": 1}"#, r#"[{"x": {"pose": [1], "b": 2, "pose": [2]}}]"#] {
-            let e = serde_json::from_str::<Unique>(twice).err().expect("a repeated key").to_string();
+            let e = serde_json::from_str::<UniqueKeys>(twice).err().expect("a repeated key").to_string();
             assert!(e.contains("is given twice"), "{e}");
         }
     }

@@ -3,13 +3,13 @@
 use super::context::Context;
 use super::hash::{Hash, of_content};
 use super::log::LogEntry;
-use super::op::{Key, Op, Touched};
+use super::op::{Key, KeySets, Op};
 use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
 };
 use super::schema::refusal;
-use super::unique::Unique;
+use super::unique::UniqueKeys;
 use super::{Store, blob, ids, meshes, read};
 use crate::change::Change;
 use crate::environment::{Environment, Mesh};
@@ -43,7 +43,7 @@ impl Note {
 
 /// What becomes of restored features where new ones must lie on polygons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Restored {
+pub(super) enum RestoreCheck {
     /// They must, too.
     Checked,
     /// They were there before.
@@ -54,7 +54,7 @@ pub(super) enum Restored {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Entry {
     /// Its features must lie on polygons.
-    pub placed: Option<Restored>,
+    pub placed: Option<RestoreCheck>,
     /// But for these, by class and id.
     pub lost: Vec<(String, u32)>,
     /// The hash of the line that said it.
@@ -110,7 +110,7 @@ impl<'a> Batch<'a> {
     /// # Errors
     /// As [`Batch::apply`]; [`crate::ErrorKind::Invalid`] naming class and feature if one does not.
     pub fn apply_placed(&mut self, change: Change, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry { placed: Some(Restored::LetBe), ..Entry::default() })
+        self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), ..Entry::default() })
     }
 
     /// As [`Batch::apply_placed`], for imported content. The features `lost` (class, id) have lost their surface and need not lie
@@ -119,7 +119,7 @@ impl<'a> Batch<'a> {
     /// # Errors
     /// As [`Batch::apply_placed`].
     pub fn apply_imported(&mut self, change: Change, lost: Vec<(String, u32)>, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry { placed: Some(Restored::LetBe), lost, ..Entry::default() })
+        self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), lost, ..Entry::default() })
     }
 
     /// [`Batch::apply`] of a change, as the log shall have it.
@@ -137,7 +137,9 @@ impl<'a> Batch<'a> {
         }
         let inverse = match entry.placed {
             None => self.world.apply(change.clone())?,
-            Some(restored) => placement::apply(self.world, change.clone(), restored == Restored::Checked, &entry.lost)?,
+            Some(restored) => {
+                placement::apply(self.world, change.clone(), restored == RestoreCheck::Checked, &entry.lost)?
+            }
         };
         self.open = true;
         let environment = self.world.environment().clone();
@@ -167,7 +169,7 @@ impl<'a> Batch<'a> {
             Error::invalid(what, "presight env apply --help tells the changes").caused_by(e)
         };
         check_json_memory(line)?;
-        let Unique(mut value) = serde_json::from_str(line).map_err(wrong)?;
+        let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;
         let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
         let cause = match take("cause") {
             None | Some(serde_json::Value::Null) => note.cause.clone(),
@@ -190,7 +192,7 @@ impl<'a> Batch<'a> {
         let mut mesh = |_| Err(Error::invalid("mesh numbers are for the log", "give \"like\""));
         let environment = self.world.environment();
         let change = Context::new(environment, Some(folder), &mut mesh).change(op)?;
-        let entry = Entry { placed: Some(Restored::Checked), request, ..Entry::default() };
+        let entry = Entry { placed: Some(RestoreCheck::Checked), request, ..Entry::default() };
         Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
     }
 
@@ -258,7 +260,7 @@ impl Store {
         };
         // What all features of a class share is written once, however many there are.
         let mut layers = BTreeSet::new();
-        for key in Touched::of(&[&change, &inverse]).writes {
+        for key in KeySets::of(&[&change, &inverse]).writes {
             match key {
                 Key::Object(name) => {
                     self.write_object(now, &name)?;

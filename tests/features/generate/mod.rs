@@ -10,12 +10,12 @@ use glam::DVec3;
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
-use presight::acquire::features::{Counts, GenerateOptions, Kind, generate};
 use presight::environment::FeatureShape;
+use presight::features::generate::{FeatureCounts, FeatureKind, GenerateOptions, generate};
 use presight::{Environment, World};
 use std::time::Instant;
 
-fn counts_of(name: &str) -> Option<Counts> {
+fn counts_of(name: &str) -> Option<FeatureCounts> {
     let world = data::scene(name, true)?;
     Some(generate(world.environment(), "video", &GenerateOptions::default()).expect("features").counts)
 }
@@ -146,7 +146,7 @@ fn rays_confirm_the_edges_of_real_models() {
                 Some(ends.map(|p| object.world_from_object.transform_point(p)))
             })
             .collect();
-        assert_eq!(edges.len(), Kind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
+        assert_eq!(edges.len(), FeatureKind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
         // What was made is sound, and its file reads back the same.
         let text = presight::io::layer::to_string(&generated.layer).expect("a sound layer");
         assert!(presight::io::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
@@ -191,7 +191,8 @@ fn all_that_is_generated_can_be_placed() {
 #[test]
 fn what_was_moved_off_is_refused() {
     let Some(world) = data::scene("office_willowgarage", true) else { return };
-    let options = GenerateOptions { kinds: vec![Kind::Horizontal, Kind::Vertical], ..GenerateOptions::default() };
+    let options =
+        GenerateOptions { kinds: vec![FeatureKind::Horizontal, FeatureKind::Vertical], ..GenerateOptions::default() };
     let layer = generate(world.environment(), "video", &options).expect("patches").layer;
     let (mut random, mut refused, n) = (Random(3), [0; 2], 200);
     for _ in 0..n {

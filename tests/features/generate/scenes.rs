@@ -1,7 +1,7 @@
 //! Unit scenes with counts that follow from their geometry.
 
 use glam::{DAffine3, DVec3, Vec3};
-use presight::acquire::features::{GenerateOptions, Kind, generate};
+use presight::features::generate::{FeatureKind, GenerateOptions, generate};
 use presight::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
 use std::sync::Arc;
 
@@ -132,7 +132,7 @@ fn t_junctions_are_no_borders() {
     // One of them shorter: the rest of the long side is a border. Sides of the fold: 0.7 crease, 1.3 border in one line
     // with it, one edge; the fold has three sides more, the tile three.
     let short = generate(&of(&[tiles[0].clone(), up([0.0, 0.7])]), "video", &GenerateOptions::default()).unwrap();
-    assert_eq!(short.counts.of(Kind::Crease) + short.counts.of(Kind::Border), 7);
+    assert_eq!(short.counts.of(FeatureKind::Crease) + short.counts.of(FeatureKind::Border), 7);
 }
 
 #[test]
@@ -144,7 +144,10 @@ fn materials_end_in_borders_and_invisible_ones_are_not_there() {
     // One tile.
     let fog = generate(&of(&tiles(2)), "video", &GenerateOptions::default()).unwrap();
     assert_eq!((fog.counts.made, fog.counts.invisible), ([0, 4, 0, 0, 4, 0, 1], 1));
-    assert_eq!(generate(&of(&tiles(2)), "radar", &GenerateOptions::default()).unwrap().counts.of(Kind::Material), 1);
+    assert_eq!(
+        generate(&of(&tiles(2)), "radar", &GenerateOptions::default()).unwrap().counts.of(FeatureKind::Material),
+        1
+    );
 }
 
 #[test]
@@ -190,7 +193,7 @@ fn what_lies_inside_matter_is_left_out() {
     let mut environment = of(&cuboid(Vec3::ZERO, Vec3::ONE));
     put(&mut environment, DAffine3::IDENTITY, &cuboid(Vec3::splat(0.3), Vec3::splat(0.7)));
     let generated = generate(&environment, "video", &GenerateOptions::default()).unwrap();
-    assert_eq!((generated.counts.of(Kind::Crease), generated.counts.buried), (12, 12));
+    assert_eq!((generated.counts.of(FeatureKind::Crease), generated.counts.buried), (12, 12));
     // In a room it is seen.
     let mut environment = of(&cuboid(Vec3::splat(-5.0), Vec3::splat(5.0)));
     put(&mut environment, DAffine3::IDENTITY, &cuboid(Vec3::splat(0.3), Vec3::splat(0.7)));
@@ -236,7 +239,7 @@ fn patches_are_not_joined_over_a_notch() {
         let generated = generate(&environment, "video", &GenerateOptions::default()).unwrap();
         let placed = presight::features::place(&presight::World::new(environment), &generated.layer);
         assert!(placed.is_ok(), "cut by {cut}: {}", placed.unwrap_err());
-        (generated.counts.of(Kind::Horizontal), generated.counts.off)
+        (generated.counts.of(FeatureKind::Horizontal), generated.counts.off)
     };
     assert_eq!(patches(1e-4), (1, 0));
     assert_eq!(patches(0.012), (2, 0));
@@ -258,17 +261,17 @@ fn options_are_checked_and_kinds_kept_to() {
     // As people give angles.
     let steep = GenerateOptions { crease: 200f64.to_radians(), ..default() };
     assert!(steep.check().unwrap_err().to_string().contains("200 degrees is out of its range"));
-    for kind in Kind::ALL {
+    for kind in FeatureKind::ALL {
         let only = generate(&environment, "video", &GenerateOptions { kinds: vec![kind], ..default() }).unwrap();
         assert_eq!(only.counts.of(kind), BOX[kind as usize], "{kind:?}");
         assert_eq!(only.layer.features.len(), BOX[kind as usize]);
-        assert_eq!(kind.name().parse::<Kind>().unwrap(), kind);
+        assert_eq!(kind.name().parse::<FeatureKind>().unwrap(), kind);
     }
     assert_eq!(
         generate(&environment, "video", &GenerateOptions { min_length: 1.1, ..default() })
             .unwrap()
             .counts
-            .of(Kind::Crease),
+            .of(FeatureKind::Crease),
         0
     );
 }

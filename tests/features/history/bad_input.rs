@@ -3,7 +3,7 @@
 use super::simulator::Random;
 use glam::{DMat2, DVec2};
 use presight::ErrorKind;
-use presight::history::{End, ImageExtent, Seed, Tracker, TrackerOptions, Want};
+use presight::history::{End, ImageExtent, PredictionTrigger, Seed, Tracker, TrackerOptions};
 use presight::matching::{Detection, ExpectedProperties, Rejection, Shape};
 use std::time::Instant;
 
@@ -57,7 +57,7 @@ fn after_a_gap_history_is_worth_nothing() {
     let matches = tracker.correct(100.0, &[]).unwrap();
     assert_eq!(matches.ended.len(), 48);
     assert!(matches.ended.iter().all(|(_, why)| *why == End::Gap));
-    assert_eq!(tracker.health().wants, Some(Want::Gap));
+    assert_eq!(tracker.health().wants, Some(PredictionTrigger::Gap));
     tracker.seed(100.0, grid()).unwrap();
     assert_eq!(tracker.health().wants, None);
 }

@@ -1,8 +1,8 @@
 //! Points, seen from a robot that drives straight, turns, stops and starts.
 
 use super::simulator::{Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
-use super::told::Told;
-use presight::history::{Alternating, End, ImageExtent, Source, Tracker, TrackerOptions, View};
+use super::told::DeviceCheck;
+use presight::history::{AlternatingTracker, End, ImageExtent, PointProjection, Source, Tracker, TrackerOptions};
 use std::collections::BTreeMap;
 
 /// A long straight, a curve, a straight, a curve the other way, a stop, standing, and off again.
@@ -104,19 +104,19 @@ fn drive(disturbance: Disturbance, options: &TrackerOptions, knows_motion: bool)
 fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, knows_motion: bool, tally: &mut Tally) {
     let mut simulator = Simulator::new(seed, disturbance);
     let frames = simulator.drive(&DRIVE);
-    let mut alternating = Alternating::new(Tracker::new(options.clone()).unwrap(), None);
-    let mut told: BTreeMap<u32, Told> = BTreeMap::new();
+    let mut alternating = AlternatingTracker::new(Tracker::new(options.clone()).unwrap(), None);
+    let mut told: BTreeMap<u32, DeviceCheck> = BTreeMap::new();
     let (mut leg, mut in_leg) = (0, 0);
     for frame in &frames {
         (leg, in_leg) = if frame.leg == leg { (leg, in_leg + 1) } else { (frame.leg, 0) };
         let view = |p| frame.robot.project(p);
-        let view: Option<View<'_>> = if knows_motion { Some(&view) } else { None };
+        let view: Option<PointProjection<'_>> = if knows_motion { Some(&view) } else { None };
         let step = alternating.predict(frame.time, view, || Ok(simulator.predict_fully(frame, 150))).unwrap();
         tally.frames += 1.0;
         match &step.source {
             Source::History => tally.history += 1.0,
             Source::Full { seeded, .. } => {
-                told.extend(seeded.begun.iter().map(|id| (*id, Told::new(&disturbance))));
+                told.extend(seeded.begun.iter().map(|id| (*id, DeviceCheck::new(&disturbance))));
             }
         }
         let wanted: Vec<_> = step.windows.iter().map(|w| simulator.detected_at(frame, w.id)).collect();

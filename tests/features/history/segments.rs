@@ -3,7 +3,7 @@
 use super::simulator::{Disturbance, Edges, HEIGHT, Random, Simulator, TOLD, WIDTH, leg};
 use glam::{DMat2, DVec2};
 use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
-use presight::matching::{Detection, Estimate, ExpectedProperties, Shape};
+use presight::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
 use std::f64::consts::PI;
 
 const SIGMA: f64 = 0.5;
@@ -17,7 +17,7 @@ fn held(window: &[f64; 4], ends: &[DVec2; 2], corners: &[bool; 2], noise: DVec2)
 
 fn told(edges: &Edges, id: u32) -> ExpectedProperties {
     let [strength, contrast] =
-        [0, 1].map(|k| Some(Estimate { mean: edges.told[id as usize][k], variance: TOLD[k] * TOLD[k] }));
+        [0, 1].map(|k| Some(UncertainValue { mean: edges.told[id as usize][k], variance: TOLD[k] * TOLD[k] }));
     ExpectedProperties { strength, contrast, ..ExpectedProperties::default() }
 }
 

@@ -3,7 +3,7 @@
 
 use glam::{DMat2, DVec2, DVec3};
 use presight::history::{Seed, Window};
-use presight::matching::{Detection, Estimate, ExpectedProperties, Properties, Shape};
+use presight::matching::{Detection, DetectionProperties, ExpectedProperties, Shape, UncertainValue};
 use std::f64::consts::{PI, TAU};
 
 /// xorshift64* of G. Marsaglia and S. Vigna.
@@ -172,7 +172,7 @@ impl Simulator {
             if let Some(pixel) = frame.robot.see(point.at)
                 && seeds.len() < most
             {
-                let told = |k: usize| Some(Estimate { mean: point.told[k], variance: TOLD[k] * TOLD[k] });
+                let told = |k: usize| Some(UncertainValue { mean: point.told[k], variance: TOLD[k] * TOLD[k] });
                 seeds.push(Seed {
                     id: i as u32,
                     shape: Shape::Point(pixel + off),
@@ -210,7 +210,7 @@ impl Simulator {
                 None => [random.unit(), random.unit(), PI * random.unit()],
             };
             let [strength, contrast, direction] = told.map(Some);
-            detection.properties = Properties { strength, contrast, direction, marker: None };
+            detection.properties = DetectionProperties { strength, contrast, direction, marker: None };
         }
         detection
     }
@@ -289,7 +289,7 @@ impl Edges {
             if random.unit() < 0.5 { (found, corners) } else { ([found[1], found[0]], [corners[1], corners[0]]) };
         let noise = random.normal();
         let [strength, contrast] = [0, 1].map(|k| Some(self.told[id as usize][k] + TOLD[k] * noise[k]));
-        let properties = Properties { strength, contrast, ..Properties::default() };
+        let properties = DetectionProperties { strength, contrast, ..DetectionProperties::default() };
         Detection { properties, ..Detection::new(Shape::Segment { ends: found, corners }, sigma) }
     }
 }

@@ -4,7 +4,7 @@ use super::simulator::Disturbance;
 use glam::DVec2;
 
 /// One feature: its place is moved on as the true one moves, so that only noise is left to filter.
-pub struct Told {
+pub struct DeviceCheck {
     /// Estimated less true place.
     off: DVec2,
     /// Variance of each coordinate.
@@ -17,7 +17,7 @@ pub struct Told {
 /// Standard deviations of a box of two independent coordinates that holds 99 %: (2 Phi(k) - 1)^2 = 0.99.
 const DEVIATIONS: f64 = 2.806;
 
-impl Told {
+impl DeviceCheck {
     pub fn new(disturbance: &Disturbance) -> Self {
         let noise = disturbance.noise * disturbance.noise + disturbance.jitter * disturbance.jitter;
         Self { off: DVec2::ZERO, variance: 1.0, noise, truth: DVec2::ZERO }

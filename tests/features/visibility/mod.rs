@@ -368,7 +368,7 @@ fn planted_faults_are_caught() {
 /// Layers generated from the model and placed as files are.
 #[test]
 fn generated_layers_agree_with_rays_in_space() {
-    use presight::acquire::features::{GenerateOptions, generate};
+    use presight::features::generate::{GenerateOptions, generate};
     let wanted = std::env::var("PRESIGHT_FEATURE_SCENES").unwrap_or_else(|_| "factory_hall,hospital".into());
     for scene in wanted.split(',') {
         let Some(world) = data::scene(scene, true) else { return };

@@ -2,8 +2,8 @@
 
 use crate::build::*;
 use glam::{DMat3, DQuat, DVec3};
-use presight::acquire::ProblemKind;
 use presight::io::gltf::{ImportOptions, import};
+use presight::preparation::ProblemKind;
 use presight::{Appearance, ErrorKind};
 use serde_json::json;
 use std::sync::Arc;
@@ -276,7 +276,7 @@ fn a_site_in_utm_metres_keeps_its_millimetres() {
         {"mesh": 0},
         {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.0001, 0, 0, 1]},
     ]);
-    let check = |read: presight::acquire::Imported| {
+    let check = |read: presight::preparation::ImportedScene| {
         let [a, b] = [0, 1].map(|i| read.environment.objects()[i].world_from_object.translation);
         assert!((a - DVec3::new(4469320.2512, 5333710.5021, 0.0)).length() < 1e-9, "{a}");
         assert!(((b - a).x - 1e-4).abs() < 2e-9);

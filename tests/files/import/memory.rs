@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// Long for what takes a second, short for what is read again and again.
 const SOON: Duration = Duration::from_secs(15);
 
-fn refused(name: &str, outcome: Result<presight::acquire::Imported, Error>, words: &[&str]) {
+fn refused(name: &str, outcome: Result<presight::preparation::ImportedScene, Error>, words: &[&str]) {
     let e = outcome.map(|read| read.report).expect_err(name);
     let text = e.to_string();
     assert_eq!(e.kind(), ErrorKind::Invalid, "{name}: {text}");

@@ -2,8 +2,8 @@
 
 use crate::build::SOURCE;
 use glam::DVec3;
-use presight::acquire::ProblemKind;
 use presight::io::gltf::{ImportOptions, import};
+use presight::preparation::ProblemKind;
 use presight_testkit::data;
 use std::path::{Path, PathBuf};
 

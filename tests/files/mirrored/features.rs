@@ -2,8 +2,8 @@
 
 use super::{INSIDE, OUTSIDE, cube, sensors, ways, world};
 use glam::{DMat3, DVec3};
-use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{FeatureOptions, Hidden, Reason, SeenFeature, Visibility, place};
 use presight::{Backend, NewObject, Options, Pose, Predictor, Request, World};
 

@@ -11,8 +11,8 @@ mod features;
 
 use common::engines::{self, Renderer};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use presight::compare::Precision;
 use presight::engine::EngineKind;
+use presight::verify::Precision;
 use presight::{
     Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
     RayTable, Scanner, Sensor, SensorSpec, World,

@@ -2,7 +2,7 @@
 
 use super::common::{engines, plan, reference, scenes};
 use super::load;
-use presight::compare::{Precision, compare};
+use presight::verify::{Precision, compare};
 use presight::{FramePlan, Images, Pose, Sensor, World};
 use std::path::Path;
 

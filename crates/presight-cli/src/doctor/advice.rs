@@ -2,7 +2,7 @@
 
 /// What became of an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
+pub enum AdapterState {
     /// It draws what it should.
     Right,
     /// It opens, and draws something wrong.
@@ -13,18 +13,18 @@ pub enum State {
 
 /// An adapter that was tried.
 #[derive(Clone, Copy, Debug)]
-pub struct Tried {
+pub struct AdapterTrial {
     /// It is a real GPU.
     pub hardware: bool,
     /// What became of it.
-    pub state: State,
+    pub state: AdapterState,
 }
 
 /// All adapters of a machine.
 #[derive(Clone, Debug, Default)]
 pub struct Machine {
     /// In the driver's order.
-    pub tried: Vec<Tried>,
+    pub tried: Vec<AdapterTrial>,
     /// Which of them `--backend auto` takes.
     pub auto: Option<usize>,
     /// Which of them `--backend gpu` takes.
@@ -36,26 +36,26 @@ pub struct Machine {
 }
 
 impl Machine {
-    fn at(&self, place: Option<usize>) -> Option<Tried> {
+    fn at(&self, place: Option<usize>) -> Option<AdapterTrial> {
         place.and_then(|i| self.tried.get(i).copied())
     }
 
     /// False if an adapter draws wrong, or one that would be used cannot be opened.
     pub fn is_sound(&self) -> bool {
         let used = [self.auto, self.any].map(|place| self.at(place).map(|t| t.state));
-        !self.tried.iter().any(|t| t.state == State::Wrong) && !used.contains(&Some(State::Unusable))
+        !self.tried.iter().any(|t| t.state == AdapterState::Wrong) && !used.contains(&Some(AdapterState::Unusable))
     }
 
     /// What each `--backend` takes, and what would help, line by line.
     pub fn advice(&self) -> String {
         let auto = match self.at(self.auto).map(|t| t.state) {
-            Some(State::Right) => "--backend auto takes the GPU.",
-            Some(State::Wrong) => "--backend auto takes the GPU, unless it draws wrong what is asked of it.",
-            Some(State::Unusable) => "--backend auto takes the CPU engine: the GPU cannot be opened.",
+            Some(AdapterState::Right) => "--backend auto takes the GPU.",
+            Some(AdapterState::Wrong) => "--backend auto takes the GPU, unless it draws wrong what is asked of it.",
+            Some(AdapterState::Unusable) => "--backend auto takes the CPU engine: the GPU cannot be opened.",
             None => "--backend auto takes the CPU engine: no hardware GPU was found.",
         };
         let mut lines = vec![auto.to_owned(), self.of_any()];
-        if self.tried.iter().any(|t| t.state == State::Wrong) {
+        if self.tried.iter().any(|t| t.state == AdapterState::Wrong) {
             lines.push(
                 "Update the driver of what is wrong above, or use --backend cpu, and please report it.".to_owned(),
             );
@@ -66,17 +66,17 @@ impl Machine {
     /// What `--backend gpu` takes.
     fn of_any(&self) -> String {
         let text = match self.at(self.any) {
-            Some(Tried { state: State::Unusable, .. }) => {
+            Some(AdapterTrial { state: AdapterState::Unusable, .. }) => {
                 "--backend gpu ends with status 3: the adapter that it takes cannot be opened. Free what the message above \
                  says is lacking (memory: also ulimit -v), or update the driver; --backend cpu needs none of it."
             }
-            Some(Tried { state: State::Wrong, .. }) => {
+            Some(AdapterTrial { state: AdapterState::Wrong, .. }) => {
                 "--backend gpu ends with status 3 where its adapter draws wrong."
             }
-            Some(Tried { hardware: false, .. }) => {
+            Some(AdapterTrial { hardware: false, .. }) => {
                 "--backend gpu takes a program that plays a GPU: slower than the CPU engine, good for tests."
             }
-            Some(Tried { hardware: true, .. }) => "Nothing needs to be installed.",
+            Some(AdapterTrial { hardware: true, .. }) => "Nothing needs to be installed.",
             None => return self.of_none(),
         };
         text.to_owned()
@@ -111,16 +111,16 @@ impl Machine {
 mod tests {
     use super::*;
 
-    fn machine(hardware: Option<State>, software: Option<State>) -> Machine {
-        let one = |hardware, state: Option<State>| state.map(|state| Tried { hardware, state });
-        let tried: Vec<Tried> = one(false, software).into_iter().chain(one(true, hardware)).collect();
+    fn machine(hardware: Option<AdapterState>, software: Option<AdapterState>) -> Machine {
+        let one = |hardware, state: Option<AdapterState>| state.map(|state| AdapterTrial { hardware, state });
+        let tried: Vec<AdapterTrial> = one(false, software).into_iter().chain(one(true, hardware)).collect();
         let auto = tried.iter().position(|t| t.hardware);
         Machine { any: auto.or(tried.first().map(|_| 0)), auto, tried, ..Machine::default() }
     }
 
     #[test]
     fn advice_follows_what_can_be_used() {
-        use State::{Right, Unusable, Wrong};
+        use AdapterState::{Right, Unusable, Wrong};
         for (hardware, software, sound, told, untold) in [
             (None, None, true, "no hardware GPU was found.\n--backend gpu finds nothing", "takes the GPU"),
             (None, Some(Right), true, "takes a program that plays a GPU", "status 3"),
@@ -144,7 +144,7 @@ mod tests {
         let drivers = Some("VK_DRIVER_FILES=/nothing".to_owned());
         let told = |machine: Machine| Machine { drivers: drivers.clone(), ..machine }.advice();
         assert!(told(machine(None, None)).contains("VK_DRIVER_FILES=/nothing is set"));
-        assert!(!told(machine(None, Some(State::Right))).contains("VK_DRIVER_FILES"));
+        assert!(!told(machine(None, Some(AdapterState::Right))).contains("VK_DRIVER_FILES"));
         let disabled = Some("VK_LOADER_DRIVERS_DISABLE=*".to_owned());
         let told = Machine { disabled, ..machine(None, None) }.advice();
         assert!(told.contains("VK_LOADER_DRIVERS_DISABLE=* is set") && !told.contains("install"), "{told}");

@@ -3,16 +3,16 @@
 #[cfg(feature = "gpu")]
 mod advice;
 
-use super::{Verdict, features, print};
+use super::{CommandOutcome, features, print};
 #[cfg(feature = "gpu")]
-use advice::{Machine, State, Tried};
+use advice::{AdapterState, AdapterTrial, Machine};
 use presight::Result;
 use presight::Threads;
 use presight::engine::{Engine, EngineKind};
 #[cfg(feature = "gpu")]
 use presight::gpu::{self, DeviceOptions, adapters, preferred, testing};
 use presight::plan::{Outputs, Stats};
-use presight::probe::{Probe, Task};
+use presight::probe::{Probe, SensorKind};
 use std::fmt::Write;
 
 const EXAMPLES: &str = "Examples:
@@ -32,7 +32,7 @@ pub struct Args {}
 ///
 /// # Errors
 /// [`presight::ErrorKind::System`] if the CPU engine's threads cannot be started, or stdout cannot be written.
-pub fn run(_: &Args) -> Result<Verdict> {
+pub fn run(_: &Args) -> Result<CommandOutcome> {
     let probe = Probe::new()?;
     let features = features();
     let features = if features.is_empty() { "no optional feature".into() } else { features.join(", ") };
@@ -42,13 +42,13 @@ pub fn run(_: &Args) -> Result<Verdict> {
     let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?);
     sound &= gpus(&probe, &mut text);
     print::lines(text.lines())?;
-    Ok(if sound { Verdict::Done } else { Verdict::Found })
+    Ok(if sound { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
 /// One line a task; true if none shows a fault.
 fn check(probe: &Probe, text: &mut String, engine: &mut dyn Engine) -> bool {
     let mut sound = true;
-    for task in Task::ALL {
+    for task in SensorKind::ALL {
         let drawn = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()));
         let verdict = match drawn {
             Ok(report) if report.fault == 0 => {
@@ -85,7 +85,7 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
             let options = DeviceOptions { adapter: Some(i), without_int64, ..DeviceOptions::default() };
             testing::open(options, testing::Setup::ALL_ON_DEVICE)
         };
-        tried.push(Tried { hardware: adapter.hardware, state: device(probe, text, open) });
+        tried.push(AdapterTrial { hardware: adapter.hardware, state: device(probe, text, open) });
     }
     // The loader's own variables; the newer one comes first.
     let set = |name: &'static str| std::env::var(name).ok().map(|value| format!("{name}={value}"));
@@ -98,14 +98,14 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
 
 /// The paths of one device: with 64-bit atomics, if it has them, and without.
 #[cfg(feature = "gpu")]
-fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::Engine>) -> State {
+fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::GpuEngine>) -> AdapterState {
     let mut sound = true;
     for without_int64 in [false, true] {
         let mut engine = match open(without_int64) {
             Ok(engine) => engine,
             Err(e) => {
                 let _ = writeln!(text, "  not usable: {e}");
-                return State::Unusable;
+                return AdapterState::Unusable;
             }
         };
         let can = engine.abilities();
@@ -129,14 +129,14 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::E
             break;
         }
     }
-    if sound { State::Right } else { State::Wrong }
+    if sound { AdapterState::Right } else { AdapterState::Wrong }
 }
 
 /// One line a task: what the device says of features, which no image shows.
 #[cfg(feature = "gpu")]
-fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::Engine) -> bool {
+fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::GpuEngine) -> bool {
     let mut sound = true;
-    for task in Task::ALL {
+    for task in SensorKind::ALL {
         let told = probe.occlusion(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
         let verdict = match told {
             Ok((seen, regions)) => {
@@ -173,8 +173,8 @@ fn yes(able: bool) -> &'static str {
 mod tests {
     use super::*;
     use presight::Error;
-    use presight::compare::Precision;
     use presight::plan::{FramePlan, Images};
+    use presight::verify::Precision;
 
     /// The CPU engine, with images spoiled or none.
     struct Faulty(Box<dyn Engine>, fn(&mut Images) -> Result<()>);

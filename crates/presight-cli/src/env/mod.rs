@@ -7,16 +7,16 @@ mod show;
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
-use super::{Verdict, print};
+use super::{CommandOutcome, print};
 use presight::Change;
 use presight::World;
-use presight::acquire::Up;
 use presight::environment::Environment;
 use presight::index::Scheme;
 use presight::io::layer;
 use presight::io::store::{self, Note, Store};
 use presight::memory;
 use presight::placement;
+use presight::preparation::Up;
 use presight::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -145,7 +145,7 @@ impl NoteArgs {
 ///
 /// # Errors
 /// Those of the store.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     match &args.command {
         Command::Create { store, scene, frame, note } => create(store, scene, frame, note)?,
         Command::Import { store, file, replace, frame, note } => import(store, file, *replace, frame, note)?,
@@ -156,7 +156,7 @@ pub fn run(args: &Args) -> Result<Verdict> {
         Command::Undo { store, change, cascade, note } => undo(store, *change, *cascade, note)?,
         Command::Check { store } => show::check(store)?,
     }
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// A scene, and how its file lay, for the log.

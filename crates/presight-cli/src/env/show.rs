@@ -1,10 +1,10 @@
 //! What a store is and was.
 
 use crate::print;
-use presight::acquire::lost_features;
 use presight::environment::{Environment, Object};
 use presight::internal::clipped;
 use presight::io::store::{self, LogEntry};
+use presight::preparation::lost_features;
 use presight::{Error, Result};
 use serde_json::{Value, json};
 use std::path::Path;

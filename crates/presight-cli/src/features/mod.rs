@@ -6,10 +6,10 @@ mod pick;
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::OutputFiles;
-use super::{Verdict, print};
+use super::{CommandOutcome, print};
 use clap::builder::NonEmptyStringValueParser;
-use presight::acquire::features::{GenerateOptions, Generated, Kind, generate_watched};
 use presight::environment::Environment;
+use presight::features::generate::{FeatureKind, GenerateOptions, GeneratedLayer, generate_with_progress};
 use presight::index::Scheme;
 use presight::io::layer;
 use presight::{Error, Result};
@@ -70,7 +70,7 @@ enum Command {
 struct OptionArgs {
     /// Kinds to make, of crease, border, material, intersection, corner, vertical, horizontal [default: all]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    kinds: Vec<Kind>,
+    kinds: Vec<FeatureKind>,
 
     /// Shortest edge in metres [default: 0.05]
     #[arg(long, value_name = "M")]
@@ -107,11 +107,11 @@ impl OptionArgs {
 ///
 /// # Errors
 /// Wrong usage, those of the scene and of writing.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(command) = &args.command {
         return match command {
             Command::Pick(args) => pick::run(args),
-            Command::Schema => print::data(layer::schema()).map(|()| Verdict::Done),
+            Command::Schema => print::data(layer::schema()).map(|()| CommandOutcome::Done),
         };
     }
     // Clap asks for both where there is no subcommand.
@@ -130,13 +130,13 @@ pub fn run(args: &Args) -> Result<Verdict> {
         layer::write(path, &generated.layer)?;
     }
     print::lines(in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// With a bar that shows how far it has come.
-fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<Generated> {
+fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<GeneratedLayer> {
     let bar = super::bar::bar(0);
-    let generated = generate_watched(environment, class, options, &|progress| {
+    let generated = generate_with_progress(environment, class, options, &|progress| {
         bar.set_length(progress.of as u64);
         bar.set_position(progress.done as u64);
         bar.set_message(progress.stage);
@@ -145,10 +145,10 @@ fn generated(environment: &Environment, class: &str, options: &GenerateOptions) 
     generated
 }
 
-fn in_words(generated: &Generated, options: &GenerateOptions, seconds: f64) -> Vec<String> {
+fn in_words(generated: &GeneratedLayer, options: &GenerateOptions, seconds: f64) -> Vec<String> {
     let counts = &generated.counts;
     let mut lines = vec![format!("class        {}", generated.layer.class)];
-    let kinds = Kind::ALL.into_iter().filter(|k| options.kinds.contains(k));
+    let kinds = FeatureKind::ALL.into_iter().filter(|k| options.kinds.contains(k));
     lines.extend(kinds.map(|k| format!("{:<12} {}", k.name(), counts.of(k))));
     lines.push(format!("together     {} features in {seconds:.2} s", generated.layer.features.len()));
     let invisible = match counts.invisible {

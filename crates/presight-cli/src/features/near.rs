@@ -10,7 +10,7 @@ use presight::plan::Images;
 use presight::sensor::Sensor;
 
 /// An edge or a corner.
-pub struct Near {
+pub struct NearbyFeature {
     pub feature: Feature,
     /// Metres from the point that the pixel sees.
     pub metres: f64,
@@ -19,26 +19,27 @@ pub struct Near {
 }
 
 /// What the sensor sees, and from where.
-pub struct Eye<'a> {
+pub struct PickView<'a> {
     pub world: &'a World,
     pub sensor: &'a Sensor,
     pub pose: &'a Pose,
     pub images: &'a Images,
 }
 
-impl Eye<'_> {
+impl PickView<'_> {
     /// Edges and corners of a layer within `reach` metres of a point that a pixel sees: those seen, nearest in the image
     /// first, then the others, nearest in space first.
-    pub fn near(&self, layer: FeatureLayer, p_in_world: DVec3, pixel: DVec2, reach: f64) -> Result<Vec<Near>> {
+    pub fn near(&self, layer: FeatureLayer, p_in_world: DVec3, pixel: DVec2, reach: f64) -> Result<Vec<NearbyFeature>> {
         let metres = |f: &Feature| distance(self.world, f, p_in_world).filter(|d| *d <= reach);
         let (found, features): (Vec<f64>, Vec<Feature>) =
             layer.features.into_iter().filter_map(|f| Some((metres(&f)?, f))).unzip();
         let layer = FeatureLayer { features, ..layer };
         let pixels = self.pixels(&layer, pixel)?;
         let all = layer.features.into_iter().zip(found).zip(pixels);
-        let mut near: Vec<Near> = all.map(|((feature, metres), pixels)| Near { feature, metres, pixels }).collect();
+        let mut near: Vec<NearbyFeature> =
+            all.map(|((feature, metres), pixels)| NearbyFeature { feature, metres, pixels }).collect();
         // In whole pixels: what meets in a corner is told apart by its place in space.
-        let by_image = |n: &Near| n.pixels.map_or(f64::INFINITY, f64::round);
+        let by_image = |n: &NearbyFeature| n.pixels.map_or(f64::INFINITY, f64::round);
         near.sort_by(|a, b| {
             let in_image = by_image(a).total_cmp(&by_image(b));
             in_image.then(a.metres.total_cmp(&b.metres)).then(a.feature.id.cmp(&b.feature.id))

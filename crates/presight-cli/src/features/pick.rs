@@ -3,12 +3,12 @@
 use super::super::frame_args::FrameArgs;
 use super::super::open_scene;
 use super::super::pose::PoseArgs;
-use super::super::{Verdict, print};
+use super::super::{CommandOutcome, print};
 use super::OptionArgs;
-use super::near::{Eye, Near};
+use super::near::{NearbyFeature, PickView};
 use glam::{DMat3, DVec2, DVec3};
-use presight::acquire::features::{GenerateOptions, generate};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
+use presight::features::generate::{GenerateOptions, generate};
 use presight::geometry::{Aabb, Pose, plane_of_polygon};
 use presight::index::Scheme;
 use presight::io::{layer, load_sensor};
@@ -69,7 +69,7 @@ struct Hit {
 /// # Errors
 /// Wrong usage, those of scene and sensor and of the engine. A pixel that sees nothing is no error: the check found
 /// nothing, exit status 1.
-pub fn run(args: &Args) -> Result<Verdict> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let pose = args.pose.parse()?;
     let mut options = args.options.options();
     if !(args.reach >= 0.0 && args.reach <= 1e6) {
@@ -85,23 +85,23 @@ pub fn run(args: &Args) -> Result<Verdict> {
     }
     let scene = open_scene(&args.scene, &args.frame.options()?, Scheme::default())?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
-    let sight = Sight::new(&scene, &sensor, world_from_sensor)?;
+    let sight = PickImages::new(&scene, &sensor, world_from_sensor)?;
     let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {
         print::data(&format!("pixel {column},{row} sees nothing\n"))?;
-        return Ok(Verdict::Found);
+        return Ok(CommandOutcome::Found);
     };
     options.region = Some(Aabb { min: hit.p_in_world - args.reach, max: hit.p_in_world + args.reach });
     print::lines(describe(&scene, &sensor, &sight, &hit, args, &options)?)?;
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// What the sensor sees.
-struct Sight {
+struct PickImages {
     world_from_sensor: Pose,
     images: Images,
 }
 
-impl Sight {
+impl PickImages {
     fn new(scene: &Scene, sensor: &Sensor, world_from_sensor: Pose) -> Result<Self> {
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let request = Request::of(Outputs::of(&[Output::PolygonId]));
@@ -127,7 +127,7 @@ impl Sight {
 fn describe(
     scene: &Scene,
     sensor: &Sensor,
-    sight: &Sight,
+    sight: &PickImages,
     hit: &Hit,
     args: &Args,
     options: &GenerateOptions,
@@ -151,10 +151,10 @@ fn describe(
         format!("normal in object {}", vector(normal_in_object)),
     ];
     let layer = generate(environment, class, options)?.layer;
-    let eye = Eye { world: &scene.world, sensor, pose: &sight.world_from_sensor, images: &sight.images };
+    let eye = PickView { world: &scene.world, sensor, pose: &sight.world_from_sensor, images: &sight.images };
     let pixel = DVec2::new(f64::from(args.pixel.0), f64::from(args.pixel.1));
     let near = eye.near(layer, hit.p_in_world, pixel, args.reach)?;
-    let (seen, hidden): (Vec<Near>, Vec<Near>) = near.into_iter().partition(|n| n.pixels.is_some());
+    let (seen, hidden): (Vec<NearbyFeature>, Vec<NearbyFeature>) = near.into_iter().partition(|n| n.pixels.is_some());
     lines.push(String::new());
     lines.push(format!(
         "edges and corners seen within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
@@ -179,8 +179,8 @@ fn describe(
     Ok(lines)
 }
 
-fn listed(near: &[Near]) -> Vec<String> {
-    let line = |n: &Near| {
+fn listed(near: &[NearbyFeature]) -> Vec<String> {
+    let line = |n: &NearbyFeature| {
         let points: Vec<String> = n.feature.shape.points().iter().map(|p| vector(*p)).collect();
         let pixels = n.pixels.map_or("-".into(), |p| format!("{p:.1} px"));
         let (name, object) = (n.feature.name.as_deref(), n.feature.object.as_deref().unwrap_or_default());

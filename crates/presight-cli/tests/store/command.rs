@@ -443,13 +443,13 @@ fn a_scene_brings_its_groups_along() {
     let here = folder.path();
     create(here, &small());
     let mut other = small();
-    other.set_group("g", Some(super::at(1.0, 2.0, 3.0))).unwrap();
+    other.set_frame("g", Some(super::at(1.0, 2.0, 3.0))).unwrap();
     presight::io::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
     assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "change 1\n");
     assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "nothing to change\n");
     let read = || store::check(&here.join("env.presight")).unwrap().environment;
     assert_eq!(read().frame("g"), Some(super::at(1.0, 2.0, 3.0)));
-    other.set_group("g", Some(super::at(1.0, 2.0, 4.0))).unwrap();
+    other.set_frame("g", Some(super::at(1.0, 2.0, 4.0))).unwrap();
     presight::io::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
     let refused = presight().args(["env", "import", "env.presight", "o.glb"]).current_dir(here).output().unwrap();
     let message = String::from_utf8(refused.stderr).unwrap();

@@ -66,7 +66,7 @@ fn an_exported_environment_is_the_same() {
     // Planted fault: a frame that is lost is noticed.
     let mut without = hospital.clone();
     let path = hospital.framed_groups().last().unwrap().0.to_owned();
-    without.set_group(&path, None).unwrap();
+    without.set_frame(&path, None).unwrap();
     assert_ne!(again(&without).content_hash(), hospital.content_hash());
 }
 

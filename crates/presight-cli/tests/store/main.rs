@@ -60,7 +60,7 @@ fn small() -> Environment {
     // What features in the world lie on.
     environment.insert(NewObject::new("floor", at(0.0, 0.0, 0.0), one)).unwrap();
     environment.insert(NewObject::new("g/h/y", at(-3.0, 1.0, 0.3), other)).unwrap();
-    environment.set_group("g/h", Some(at(-3.0, 0.5, 0.7))).unwrap();
+    environment.set_frame("g/h", Some(at(-3.0, 0.5, 0.7))).unwrap();
     environment.delete("gone").unwrap();
     let mut world = World::new(environment);
     for (id, object) in [(2, Some("a")), (5, None)] {

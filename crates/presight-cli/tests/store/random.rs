@@ -36,7 +36,7 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
             }
         }
         10 => Change::SetTolerance { class, tolerance: 0.001 + x.abs() },
-        11 => Change::SetGroup { name, world_from_group: (!which.is_multiple_of(3)).then(|| at(x, 2.0, -x)) },
+        11 => Change::SetFrame { name, world_from_group: (!which.is_multiple_of(3)).then(|| at(x, 2.0, -x)) },
         _ if depth == 0 => change(kind % 12, which, x, 0),
         _ => {
             Change::Group((0..3).map(|i| change((kind + 5 * i) % 13, which + i, x + f64::from(i), depth - 1)).collect())
@@ -59,7 +59,7 @@ fn from_scratch(environment: &Environment) -> Environment {
         again.insert(new).unwrap();
     }
     for (path, pose) in environment.framed_groups() {
-        again.set_group(path, Some(*pose)).unwrap();
+        again.set_frame(path, Some(*pose)).unwrap();
     }
     for layer in environment.layers() {
         again.add_layer(layer.clone()).unwrap();

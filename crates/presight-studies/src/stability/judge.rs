@@ -1,14 +1,14 @@
 //! An engine's images against the truth, pixel by pixel, within the bounds that the product publishes.
 
-use super::oracle::{ExactFace, Oracle, Sight, Truth};
-use presight::compare::{Precision, Values};
+use super::oracle::{ExactFace, Oracle, PolygonOnRay, Truth};
 use presight::internal::{parallel_or_here, span, ulp};
 use presight::plan::{FramePlan, Images};
 use presight::sensor::Sensor;
+use presight::verify::{PixelValues, Precision};
 use rayon::prelude::*;
 
 /// The truth of all pixels of a plan, row by row.
-pub(super) struct Picture<'a> {
+pub(super) struct TruthImage<'a> {
     oracle: Oracle<'a>,
     plan: &'a FramePlan,
     pixels: Vec<Truth>,
@@ -16,7 +16,7 @@ pub(super) struct Picture<'a> {
 
 /// What an engine's pixels come to.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Verdict {
+pub(super) struct ErrorSummary {
     /// Greatest relative error of the range, where the polygon of the truth is shown or was left out as edge-on; that of the
     /// first wrong pixel if there is one.
     pub error: f64,
@@ -34,7 +34,7 @@ pub(super) struct Verdict {
 
 /// A pixel that is right, as far as the bounds tell.
 #[derive(Default)]
-struct Right {
+struct PixelPass {
     /// It shows something.
     hit: bool,
     /// It shows something else than the truth.
@@ -44,9 +44,9 @@ struct Right {
 }
 
 /// A pixel that is not: the error of its range, as far as it has one, the bound, and what is wrong.
-struct Wrong(f64, f64, String);
+struct PixelFault(f64, f64, String);
 
-impl<'a> Picture<'a> {
+impl<'a> TruthImage<'a> {
     pub fn new(plan: &'a FramePlan) -> Self {
         let oracle = Oracle::new(plan);
         let (w, h) = (plan.sensor.width(), plan.sensor.height());
@@ -58,12 +58,12 @@ impl<'a> Picture<'a> {
     }
 
     /// Judges images of all outputs.
-    pub fn judge(&self, images: &Images, precision: Precision) -> Verdict {
-        let mut verdict = Verdict::default();
+    pub fn judge(&self, images: &Images, precision: Precision) -> ErrorSummary {
+        let mut verdict = ErrorSummary::default();
         for (at, truth) in self.pixels.iter().enumerate() {
             let pixel = (at as u32 % self.plan.sensor.width(), at as u32 / self.plan.sensor.width());
-            match self.pixel(pixel, truth, &Values::of(images, at), precision) {
-                Ok(Right { hit, other, range }) => {
+            match self.pixel(pixel, truth, &PixelValues::of(images, at), precision) {
+                Ok(PixelPass { hit, other, range }) => {
                     verdict.hits += usize::from(hit);
                     verdict.other += usize::from(other);
                     let Some((error, bound)) = range else { continue };
@@ -73,7 +73,7 @@ impl<'a> Picture<'a> {
                         verdict.bound = verdict.bound.max(bound);
                     }
                 }
-                Err(Wrong(error, bound, what)) if verdict.fault.is_none() => {
+                Err(PixelFault(error, bound, what)) if verdict.fault.is_none() => {
                     (verdict.error, verdict.bound) = (error, bound);
                     verdict.fault = Some(format!("pixel ({}, {}): {what}", pixel.0, pixel.1));
                 }
@@ -83,21 +83,27 @@ impl<'a> Picture<'a> {
         verdict
     }
 
-    fn pixel(&self, pixel: (u32, u32), truth: &Truth, shown: &Values, p: Precision) -> Result<Right, Wrong> {
-        let wrong = |what: &str| Wrong(f64::INFINITY, 0.0, format!("{shown}: {what}"));
+    fn pixel(
+        &self,
+        pixel: (u32, u32),
+        truth: &Truth,
+        shown: &PixelValues,
+        p: Precision,
+    ) -> Result<PixelPass, PixelFault> {
+        let wrong = |what: &str| PixelFault(f64::INFINITY, 0.0, format!("{shown}: {what}"));
         let nothing = [shown.polygon_id, shown.object_id].iter().all(|id| id.is_none_or(|id| id == 0));
         let all = |is: fn(f32) -> bool| [shown.range, shown.depth_z].into_iter().flatten().all(is);
         let shares_nan = [shown.cos_incidence, shown.echo].into_iter().flatten().all(f32::is_nan);
         let no_ray = nothing && all(f32::is_nan) && shares_nan;
         let sights = match truth {
-            Truth::NoRay => return if no_ray { Ok(Right::default()) } else { Err(wrong("there is no ray here")) },
-            Truth::Either => return Ok(Right::default()),
+            Truth::NoRay => return if no_ray { Ok(PixelPass::default()) } else { Err(wrong("there is no ray here")) },
+            Truth::Either => return Ok(PixelPass::default()),
             Truth::Ray(sights) => sights,
         };
         if no_ray {
             return Err(wrong("there is a ray here"));
         }
-        let looked = Looked::new(self, pixel, sights, p);
+        let looked = PixelTruth::new(self, pixel, sights, p);
         if nothing {
             let miss = all(|x| x == f32::INFINITY) && shares_nan;
             return match (miss, looked.surely_hit) {
@@ -113,18 +119,18 @@ impl<'a> Picture<'a> {
             return Err(wrong("that polygon is another object's"));
         }
         let (error, bound) =
-            looked.shown(k, shown).map_err(|Wrong(e, b, what)| Wrong(e, b, format!("{shown}: {what}")))?;
+            looked.shown(k, shown).map_err(|PixelFault(e, b, what)| PixelFault(e, b, format!("{shown}: {what}")))?;
         Ok(match looked.truth {
-            Some(truth) if truth == k => Right { hit: true, other: false, range: Some((error, bound)) },
-            _ => Right { hit: true, ..looked.instead(f64::from(shown.range.unwrap_or(f32::NAN))) },
+            Some(truth) if truth == k => PixelPass { hit: true, other: false, range: Some((error, bound)) },
+            _ => PixelPass { hit: true, ..looked.instead(f64::from(shown.range.unwrap_or(f32::NAN))) },
         })
     }
 }
 
 /// What an engine may show at a pixel.
-struct Looked<'a> {
+struct PixelTruth<'a> {
     faces: &'a [ExactFace],
-    sights: &'a [Sight],
+    sights: &'a [PolygonOnRay],
     sensor: &'a Sensor,
     pixel: (u32, u32),
     precision: Precision,
@@ -137,8 +143,8 @@ struct Looked<'a> {
     surely_hit: Option<usize>,
 }
 
-impl<'a> Looked<'a> {
-    fn new(picture: &'a Picture<'_>, pixel: (u32, u32), sights: &'a [Sight], precision: Precision) -> Self {
+impl<'a> PixelTruth<'a> {
+    fn new(picture: &'a TruthImage<'_>, pixel: (u32, u32), sights: &'a [PolygonOnRay], precision: Precision) -> Self {
         let faces = &picture.oracle.faces;
         let sensor = &picture.plan.sensor;
         let span = span(picture.plan, pixel.0, pixel.1, precision);
@@ -178,15 +184,15 @@ impl<'a> Looked<'a> {
 
     /// What the range comes to of a pixel that rightly does not show the truth's polygon. At an outline there is nothing to
     /// compare; where that polygon may be left out as edge-on, what is behind it is shown at a range that no bound knows.
-    fn instead(&self, range: f64) -> Right {
-        let Some(truth) = self.truth else { return Right { other: range.is_finite(), ..Right::default() } };
+    fn instead(&self, range: f64) -> PixelPass {
+        let Some(truth) = self.truth else { return PixelPass { other: range.is_finite(), ..PixelPass::default() } };
         let left_out = self.faces[truth].bound(self.precision).may_be_edge_on;
         let off = (range * self.sights[truth].inverse_range - 1.0).abs();
-        Right { hit: false, other: true, range: left_out.then_some((off, f64::INFINITY)) }
+        PixelPass { hit: false, other: true, range: left_out.then_some((off, f64::INFINITY)) }
     }
 
     /// Judges a hit: relative error of the range on the polygon that is shown, and its bound.
-    fn shown(&self, k: usize, shown: &Values) -> Result<(f64, f64), Wrong> {
+    fn shown(&self, k: usize, shown: &PixelValues) -> Result<(f64, f64), PixelFault> {
         let sight = &self.sights[k];
         let ulps = |x: f64| self.precision.output_ulps() * ulp(x as f32);
         let true_range = sight.inverse_range.recip();
@@ -199,7 +205,8 @@ impl<'a> Looked<'a> {
         let below_or_above = if off < 0.0 { true_range - nearest } else { farthest - true_range };
         let bound = if known { (below_or_above + ulps(true_range)) / true_range } else { f64::INFINITY };
         let error = if ahead { off.abs() } else { 0.0 };
-        let wrong = |what: String| Err(Wrong(off.abs(), if what.starts_with("range") { bound } else { 0.0 }, what));
+        let wrong =
+            |what: String| Err(PixelFault(off.abs(), if what.starts_with("range") { bound } else { 0.0 }, what));
         if self.inside[k] < -1.0 {
             return wrong(format!("the ray is {:.3} edge bounds outside", -self.inside[k]));
         }

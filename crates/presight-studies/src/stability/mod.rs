@@ -16,7 +16,7 @@ mod subjects;
 mod tests;
 
 pub use families::{Family, Finding, Outcome, all};
-pub use output::{About, faults, to_csv, to_html, to_json};
+pub use output::{RunInfo, faults, to_csv, to_html, to_json};
 pub use subjects::{BoxSetting, Subject, subjects};
 
 use presight::Result;

@@ -7,11 +7,11 @@
 use super::big::{Big, Vector};
 use super::lens::Exact;
 use glam::DVec3;
-use presight::compare::Precision;
 use presight::environment::Object;
 use presight::internal::{Face, FaceBound, instances};
 use presight::plan::FramePlan;
 use presight::sensor::{Angles, Geometry};
+use presight::verify::Precision;
 
 /// What is true at a pixel.
 #[derive(Clone, Debug)]
@@ -21,12 +21,12 @@ pub(super) enum Truth {
     /// Where a lens folds over, within its tolerance: a ray or none.
     Either,
     /// Of each polygon what a ray makes of it.
-    Ray(Vec<Sight>),
+    Ray(Vec<PolygonOnRay>),
 }
 
 /// One polygon along one ray.
 #[derive(Clone, Debug)]
-pub(super) struct Sight {
+pub(super) struct PolygonOnRay {
     /// How far inside each edge's plane the ray is, radians; negative outside.
     pub margins: Vec<f64>,
     /// One over the range on the polygon's plane.
@@ -147,23 +147,27 @@ impl ExactFace {
         &self.bounds[usize::from(precision != Precision::F64)]
     }
 
-    fn along(&self, ray: &Vector) -> Sight {
+    fn along(&self, ray: &Vector) -> PolygonOnRay {
         let cos = self.normal.dot(ray);
         // A plane through the sensor is met nowhere.
         let inverse_range = if self.distance.is_zero() { 0.0 } else { (&cos / &self.distance).to_f64() };
         let covers = |e: &Vector| if self.distance.is_zero() { -1.0 } else { e.dot(ray).to_f64() };
-        Sight { margins: self.edges.iter().map(covers).collect(), inverse_range, cos_incidence: cos.abs().to_f64() }
+        PolygonOnRay {
+            margins: self.edges.iter().map(covers).collect(),
+            inverse_range,
+            cos_incidence: cos.abs().to_f64(),
+        }
     }
 
     /// How far inside its outline a ray is, in units of an engine's bounds: at least 1 is surely inside, below -1 outside.
     /// `span` is the part of a pixel that an engine's spans may be off by, radians.
-    pub fn inside(&self, sight: &Sight, precision: Precision, span: f64) -> f64 {
+    pub fn inside(&self, sight: &PolygonOnRay, precision: Precision, span: f64) -> f64 {
         let bounds = &self.bound(precision).edges;
         self.least(|k| if bounds[k].is_finite() { sight.margins[k] / (bounds[k] + span) } else { 0.0 })
     }
 
     /// True if a ray meets the polygon.
-    pub fn is_met(&self, sight: &Sight) -> bool {
+    pub fn is_met(&self, sight: &PolygonOnRay) -> bool {
         sight.inverse_range > 0.0 && self.least(|k| sight.margins[k]) >= 0.0
     }
 

@@ -15,7 +15,7 @@ const THREE_DIGITS: f64 = 1e-3;
 
 /// What the report says of the run.
 #[derive(Clone, Debug, Default)]
-pub struct About {
+pub struct RunInfo {
     /// What it ran on, and how it was called.
     pub machine: Machine,
     /// Of the engines: adapters, and which were skipped.
@@ -43,7 +43,7 @@ pub fn to_csv(rows: &[Row]) -> String {
 ///
 /// # Errors
 /// None that can be met.
-pub fn to_json(study: &Study, rows: &[Row], about: &About) -> Result<String> {
+pub fn to_json(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
     let families: Vec<Value> = study
         .families
         .iter()
@@ -74,7 +74,7 @@ pub fn to_json(study: &Study, rows: &[Row], about: &About) -> Result<String> {
 ///
 /// # Errors
 /// None that can be met: a family without a finite point has no chart.
-pub fn to_html(study: &Study, rows: &[Row], about: &About) -> Result<String> {
+pub fn to_html(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
     let mut sections = vec![summary(study, rows, about)];
     for family in &study.families {
         let own: Vec<&Row> = rows.iter().filter(|r| r.family == family.name()).collect();
@@ -105,7 +105,7 @@ impl Study {
     }
 }
 
-fn summary(study: &Study, rows: &[Row], about: &About) -> Section {
+fn summary(study: &Study, rows: &[Row], about: &RunInfo) -> Section {
     let faults = faults(rows);
     let rejected = rows.iter().filter(|r| r.finding.outcome == Outcome::Rejected).count();
     let verdict = format!(

@@ -1,19 +1,19 @@
 //! The oracle against rationals worked out by hand, and against parry in easy cases.
 
 use super::big::{Big, Vector};
-use super::judge::Picture;
+use super::judge::TruthImage;
 use super::lens::Exact;
 use super::oracle::{Oracle, Truth};
 use glam::{DVec3, Vec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::Triangle;
 use presight::World;
-use presight::compare::Precision;
 use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight::geometry::Pose;
 use presight::plan::{FramePlan, IdScheme, ImageRequest, Images, Outputs};
 use presight::reference;
 use presight::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight::verify::Precision;
 use std::sync::Arc;
 
 fn world(triangles: &[[[f32; 3]; 3]], pose: Pose) -> World {
@@ -32,7 +32,7 @@ fn plan(world: &World, geometry: Geometry, pose: &Pose) -> FramePlan {
     FramePlan::new(world, &sensor, pose, ImageRequest { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
 }
 
-fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::oracle::Sight {
+fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::oracle::PolygonOnRay {
     match Oracle::new(plan).look(column, row) {
         Truth::Ray(sights) => sights[polygon].clone(),
         other => panic!("{other:?}"),
@@ -149,7 +149,7 @@ fn a_polygon_that_is_left_out_as_edge_on_is_told() {
     let [with, without] = [[wall, plate[0], plate[1]].as_slice(), &[wall]].map(|t| world(t, Pose::IDENTITY));
     let sensor = || Geometry::Camera(Camera::pinhole(17, 9, 80.0, 4e8, 8.3, 4.1));
     let (with, without) = (plan(&with, sensor(), &Pose::IDENTITY), plan(&without, sensor(), &Pose::IDENTITY));
-    let picture = Picture::new(&with);
+    let picture = TruthImage::new(&with);
     let (mut right, mut behind) = (Images::default(), Images::default());
     reference::render(&with, &mut right).unwrap();
     reference::render(&without, &mut behind).unwrap();
@@ -215,7 +215,7 @@ fn the_judge_sees_each_planted_fault() {
         Sensor::new(SensorSpec::new("s", "study", Geometry::Camera(Camera::pinhole(33, 17, 20.0, 15.0, 16.2, 8.1))));
     let request = ImageRequest { outputs: Outputs::ALL, ids: IdScheme::Model };
     let plan = FramePlan::new(&world, &sensor.unwrap(), &Pose::IDENTITY, request).unwrap();
-    let picture = Picture::new(&plan);
+    let picture = TruthImage::new(&plan);
     let mut images = Images::default();
     reference::render(&plan, &mut images).unwrap();
     let verdict = picture.judge(&images, Precision::F64);

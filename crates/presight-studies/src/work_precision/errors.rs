@@ -2,8 +2,8 @@
 
 use super::FAULT_SHARE;
 use presight::Result;
-use presight::compare::{self, Precision};
 use presight::plan::{FramePlan, Images};
+use presight::verify::{self, Precision};
 
 /// Borders are looked for so many pixels away; farther ones count as this far.
 const REACH: i32 = 16;
@@ -84,7 +84,7 @@ impl ImageErrors {
 }
 
 /// Compares images of the same pixels. `exact` is the arithmetic of a path that claims to show what the truth shows, to its
-/// rounding: it is held to that by [`compare::compare`].
+/// rounding: it is held to that by [`verify::compare`].
 ///
 /// # Errors
 /// Those of the comparison: images of different sizes.
@@ -96,7 +96,7 @@ pub(super) fn compare_images(
 ) -> Result<ImageErrors> {
     let mut errors = ImageErrors { pixels: truth.pixels(), ..ImageErrors::default() };
     if let Some(precision) = exact {
-        errors.faults = Some(compare::compare(truth, other, plan, precision)?.fault);
+        errors.faults = Some(verify::compare(truth, other, plan, precision)?.fault);
     }
     // What is not claimed to be exact is measured by the strictest bound.
     let precision = exact.unwrap_or(Precision::F64);
@@ -113,7 +113,7 @@ pub(super) fn compare_images(
         errors.both_see += 1;
         if same_id && truth.polygon_id[at] != 0 && off > 0.0 {
             let pixel = (at as u32 % truth.width, at as u32 / truth.width);
-            let allowed = compare::allowed(truth, plan, pixel, precision).map_or(f64::INFINITY, |a| a.range);
+            let allowed = verify::allowed(truth, plan, pixel, precision).map_or(f64::INFINITY, |a| a.range);
             errors.of_bound = errors.of_bound.max(off / allowed);
             errors.ulps = errors.ulps.max(r.to_bits().abs_diff(o.to_bits()));
             if off > errors.range_m {
@@ -193,7 +193,7 @@ fn distance(beside: &[i32], w: usize, at: usize) -> f64 {
 mod tests {
     use super::*;
     use presight::internal::SplitMix64;
-    use presight::probe::{Probe, Task};
+    use presight::probe::{Probe, SensorKind};
 
     fn error(errors: &ImageErrors, kind: &str) -> f64 {
         errors.kinds().into_iter().find(|k| k.0 == kind).unwrap().1
@@ -212,7 +212,7 @@ mod tests {
             found = Some(compare_images(&truth, &other, plan, Some(Precision::F64))?);
             Ok(())
         };
-        probe.run(Task::Camera, outputs, draw).unwrap();
+        probe.run(SensorKind::Camera, outputs, draw).unwrap();
         found.unwrap()
     }
 

@@ -2,13 +2,13 @@
 //!
 //! Knobs: by images or by a ray to every sample, how finely features are sampled, the sensor's resolution.
 
-use super::one::{One, Progress, Truth};
-use super::paths::{Named, Which};
-use super::timing::{Timed, by_turns};
-use super::views::View;
+use super::one::{Progress, SceneStudy, Truth};
+use super::paths::{EnginePath, PathName};
+use super::timing::{TimedPath, by_turns};
+use super::views::ImageVariant;
 use super::{PathNotes, Row, how, regions};
 use glam::DVec3;
-use presight::acquire::features::{GenerateOptions, generate};
+use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{
     FeatureOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, STEP, SeenFeature,
     Visibility, place, predict_features,
@@ -33,11 +33,11 @@ pub(super) struct Case<'a> {
 }
 
 /// A path from images to features while it is measured.
-struct Seeing {
-    which: Which,
+struct FeaturePath {
+    which: EnginePath,
     visibility: Visibility,
     step: f64,
-    view: View,
+    view: ImageVariant,
     sensor: Sensor,
     /// The last one, whose memory is reused.
     found: Option<Prediction>,
@@ -49,7 +49,7 @@ struct Seeing {
 
 /// Rows of all paths from images to features, and to their regions of interest; the number of features.
 pub(super) fn rows(
-    one: &mut One<'_>,
+    one: &mut SceneStudy<'_>,
     truths: &[Truth],
     rows: &mut Vec<Row>,
     notes: &mut Vec<PathNotes>,
@@ -68,15 +68,15 @@ pub(super) fn rows(
     let mut all = paths(one);
     let place = one.sensor.spec().name.clone();
     for case in &cases {
-        for Timed { what, timing } in &mut all {
+        for TimedPath { what, timing } in &mut all {
             timing.warm(|| what.look(one, case))?;
             what.judge(case);
         }
         let effort = one.effort;
-        let look = |what: &mut Seeing| what.look(one, case);
+        let look = |what: &mut FeaturePath| what.look(one, case);
         by_turns(effort, &mut all, look, |round| progress(&format!("features by turns, {round}: {place}")))?;
     }
-    for Timed { what, timing } in all {
+    for TimedPath { what, timing } in all {
         let named = what.named(one);
         let row = one.row(&named, &timing);
         let mean = what.sum / what.count.max(1) as f64;
@@ -90,30 +90,30 @@ pub(super) fn rows(
 }
 
 /// All paths that this machine and sensor have.
-fn paths(one: &mut One<'_>) -> Vec<Timed<Seeing>> {
+fn paths(one: &mut SceneStudy<'_>) -> Vec<TimedPath<FeaturePath>> {
     use Visibility::{Image, Rays};
     let all = [
-        (Which::CpuAll, Rays, STEP, View::Whole),
-        (Which::CpuAll, Image, STEP / 4.0, View::Whole),
-        (Which::CpuAll, Image, STEP / 2.0, View::Whole),
-        (Which::CpuAll, Image, STEP, View::Whole),
-        (Which::CpuAll, Image, STEP, View::Reduced(2)),
-        (Which::CpuAll, Image, STEP, View::Reduced(4)),
-        (Which::Gpu, Image, STEP, View::Whole),
+        (EnginePath::CpuAll, Rays, STEP, ImageVariant::Whole),
+        (EnginePath::CpuAll, Image, STEP / 4.0, ImageVariant::Whole),
+        (EnginePath::CpuAll, Image, STEP / 2.0, ImageVariant::Whole),
+        (EnginePath::CpuAll, Image, STEP, ImageVariant::Whole),
+        (EnginePath::CpuAll, Image, STEP, ImageVariant::Reduced(2)),
+        (EnginePath::CpuAll, Image, STEP, ImageVariant::Reduced(4)),
+        (EnginePath::Gpu, Image, STEP, ImageVariant::Whole),
     ];
     let mut paths = Vec::new();
     for (which, visibility, step, view) in all {
-        if which == Which::Gpu && !one.engines.has_gpu() {
+        if which == EnginePath::Gpu && !one.engines.has_gpu() {
             continue;
         }
         let path =
-            |sensor| Seeing { which, visibility, step, view, sensor, found: None, worst: 0.0, sum: 0.0, count: 0 };
+            |sensor| FeaturePath { which, visibility, step, view, sensor, found: None, worst: 0.0, sum: 0.0, count: 0 };
         // Fewer rays may be too few for features.
         let seen = view
             .of(one.sensor)
             .and_then(|seen| seen.map(|seen| seen.sensor.check_projection().map(|()| seen)).transpose());
         match seen {
-            Ok(Some(seen)) => paths.push(Timed::new(path(seen.sensor))),
+            Ok(Some(seen)) => paths.push(TimedPath::new(path(seen.sensor))),
             Ok(None) => {}
             Err(e) => {
                 let named = path(one.sensor.clone()).named(one);
@@ -124,14 +124,14 @@ fn paths(one: &mut One<'_>) -> Vec<Timed<Seeing>> {
     paths
 }
 
-impl Seeing {
-    fn named(&self, one: &One<'_>) -> Named {
+impl FeaturePath {
+    fn named(&self, one: &SceneStudy<'_>) -> PathName {
         let by = if self.visibility == Visibility::Rays { "rays" } else { "images" };
-        let engine = if self.which == Which::Gpu { "gpu" } else { "cpu" };
+        let engine = if self.which == EnginePath::Gpu { "gpu" } else { "cpu" };
         let fine = self.step < STEP;
         let finer = if fine { format!(", every {} px", self.step) } else { String::new() };
-        let default = !fine && self.visibility == Visibility::Image && self.view == View::Whole;
-        Named {
+        let default = !fine && self.visibility == Visibility::Image && self.view == ImageVariant::Whole;
+        PathName {
             engine,
             variant: format!("features by {by}{}{finer}", self.view.name()),
             how: how::of_features(self.which, self.visibility, self.step, self.view, one.sensor),
@@ -142,7 +142,7 @@ impl Seeing {
     }
 
     /// Image and features together.
-    fn look(&mut self, one: &mut One<'_>, case: &Case<'_>) -> Result<Stats> {
+    fn look(&mut self, one: &mut SceneStudy<'_>, case: &Case<'_>) -> Result<Stats> {
         let (world, pose) = (&one.scene.world, case.pose);
         let predictor = one.engines.predictor(self.which)?;
         let options = FeatureOptions::default().with_visibility(self.visibility).with_step(self.step);
@@ -169,7 +169,7 @@ impl Seeing {
 }
 
 /// The features that have a part in the image, spread over all there are, and how they are seen.
-fn case<'a>(one: &One<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
+fn case<'a>(one: &SceneStudy<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
     let (world, at) = (&one.scene.world, pose.translation);
     let near = Aabb { min: at - DVec3::splat(NEAR), max: at + DVec3::splat(NEAR) };
     let options = GenerateOptions { region: Some(near), ..GenerateOptions::default() };

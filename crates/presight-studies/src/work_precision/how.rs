@@ -1,29 +1,31 @@
 //! How a user takes a path: flags of `presight predict`, keys of the sensor's file, or the library.
 
-use super::paths::{Path, Which};
-use super::views::View;
+use super::paths::{EnginePath, Path};
+use super::views::ImageVariant;
 use presight::features::{BoxMethod, STEP, Visibility};
 use presight::sensor::{Angles, Geometry, Scanner, Sensor};
 
 /// Of a path to images. What begins with flags is for `presight predict`; the rest follows after a semicolon.
 pub(super) fn of_image(path: &Path, sensor: &Sensor) -> String {
     let engine = match path.which {
-        Which::Reference => "library: reference::render",
-        Which::CpuOne => "--backend cpu --threads 1",
-        Which::CpuAll => "--backend cpu",
-        Which::Gpu => "--backend gpu",
-        Which::GpuNarrow => "library: gpu::DeviceOptions::without_int64 (by itself on devices without 64-bit atomics)",
+        EnginePath::Reference => "library: reference::render",
+        EnginePath::CpuOne => "--backend cpu --threads 1",
+        EnginePath::CpuAll => "--backend cpu",
+        EnginePath::Gpu => "--backend gpu",
+        EnginePath::GpuNarrow => {
+            "library: gpu::DeviceOptions::without_int64 (by itself on devices without 64-bit atomics)"
+        }
     };
     let index = path.index.map(|s| format!(" --index {}", s.name())).unwrap_or_default();
     format!("{engine}{index}{}", of_view(path.view, sensor))
 }
 
 /// What is to be changed in the sensor's file: the keys of the very geometry that was measured.
-fn of_view(view: View, sensor: &Sensor) -> String {
+fn of_view(view: ImageVariant, sensor: &Sensor) -> String {
     match view {
-        View::Whole => return String::new(),
-        View::Rays => return "; sensor file: kind = \"rays\" with the directions of all pixels".into(),
-        View::Reduced(_) | View::Region => {}
+        ImageVariant::Whole => return String::new(),
+        ImageVariant::Rays => return "; sensor file: kind = \"rays\" with the directions of all pixels".into(),
+        ImageVariant::Reduced(_) | ImageVariant::Region => {}
     }
     // Paths without such a view are not measured.
     let Ok(Some(seen)) = view.of(sensor) else { return String::new() };
@@ -33,7 +35,7 @@ fn of_view(view: View, sensor: &Sensor) -> String {
             c.width, c.height, c.fx, c.fy, c.cx, c.cy
         ),
         (_, Geometry::Scanner(old), Geometry::Scanner(new)) => format!("; sensor file: {}", of_scanner(old, new)),
-        (View::Reduced(n), _, Geometry::Rays(new)) => format!(
+        (ImageVariant::Reduced(n), _, Geometry::Rays(new)) => format!(
             "; sensor file: width = {}, height = {}, directions of columns and rows {}, {}, .. from 0 on, of the last beyond it",
             new.width(),
             new.height(),
@@ -61,8 +63,14 @@ fn of_scanner(old: &Scanner, new: &Scanner) -> String {
 }
 
 /// Of a path to features.
-pub(super) fn of_features(which: Which, visibility: Visibility, step: f64, view: View, sensor: &Sensor) -> String {
-    let engine = if which == Which::Gpu { "--backend gpu" } else { "--backend cpu" };
+pub(super) fn of_features(
+    which: EnginePath,
+    visibility: Visibility,
+    step: f64,
+    view: ImageVariant,
+    sensor: &Sensor,
+) -> String {
+    let engine = if which == EnginePath::Gpu { "--backend gpu" } else { "--backend cpu" };
     let mut options = Vec::new();
     if visibility == Visibility::Rays {
         options.push("FeatureSettings::visibility = Visibility::Rays".to_owned());
@@ -77,11 +85,11 @@ pub(super) fn of_features(which: Which, visibility: Visibility, step: f64, view:
 }
 
 /// Of a path to regions of interest.
-pub(super) fn of_regions(which: Which, method: BoxMethod) -> String {
+pub(super) fn of_regions(which: EnginePath, method: BoxMethod) -> String {
     match (which, method) {
         (_, BoxMethod::Linear) => "library: BoxOptions::method = BoxMethod::Linear".into(),
         (_, BoxMethod::Set) => "library: BoxOptions::method = BoxMethod::Set".into(),
-        (Which::Gpu, BoxMethod::AsNeeded) => "--backend gpu".into(),
+        (EnginePath::Gpu, BoxMethod::AsNeeded) => "--backend gpu".into(),
         (_, BoxMethod::AsNeeded) => "--backend cpu".into(),
     }
 }
@@ -127,7 +135,7 @@ mod tests {
             ("scanner", tall),
         ] {
             let whole = sensor(kind, &keys);
-            for view in [View::Reduced(2), View::Reduced(4), View::Region] {
+            for view in [ImageVariant::Reduced(2), ImageVariant::Reduced(4), ImageVariant::Region] {
                 let recipe = of_view(view, &whole);
                 let taken = sensor(kind, &changed(&keys, &recipe));
                 let measured = view.of(&whole).unwrap().unwrap().sensor;
@@ -135,8 +143,10 @@ mod tests {
             }
         }
         // The height of beams is part of it, and rows that stay are not named.
-        let rows = of_view(View::Reduced(2), &sensor("scanner", &format!("{TURN}{ROWS}")));
+        let rows = of_view(ImageVariant::Reduced(2), &sensor("scanner", &format!("{TURN}{ROWS}")));
         assert!(rows.contains("beam_height_deg = 2.0") && rows.contains("[elevation]"), "{rows}");
-        assert!(!of_view(View::Reduced(2), &sensor("scanner", &format!("{TURN}{LISTED}"))).contains("elevation"));
+        assert!(
+            !of_view(ImageVariant::Reduced(2), &sensor("scanner", &format!("{TURN}{LISTED}"))).contains("elevation")
+        );
     }
 }

@@ -25,13 +25,13 @@ mod views;
 
 pub use show::{to_csv, to_html, to_json};
 
-use one::One;
+use one::SceneStudy;
 use paths::{Engines, Path};
 use presight::World;
-use presight::compare::Precision;
 use presight::geometry::Pose;
-use presight::plan::{ImageRequest, LeftOut};
+use presight::plan::{ImageRequest, Omission};
 use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+use presight::verify::Precision;
 use presight::{Error, Result};
 use serde::Serialize;
 use std::time::Duration;
@@ -166,7 +166,7 @@ pub struct PathNotes {
     /// Counts of the last run.
     pub counts: Vec<(String, u64)>,
     /// What was not needed in the last run, and why.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<Omission>,
 }
 
 /// What was found of one scene and sensor.
@@ -252,7 +252,7 @@ impl Study {
             }
             for sensor in &self.sensors {
                 let mut one =
-                    One { scene, sensor, effort: &self.effort, engines: &mut engines, not_measured: Vec::new() };
+                    SceneStudy { scene, sensor, effort: &self.effort, engines: &mut engines, not_measured: Vec::new() };
                 let finding = one.run(&mut progress);
                 findings
                     .push(finding.map_err(|e| e.at(format!("sensor {:?}", sensor.spec().name)).in_file(&scene.name))?);

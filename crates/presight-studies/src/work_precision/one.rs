@@ -1,9 +1,9 @@
 //! The measurement of one scene and sensor.
 
 use super::errors::{self, ImageErrors};
-use super::paths::{Engines, Named, Path};
-use super::timing::{Timed, Timing, by_turns};
-use super::views::Seen;
+use super::paths::{Engines, Path, PathName};
+use super::timing::{TimedPath, Timing, by_turns};
+use super::views::StudyView;
 use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, request};
 use presight::World;
 use presight::geometry::Pose;
@@ -18,7 +18,7 @@ use presight::{Error, Result};
 pub(super) type Progress<'a> = &'a mut dyn FnMut(&str);
 
 /// One scene and sensor.
-pub(super) struct One<'a> {
+pub(super) struct SceneStudy<'a> {
     pub scene: &'a Scene,
     pub sensor: &'a Sensor,
     pub effort: &'a Effort,
@@ -34,14 +34,14 @@ pub(super) struct Truth {
 }
 
 /// A path to an image while it is measured.
-struct Imaging {
+struct ImagePath {
     path: Path,
-    view: Seen,
+    view: StudyView,
     world: World,
     errors: ImageErrors,
 }
 
-impl One<'_> {
+impl SceneStudy<'_> {
     pub fn run(&mut self, progress: Progress<'_>) -> Result<Finding> {
         // Lines may be cut: what changes most comes first.
         let place = self.place();
@@ -70,7 +70,7 @@ impl One<'_> {
     }
 
     /// Notes that a path cannot be measured.
-    pub fn leave_out(&mut self, path: &Named, why: &Error) {
+    pub fn leave_out(&mut self, path: &PathName, why: &Error) {
         self.not_measured.push(format!("{}, {}: {why}", path.engine, path.variant));
     }
 
@@ -110,7 +110,7 @@ impl One<'_> {
             };
             let missing_share = view.missing_share(self.sensor);
             let errors = ImageErrors::of_all_but(missing_share);
-            all.push(Timed::new(Imaging { path, view, world, errors }));
+            all.push(TimedPath::new(ImagePath { path, view, world, errors }));
         }
         let place = self.place();
         // What all paths draw into while they are timed: the buffers of a user who keeps them.
@@ -121,13 +121,13 @@ impl One<'_> {
                 progress(&format!("{}, {}: {place}", named.engine, named.variant));
                 self.compare(one, pose, truth)?;
             }
-            let draw = |one: &mut Imaging| {
+            let draw = |one: &mut ImagePath| {
                 let predictor = self.engines.predictor(one.path.which)?;
                 predictor.predict_images(&one.world, &one.view.sensor, pose, request(), &mut images)
             };
             by_turns(self.effort, &mut all, draw, |round| progress(&format!("images by turns, {round}: {place}")))?;
         }
-        for Timed { what, timing } in all {
+        for TimedPath { what, timing } in all {
             let named = what.path.named(self.engines, self.sensor);
             let template = self.row(&named, &timing);
             rows.extend(what.errors.kinds().into_iter().map(|(error_kind, error, bound)| Row {
@@ -142,7 +142,12 @@ impl One<'_> {
     }
 
     /// The first run of a path at a pose: its images against the truth.
-    fn compare(&mut self, Timed { what, timing }: &mut Timed<Imaging>, pose: &Pose, truth: &Truth) -> Result<()> {
+    fn compare(
+        &mut self,
+        TimedPath { what, timing }: &mut TimedPath<ImagePath>,
+        pose: &Pose,
+        truth: &Truth,
+    ) -> Result<()> {
         let (view, mut images) = (&what.view, Images::default());
         let predictor = self.engines.predictor(what.path.which)?;
         timing.warm(|| predictor.predict_images(&what.world, &view.sensor, pose, request(), &mut images))?;
@@ -156,7 +161,7 @@ impl One<'_> {
     }
 
     /// A row without its error.
-    pub fn row(&self, named: &Named, timing: &Timing) -> Row {
+    pub fn row(&self, named: &PathName, timing: &Timing) -> Row {
         Row {
             scene: self.scene.name.clone(),
             sensor: self.sensor.spec().name.clone(),

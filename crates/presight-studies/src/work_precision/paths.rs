@@ -1,18 +1,18 @@
 //! Every path of the product from a scene to an image.
 
-use super::views::View;
+use super::views::ImageVariant;
 use super::{how, precision_of};
 use presight::Threads;
-use presight::compare::Precision;
 use presight::engine::EngineKind;
 use presight::index::Scheme;
 use presight::sensor::Sensor;
+use presight::verify::Precision;
 use presight::{Backend, Options, Predictor};
 use presight::{Error, ErrorKind, Result};
 
 /// Who draws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Which {
+pub(super) enum EnginePath {
     /// The reference, on all cores.
     Reference,
     /// The CPU engine on one thread.
@@ -25,7 +25,7 @@ pub(super) enum Which {
     GpuNarrow,
 }
 
-impl Which {
+impl EnginePath {
     fn engine(self) -> (EngineKind, Threads) {
         match self {
             Self::Reference => (EngineKind::Reference, 0.into()),
@@ -39,7 +39,7 @@ impl Which {
 
 /// A path as tables, charts and advice name it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Named {
+pub(super) struct PathName {
     /// `reference`, `cpu` or `gpu`.
     pub engine: &'static str,
     /// What tells it from the engine's other paths.
@@ -57,8 +57,8 @@ pub(super) struct Named {
 /// One path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Path {
-    pub which: Which,
-    pub view: View,
+    pub which: EnginePath,
+    pub view: ImageVariant,
     /// An index other than the default.
     pub index: Option<Scheme>,
 }
@@ -67,15 +67,21 @@ impl Path {
     /// All of them.
     pub fn all(gpu: bool) -> Vec<Self> {
         let path = |which, view| Self { which, view, index: None };
-        let views = [View::Whole, View::Rays, View::Reduced(2), View::Reduced(4), View::Region];
-        let mut all = vec![path(Which::Reference, View::Whole)];
-        all.extend([View::Whole, View::Rays].map(|view| path(Which::CpuOne, view)));
-        all.extend(views.map(|view| path(Which::CpuAll, view)));
+        let views = [
+            ImageVariant::Whole,
+            ImageVariant::Rays,
+            ImageVariant::Reduced(2),
+            ImageVariant::Reduced(4),
+            ImageVariant::Region,
+        ];
+        let mut all = vec![path(EnginePath::Reference, ImageVariant::Whole)];
+        all.extend([ImageVariant::Whole, ImageVariant::Rays].map(|view| path(EnginePath::CpuOne, view)));
+        all.extend(views.map(|view| path(EnginePath::CpuAll, view)));
         let others = Scheme::ALL.into_iter().filter(|s| *s != Scheme::default());
-        all.extend(others.map(|s| Self { index: Some(s), ..path(Which::CpuAll, View::Whole) }));
+        all.extend(others.map(|s| Self { index: Some(s), ..path(EnginePath::CpuAll, ImageVariant::Whole) }));
         if gpu {
-            all.extend(views.map(|view| path(Which::Gpu, view)));
-            all.push(path(Which::GpuNarrow, View::Whole));
+            all.extend(views.map(|view| path(EnginePath::Gpu, view)));
+            all.push(path(EnginePath::GpuNarrow, ImageVariant::Whole));
         }
         all
     }
@@ -83,22 +89,22 @@ impl Path {
     /// As the files name the engine.
     pub fn engine(&self) -> &'static str {
         match self.which {
-            Which::Reference => "reference",
-            Which::CpuOne | Which::CpuAll => "cpu",
-            Which::Gpu | Which::GpuNarrow => "gpu",
+            EnginePath::Reference => "reference",
+            EnginePath::CpuOne | EnginePath::CpuAll => "cpu",
+            EnginePath::Gpu | EnginePath::GpuNarrow => "gpu",
         }
     }
 
     /// Its names for a sensor.
-    pub fn named(&self, engines: &Engines, sensor: &Sensor) -> Named {
+    pub fn named(&self, engines: &Engines, sensor: &Sensor) -> PathName {
         let (engine, manner) = (self.engine(), engines.manner(self.which));
         let index = self.index.map(|s| format!(", index {}", s.name())).unwrap_or_default();
         let others = if self.index.is_some() { ", other indexes" } else { "" };
-        Named {
+        PathName {
             engine,
             variant: format!("{manner}{}{index}", self.view.name()),
             how: how::of_image(self, sensor),
-            default: self.which == engines.default() && self.view == View::Whole && self.index.is_none(),
+            default: self.which == engines.default() && self.view == ImageVariant::Whole && self.index.is_none(),
             family: format!("{engine}, {manner}{others}"),
             label: self.view.label().to_owned(),
         }
@@ -111,7 +117,7 @@ impl Path {
 
 /// The engines, opened once for a study.
 pub(super) struct Engines {
-    all: Vec<(Which, Predictor)>,
+    all: Vec<(EnginePath, Predictor)>,
     gpu_keys: &'static str,
     /// The adapter is a real GPU.
     hardware: bool,
@@ -123,7 +129,9 @@ impl Engines {
     /// Opens what there is; a GPU that is not there is no error, lavapipe counts as one.
     pub fn open() -> Result<Self> {
         let (mut all, mut missing) = (Vec::new(), None);
-        for which in [Which::Reference, Which::CpuOne, Which::CpuAll, Which::Gpu, Which::GpuNarrow] {
+        for which in
+            [EnginePath::Reference, EnginePath::CpuOne, EnginePath::CpuAll, EnginePath::Gpu, EnginePath::GpuNarrow]
+        {
             let (kind, threads) = which.engine();
             match kind.open(&threads) {
                 Ok(engine) => {
@@ -143,12 +151,12 @@ impl Engines {
     }
 
     /// Who draws where a user chooses nothing (`--backend auto`).
-    pub fn default(&self) -> Which {
-        if self.hardware { Which::Gpu } else { Which::CpuAll }
+    pub fn default(&self) -> EnginePath {
+        if self.hardware { EnginePath::Gpu } else { EnginePath::CpuAll }
     }
 
     pub fn has_gpu(&self) -> bool {
-        self.all.iter().any(|(which, _)| *which == Which::Gpu)
+        self.all.iter().any(|(which, _)| *which == EnginePath::Gpu)
     }
 
     /// Adapter and driver, or why there is none.
@@ -157,17 +165,17 @@ impl Engines {
     }
 
     /// How an engine runs.
-    fn manner(&self, which: Which) -> String {
+    fn manner(&self, which: EnginePath) -> String {
         match which {
-            Which::CpuOne => "1 thread".into(),
-            Which::Reference | Which::CpuAll => format!("all {} threads", self.threads),
-            Which::Gpu => self.gpu_keys.into(),
-            Which::GpuNarrow => "32-bit keys".into(),
+            EnginePath::CpuOne => "1 thread".into(),
+            EnginePath::Reference | EnginePath::CpuAll => format!("all {} threads", self.threads),
+            EnginePath::Gpu => self.gpu_keys.into(),
+            EnginePath::GpuNarrow => "32-bit keys".into(),
         }
     }
 
     /// The predictor of an engine.
-    pub fn predictor(&mut self, which: Which) -> Result<&mut Predictor> {
+    pub fn predictor(&mut self, which: EnginePath) -> Result<&mut Predictor> {
         let found = self.all.iter_mut().find(|(of, _)| *of == which).map(|(_, predictor)| predictor);
         found.ok_or_else(|| Error::new(ErrorKind::NoDevice, "there is no GPU", "leave it out"))
     }
@@ -175,9 +183,9 @@ impl Engines {
 
 /// How the GPU engine keeps its nearest surfaces, whether its adapter is hardware, and its name.
 #[cfg(feature = "gpu")]
-fn about_gpu(all: &[(Which, Predictor)]) -> (&'static str, bool, String) {
-    let gpu = all.iter().find(|(which, _)| *which == Which::Gpu);
-    let engine = gpu.and_then(|(_, p)| (p.engine() as &dyn std::any::Any).downcast_ref::<presight::gpu::Engine>());
+fn about_gpu(all: &[(EnginePath, Predictor)]) -> (&'static str, bool, String) {
+    let gpu = all.iter().find(|(which, _)| *which == EnginePath::Gpu);
+    let engine = gpu.and_then(|(_, p)| (p.engine() as &dyn std::any::Any).downcast_ref::<presight::gpu::GpuEngine>());
     engine.map_or_else(Default::default, |engine| {
         let keys = if engine.abilities().int64_atomics { "64-bit keys" } else { "its 32-bit keys" };
         (keys, engine.adapter().hardware, engine.adapter().to_string())
@@ -185,6 +193,6 @@ fn about_gpu(all: &[(Which, Predictor)]) -> (&'static str, bool, String) {
 }
 
 #[cfg(not(feature = "gpu"))]
-fn about_gpu(_: &[(Which, Predictor)]) -> (&'static str, bool, String) {
+fn about_gpu(_: &[(EnginePath, Predictor)]) -> (&'static str, bool, String) {
     Default::default()
 }

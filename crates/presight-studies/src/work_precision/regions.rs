@@ -3,9 +3,9 @@
 //! Knob: how errors go through the projection, with errors of the pose from small to large.
 
 use super::features::Case;
-use super::one::{One, Progress};
-use super::paths::{Named, Which};
-use super::timing::{Timed, by_turns};
+use super::one::{Progress, SceneStudy};
+use super::paths::{EnginePath, PathName};
+use super::timing::{TimedPath, by_turns};
 use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
 use presight::Result;
@@ -27,8 +27,8 @@ const PER: f64 = 100.0;
 const POINTS: usize = 5;
 
 /// A path to regions of interest while it is measured.
-struct Boxing {
-    which: Which,
+struct RegionPath {
+    which: EnginePath,
     method: BoxMethod,
     /// Of the pose: metres, degrees.
     errors: (f64, f64),
@@ -45,14 +45,14 @@ struct Region {
 }
 
 /// The features of a case that are seen, to get regions.
-struct Judged {
+struct VisibleFeatures {
     placed: Vec<PlacedFeature>,
     seen: FeaturePrediction,
 }
 
 /// Rows of regions of the same features by every path.
 pub(super) fn rows(
-    one: &mut One<'_>,
+    one: &mut SceneStudy<'_>,
     cases: &[Case<'_>],
     rows: &mut Vec<Row>,
     notes: &mut Vec<PathNotes>,
@@ -62,16 +62,16 @@ pub(super) fn rows(
     let place = one.sensor.spec().name.clone();
     for case in cases {
         let judged = judged(case);
-        for Timed { what, timing } in &mut all {
+        for TimedPath { what, timing } in &mut all {
             let mut seen = judged.seen.clone();
             timing.warm(|| what.make(one, case, &judged.placed, &mut seen))?;
             what.found.extend(what.told(one, case, &seen));
         }
         let (mut seen, effort) = (judged.seen.clone(), one.effort);
-        let make = |what: &mut Boxing| what.make(one, case, &judged.placed, &mut seen);
+        let make = |what: &mut RegionPath| what.make(one, case, &judged.placed, &mut seen);
         by_turns(effort, &mut all, make, |round| progress(&format!("regions by turns, {round}: {place}")))?;
     }
-    for Timed { what, timing } in all.into_iter().filter(|one| !one.what.found.is_empty()) {
+    for TimedPath { what, timing } in all.into_iter().filter(|one| !one.what.found.is_empty()) {
         // Of so many at each pose.
         let timing = timing.scaled(PER * cases.len() as f64 / what.found.len() as f64);
         let named = what.named(one);
@@ -84,43 +84,48 @@ pub(super) fn rows(
 }
 
 /// All paths that this machine has, at every error of the pose.
-fn paths(one: &One<'_>) -> Vec<Timed<Boxing>> {
+fn paths(one: &SceneStudy<'_>) -> Vec<TimedPath<RegionPath>> {
     use BoxMethod::{AsNeeded, Linear, Set};
-    let all = [(Which::CpuAll, AsNeeded), (Which::CpuAll, Linear), (Which::CpuAll, Set), (Which::Gpu, AsNeeded)];
-    let all = all.into_iter().filter(|(which, _)| *which != Which::Gpu || one.engines.has_gpu());
+    let all = [
+        (EnginePath::CpuAll, AsNeeded),
+        (EnginePath::CpuAll, Linear),
+        (EnginePath::CpuAll, Set),
+        (EnginePath::Gpu, AsNeeded),
+    ];
+    let all = all.into_iter().filter(|(which, _)| *which != EnginePath::Gpu || one.engines.has_gpu());
     let paths = all.flat_map(|(which, method)| POSE_ERRORS.map(|errors| (which, method, errors)));
-    let path = |(which, method, errors): (Which, BoxMethod, (f64, f64))| {
+    let path = |(which, method, errors): (EnginePath, BoxMethod, (f64, f64))| {
         let mut sensor = [[0.0; 6]; 6];
         for (i, row) in sensor.iter_mut().enumerate() {
             let sigma = if i < 3 { errors.0 } else { errors.1.to_radians() };
             row[i] = sigma * sigma;
         }
         let options = BoxOptions::default().with_sensor(sensor).with_method(method);
-        Timed::new(Boxing { which, method, errors, options, found: Vec::new() })
+        TimedPath::new(RegionPath { which, method, errors, options, found: Vec::new() })
     };
     paths.map(path).collect()
 }
 
-fn judged(case: &Case<'_>) -> Judged {
+fn judged(case: &Case<'_>) -> VisibleFeatures {
     // The region of what has an area is of the part that is seen, which no list of points holds.
     let judged =
         |i: &usize| !case.placed.features[*i].feature.shape.is_area() && !case.truth.features[*i].visible.is_empty();
     let judged: Vec<usize> = (0..case.placed.features.len()).filter(judged).collect();
     let features = judged.iter().map(|i| case.truth.features[*i].clone()).collect();
     let seen = FeaturePrediction { features, ..FeaturePrediction::default() };
-    Judged { placed: judged.iter().map(|i| case.placed.features[*i].clone()).collect(), seen }
+    VisibleFeatures { placed: judged.iter().map(|i| case.placed.features[*i].clone()).collect(), seen }
 }
 
-impl Boxing {
-    fn named(&self, one: &One<'_>) -> Named {
-        let engine = if self.which == Which::Gpu { "gpu" } else { "cpu" };
+impl RegionPath {
+    fn named(&self, one: &SceneStudy<'_>) -> PathName {
+        let engine = if self.which == EnginePath::Gpu { "gpu" } else { "cpu" };
         let name = match self.method {
             BoxMethod::AsNeeded => "as needed",
             BoxMethod::Linear => "linear",
             BoxMethod::Set => "set",
         };
         let (cm, degrees) = (100.0 * self.errors.0, self.errors.1);
-        Named {
+        PathName {
             engine,
             variant: format!("roi {name}, pose {cm} cm {degrees} deg"),
             how: how::of_regions(self.which, self.method),
@@ -132,7 +137,7 @@ impl Boxing {
 
     fn make(
         &self,
-        one: &mut One<'_>,
+        one: &mut SceneStudy<'_>,
         case: &Case<'_>,
         placed: &[PlacedFeature],
         seen: &mut FeaturePrediction,
@@ -151,7 +156,7 @@ impl Boxing {
     }
 
     /// What draws of the errors say of the regions that were made.
-    fn told(&self, one: &One<'_>, case: &Case<'_>, seen: &FeaturePrediction) -> Vec<Region> {
+    fn told(&self, one: &SceneStudy<'_>, case: &Case<'_>, seen: &FeaturePrediction) -> Vec<Region> {
         let (sensor, draws) = (one.sensor, one.effort.draws);
         let pixels = f64::from(sensor.width()) * f64::from(sensor.height());
         let told = |(i, seen): (usize, &SeenFeature)| {

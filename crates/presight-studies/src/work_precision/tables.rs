@@ -149,11 +149,11 @@ fn in_short(some: &[String], all: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::plan::LeftOut;
+    use presight::plan::Omission;
 
     #[test]
     fn what_nearly_all_leave_out_is_said_in_short() {
-        let left = |what: &str| LeftOut { what: what.into(), why: "not needed".into() };
+        let left = |what: &str| Omission { what: what.into(), why: "not needed".into() };
         let notes: Vec<PathNotes> = (0..5)
             .map(|i| PathNotes {
                 engine: "cpu".into(),

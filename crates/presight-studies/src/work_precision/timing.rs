@@ -1,6 +1,6 @@
 //! Times of paths: warmed up, repeated by turns, by stage.
 
-use super::paths::Named;
+use super::paths::PathName;
 use super::{Effort, PathNotes, StageTime};
 use crate::{median, quantile};
 use presight::Result;
@@ -20,12 +20,12 @@ pub(super) struct Timing {
 }
 
 /// A path, and what is known of its times.
-pub(super) struct Timed<T> {
+pub(super) struct TimedPath<T> {
     pub what: T,
     pub timing: Timing,
 }
 
-impl<T> Timed<T> {
+impl<T> TimedPath<T> {
     pub fn new(what: T) -> Self {
         Self { what, timing: Timing::default() }
     }
@@ -36,7 +36,7 @@ impl<T> Timed<T> {
 /// run once more uncounted at the beginning of its turn, because the others have taken the caches.
 pub(super) fn by_turns<T>(
     effort: &Effort,
-    all: &mut [Timed<T>],
+    all: &mut [TimedPath<T>],
     mut run: impl FnMut(&mut T) -> Result<Stats>,
     mut round_begins: impl FnMut(usize),
 ) -> Result<()> {
@@ -100,7 +100,7 @@ impl Timing {
     }
 
     /// Times of stages; counts and what was left out of the last run.
-    pub fn notes(&self, named: &Named) -> PathNotes {
+    pub fn notes(&self, named: &PathName) -> PathNotes {
         let last = self.stats.last().cloned().unwrap_or_default();
         let mut names: Vec<String> = Vec::new();
         for (name, _) in &last.stages_ms {
@@ -135,7 +135,7 @@ mod tests {
     /// Paths that take no time, and one that takes long: who ran, in order.
     fn ran(effort: &Effort, sleeps: &[u64]) -> (Vec<usize>, Vec<usize>) {
         let mut order = Vec::new();
-        let mut all: Vec<_> = (0..sleeps.len()).map(Timed::new).collect();
+        let mut all: Vec<_> = (0..sleeps.len()).map(TimedPath::new).collect();
         let mut run = |i: &mut usize| {
             order.push(*i);
             std::thread::sleep(Duration::from_millis(sleeps[*i]));
@@ -175,7 +175,7 @@ mod tests {
     fn stages_of_one_name_are_added_and_told_with_their_spread() {
         let run = |ms: f64| Stats { stages_ms: vec![("a".into(), ms), ("a".into(), 1.0)], ..Stats::default() };
         let timing = Timing { stats: [1.0, 2.0, 9.0].map(run).to_vec(), ..Timing::default() };
-        let told = timing.notes(&Named::default()).stages;
+        let told = timing.notes(&PathName::default()).stages;
         assert_eq!(told, [StageTime { stage: "a".into(), median_ms: 3.0, p95_ms: 10.0 }]);
     }
 }

@@ -8,7 +8,7 @@ use presight::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor};
 
 /// The ways to image less, or the same otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum View {
+pub(super) enum ImageVariant {
     /// The sensor itself.
     Whole,
     /// Its rays as a table (`kind = "rays"`).
@@ -20,7 +20,7 @@ pub(super) enum View {
 }
 
 /// A view of one sensor.
-pub(super) struct Seen {
+pub(super) struct StudyView {
     /// What is predicted.
     pub sensor: Sensor,
     /// Whose pixels the errors are of.
@@ -29,14 +29,14 @@ pub(super) struct Seen {
     pub whole: bool,
     /// Every pixel is what the sensor itself would show, to the engine's rounding.
     pub exact: bool,
-    view: View,
+    view: ImageVariant,
     /// Column and row of the view's first pixel in the sensor's image.
     first: (u32, u32),
     /// Columns and rows that one of its pixels is shown for.
     times: (u32, u32),
 }
 
-impl View {
+impl ImageVariant {
     /// Beside the mark in charts.
     pub fn label(self) -> &'static str {
         match self {
@@ -59,7 +59,7 @@ impl View {
     }
 
     /// What it makes of a sensor; `None` if there is no such view of it.
-    pub fn of(self, sensor: &Sensor) -> Result<Option<Seen>> {
+    pub fn of(self, sensor: &Sensor) -> Result<Option<StudyView>> {
         let mut spec = sensor.spec().clone();
         let (mut first, mut times) = ((0, 0), (1, 1));
         let geometry = match (self, &spec.geometry) {
@@ -81,21 +81,21 @@ impl View {
         let seen = if self == Self::Whole { sensor.clone() } else { Sensor::new(spec)? };
         let judge = if self == Self::Region { seen.clone() } else { sensor.clone() };
         let exact = !matches!(self, Self::Reduced(_));
-        Ok(Some(Seen { sensor: seen, judge, whole: self != Self::Region, exact, view: self, first, times }))
+        Ok(Some(StudyView { sensor: seen, judge, whole: self != Self::Region, exact, view: self, first, times }))
     }
 }
 
-impl Seen {
+impl StudyView {
     /// The truth and the images made, pixel beside pixel.
     pub fn beside(&self, truth: &Images, made: &Images) -> (Images, Images) {
         let (w, h) = (self.judge.width(), self.judge.height());
         match self.view {
-            View::Whole | View::Rays => (truth.clone(), made.clone()),
-            View::Reduced(_) => {
+            ImageVariant::Whole | ImageVariant::Rays => (truth.clone(), made.clone()),
+            ImageVariant::Reduced(_) => {
                 let (by_x, by_y) = self.times;
                 (truth.clone(), pick(made, w, h, |x, y| (x / by_x, y / by_y)))
             }
-            View::Region => (pick(truth, w, h, |x, y| (x + self.first.0, y + self.first.1)), made.clone()),
+            ImageVariant::Region => (pick(truth, w, h, |x, y| (x + self.first.0, y + self.first.1)), made.clone()),
         }
     }
 
@@ -204,7 +204,7 @@ mod tests {
     fn views_look_where_their_pixels_are() {
         for name in ["video-camera", "vlp-16", "laser-scanner", "realsense-d435", "microwave-radar-image"] {
             let sensor = preset(name).unwrap();
-            for view in [View::Reduced(2), View::Reduced(4), View::Region] {
+            for view in [ImageVariant::Reduced(2), ImageVariant::Reduced(4), ImageVariant::Region] {
                 let seen = view.of(&sensor).unwrap().unwrap();
                 let (x, y) = (seen.sensor.width() / 3, seen.sensor.height() / 3);
                 let at = |k: u32, by: u32, first: u32, most: u32| (k * by + first).min(most);
@@ -213,7 +213,7 @@ mod tests {
                 let middle = (sensor.ray(low.0, low.1).unwrap() + sensor.ray(high.0, high.1).unwrap()).normalize();
                 let apart = seen.sensor.ray(x, y).unwrap().angle_between(middle);
                 let pixel = sensor.ray(low.0, low.1).unwrap().angle_between(sensor.ray(low.0 + 1, low.1).unwrap());
-                let most = if view == View::Region { 1e-9 } else { 0.05 * pixel };
+                let most = if view == ImageVariant::Region { 1e-9 } else { 0.05 * pixel };
                 assert!(apart <= most, "{name}, {view:?}: off by {} pixels", apart / pixel);
             }
         }
@@ -222,10 +222,10 @@ mod tests {
     #[test]
     fn a_table_has_the_same_rays_to_the_bit() {
         let sensor = preset("vlp-16").unwrap();
-        let seen = View::Rays.of(&sensor).unwrap().unwrap();
+        let seen = ImageVariant::Rays.of(&sensor).unwrap().unwrap();
         for (x, y) in [(0, 0), (1799, 15), (900, 7)] {
             assert_eq!(seen.sensor.ray(x, y), sensor.ray(x, y));
         }
-        assert!(View::Rays.of(&seen.sensor).unwrap().is_none());
+        assert!(ImageVariant::Rays.of(&seen.sensor).unwrap().is_none());
     }
 }

@@ -1,7 +1,7 @@
 //! The argument about borders, against distances by another library at many places.
 use super::super::local::Local;
-use super::super::plane::{self, Flat};
-use super::super::{Lie, cover, patch};
+use super::super::plane::{self, PatchPlane};
+use super::super::{Support, cover, patch};
 use super::*;
 use glam::DVec2;
 
@@ -78,7 +78,7 @@ prop_compose! {
     }
 }
 
-fn lie_of(polygons: &[Vec<DVec3>], corners: &[DVec3]) -> Lie {
+fn lie_of(polygons: &[Vec<DVec3>], corners: &[DVec3]) -> Support {
     let about = |p: &DVec3| *p - corners[0];
     let near: Vec<Local> =
         (0..).zip(polygons).map(|(slot, p)| Local::new(slot, p.iter().map(about).collect(), R)).collect();
@@ -106,11 +106,11 @@ proptest! {
             (0.5 + if shrink > 0.0 { from_middle } else { c - 0.5 }).extend(0.0)
         });
         match lie_of(&polygons, &corners) {
-            Lie::Off(at) => {
+            Support::Off(at) => {
                 let off = nearest(&polygons, at + corners[0]);
                 prop_assert!(off > R, "refused where it is {off:e} off");
             }
-            Lie::On(_) => {
+            Support::On(_) => {
                 // Seams and rims are where it could be off: samples there, and everywhere.
                 let seams = |cuts: &[(f64, f64)]| cuts.iter().flat_map(|(end, seam)| (0..=8).map(move |k| end + seam * f64::from(k) / 8.0)).collect::<Vec<_>>();
                 let mut at: Vec<[f64; 2]> = (0..1600).map(|k| [f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0]).collect();
@@ -153,8 +153,8 @@ proptest! {
             at.extend(height + lean * at.x)
         }).collect();
         let local = Local::new(0, corners.clone(), R);
-        let flat = Flat::of(&crate::geometry::Plane { normal: DVec3::Z, offset: 0.0 });
-        let Some(under) = patch::Under::new(&local, &flat) else { return Ok(()) };
+        let flat = PatchPlane::of(&crate::geometry::Plane { normal: DVec3::Z, offset: 0.0 });
+        let Some(under) = patch::CoplanarPart::new(&local, &flat) else { return Ok(()) };
         let around = under.around(&flat);
         let reaches = |p: DVec2| oracle_distance(&corners, flat.lift(p));
         for p in &around {
@@ -192,16 +192,16 @@ fn doubled_surfaces_and_long_seams_are_settled() {
         vec![lower.clone(), upper.clone(), lower, upper]
     };
     let whole = strip(0.0, 40.0, 0.0, 0.3);
-    assert!(matches!(lie_of(&seam(1.9e-3), &whole), Lie::On(on) if on.len() == 4));
-    assert!(matches!(lie_of(&seam(2.1e-3), &whole), Lie::Off(_)));
+    assert!(matches!(lie_of(&seam(1.9e-3), &whole), Support::On(on) if on.len() == 4));
+    assert!(matches!(lie_of(&seam(2.1e-3), &whole), Support::Off(_)));
     // A hundred strips over a hundred strips, none of them on the other's seams.
     let mut both: Vec<_> = (0..100).map(|k| strip(0.4 * f64::from(k), 0.4 * f64::from(k + 1), 0.0, 0.3)).collect();
     both.extend((0..100).map(|k| strip(0.4 * f64::from(k) - 0.17, 0.4 * f64::from(k) + 0.23, -0.05, 0.35)));
-    assert!(matches!(lie_of(&both, &whole), Lie::On(on) if on.len() == 200));
+    assert!(matches!(lie_of(&both, &whole), Support::On(on) if on.len() == 200));
     // One of each gone, in the same place: a gap of 6 cm by 30 cm is left.
     both.remove(150);
     both.remove(49);
-    let Lie::Off(at) = lie_of(&both, &whole) else { panic!("it covers nothing there") };
+    let Support::Off(at) = lie_of(&both, &whole) else { panic!("it covers nothing there") };
     assert!(nearest(&both, at) > 0.02, "told where it is farthest off: {at}");
 }
 
@@ -218,7 +218,7 @@ fn an_island_is_found_by_its_own_border_only() {
         (0..4).map(|k| (0.49 * DVec2::from_angle(std::f64::consts::TAU * f64::from(k) / 4.0)).extend(0.0)).collect();
     polygons.push(island);
     let whole = [[-1., -1., 0.], [1., -1., 0.], [1., 1., 0.], [-1., 1., 0.]].map(DVec3::from_array);
-    assert!(matches!(lie_of(&polygons, &whole), Lie::Off(_)));
+    assert!(matches!(lie_of(&polygons, &whole), Support::Off(_)));
     let closed: Vec<_> = ring(0.4905).into_iter().chain(polygons.split_off(4)).collect();
-    assert!(matches!(lie_of(&closed, &whole), Lie::On(on) if on.len() == 5));
+    assert!(matches!(lie_of(&closed, &whole), Support::On(on) if on.len() == 5));
 }

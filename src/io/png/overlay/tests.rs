@@ -53,7 +53,7 @@ struct Drawn {
     page: Canvas,
     /// Changed pixels.
     at: Vec<(i64, i64)>,
-    frame: Frame,
+    frame: PageRect,
 }
 
 fn draw(sensor: &Sensor, features: Vec<SeenFeature>, sides: &[SeenFeature], numbers: bool) -> Drawn {
@@ -69,7 +69,7 @@ fn draw(sensor: &Sensor, features: Vec<SeenFeature>, sides: &[SeenFeature], numb
     let (page, blank) = (draw(&of(features), sides), draw(&of(Vec::new()), &[]));
     let all = (0..i64::from(page.height())).flat_map(|y| (0..i64::from(page.width())).map(move |x| (x, y)));
     let at = all.filter(|(x, y)| page.get(*x, *y) != blank.get(*x, *y)).collect();
-    let frame = Frame {
+    let frame = PageRect {
         left: MARGIN,
         top: MARGIN + HEADER,
         width: page.width() - 2 * MARGIN,
@@ -80,7 +80,7 @@ fn draw(sensor: &Sensor, features: Vec<SeenFeature>, sides: &[SeenFeature], numb
 
 impl Drawn {
     fn is_framed(&self) -> bool {
-        let Frame { left, top, width, height } = self.frame;
+        let PageRect { left, top, width, height } = self.frame;
         let inside = |v: i64, from: u32, size: u32| (i64::from(from)..i64::from(from + size)).contains(&v);
         self.at.iter().all(|(x, y)| inside(*x, left, width) && inside(*y, top, height))
     }

@@ -2,7 +2,7 @@
 
 use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::{Error, Result};
-use crate::io::script::call::{Call, Function, Given, Options};
+use crate::io::script::call::{Call, Function, NamedValue, Options};
 use crate::io::script::shape::Mark;
 use glam::{DMat3, DVec3};
 use rhai::Dynamic;
@@ -59,7 +59,7 @@ fn covariance(options: &Options) -> Result<DMat3> {
     Ok(DMat3::from_diagonal(sigma * sigma))
 }
 
-fn unit(given: &Given<'_>) -> Result<DVec3> {
+fn unit(given: &NamedValue<'_>) -> Result<DVec3> {
     let n = given.point()?;
     n.try_normalize().ok_or_else(|| Error::invalid("the normal has no length", "give a direction"))
 }

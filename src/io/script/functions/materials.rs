@@ -2,7 +2,7 @@
 
 use crate::environment::{Appearance, Material};
 use crate::error::{Error, Result};
-use crate::io::script::call::{Call, Function, Given, Options};
+use crate::io::script::call::{Call, Function, NamedValue, Options};
 use rhai::Dynamic;
 
 fn define(c: &mut Call<'_, '_>) -> Result<Dynamic> {
@@ -24,7 +24,7 @@ fn define(c: &mut Call<'_, '_>) -> Result<Dynamic> {
         material.color = rgb.map(|v| v as f32);
     }
     for (key, appearance) in [("transparent", Appearance::Transparent), ("invisible", Appearance::Invisible)] {
-        let classes = options.get(key).map(|g: Given<'_>| g.texts()).transpose()?;
+        let classes = options.get(key).map(|g: NamedValue<'_>| g.texts()).transpose()?;
         for class in classes.unwrap_or_default() {
             if let Some(other) = material.appearance.insert(class.clone(), appearance)
                 && other != appearance

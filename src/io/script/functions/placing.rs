@@ -3,7 +3,7 @@
 use super::moving::point;
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, quat_deg};
-use crate::io::script::assembly::{Assembly, Part, Thing, check_not_empty};
+use crate::io::script::assembly::{Assembly, Part, Placeable, check_not_empty};
 use crate::io::script::call::{Call, Function};
 use crate::io::text::check_name;
 use glam::DVec3;
@@ -29,14 +29,14 @@ fn pose_or_none(c: &Call<'_, '_>, i: usize) -> Result<Pose> {
 }
 
 fn place(c: &mut Call<'_, '_>) -> Result<Dynamic> {
-    c.studio.place(&name(c, 0)?, &c.arg(1).thing()?, &pose_or_none(c, 2)?, &c.at)?;
+    c.studio.place(&name(c, 0)?, &c.arg(1).placeable()?, &pose_or_none(c, 2)?, &c.at)?;
     Ok(Dynamic::UNIT)
 }
 
 fn add(c: &mut Call<'_, '_>) -> Result<Dynamic> {
-    let part = Part { name: name(c, 1)?, thing: c.arg(2).thing()?, assembly_from_part: pose_or_none(c, 3)? };
+    let part = Part { name: name(c, 1)?, thing: c.arg(2).placeable()?, assembly_from_part: pose_or_none(c, 3)? };
     check_not_empty(&part.thing)?;
-    if matches!(c.arg(0).thing()?, Thing::Shape(_)) {
+    if matches!(c.arg(0).placeable()?, Placeable::Shape(_)) {
         return Err(Error::invalid("assembly is a shape", "give an assembly"));
     }
     let constant = || Error::invalid("assembly is a constant, which nothing can be added to", "declare it with let");
@@ -119,7 +119,7 @@ pub(super) const CHECKS: &[Function] = &[
         signature: "polygons(thing) -> int",
         does: "polygons of all objects that it becomes",
         run: |c| {
-            let thing = c.arg(0).thing()?;
+            let thing = c.arg(0).placeable()?;
             thing.mark_seen();
             Ok(Dynamic::from(thing.polygons() as i64))
         },

@@ -1,9 +1,9 @@
 //! Shapes from parameters: the primitives under names that scripts know.
 
-use crate::acquire::primitives::{self, Solid};
 use crate::error::Result;
 use crate::io::script::call::{Call, Function};
 use crate::io::script::shape::Shape;
+use crate::preparation::primitives::{self, Solid};
 use rhai::Dynamic;
 
 /// Facets of round shapes where the script does not say.

@@ -31,7 +31,7 @@ struct Factors {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Measured {
+enum BoxMeasure {
     /// Covariances of image points, against J S J^T in a hundred digits.
     Covariance,
     /// How often boxes hold the draws.
@@ -46,7 +46,7 @@ pub(super) struct Boxes {
     axis: &'static str,
     difficulties: fn(bool) -> Vec<f64>,
     factors: fn(f64) -> Factors,
-    measured: Measured,
+    measured: BoxMeasure,
 }
 
 const CONDITION: Boxes = Boxes {
@@ -55,7 +55,7 @@ const CONDITION: Boxes = Boxes {
     axis: "condition number of the covariances",
     difficulties: |quick| powers(0, 16, quick),
     factors: by_condition,
-    measured: Measured::Covariance,
+    measured: BoxMeasure::Covariance,
 };
 
 const STIFF: Boxes = Boxes {
@@ -65,7 +65,7 @@ const STIFF: Boxes = Boxes {
     axis: "standard deviation of the pose",
     difficulties: |quick| powers(-9, 3, quick),
     factors: by_stiffness,
-    measured: Measured::Covariance,
+    measured: BoxMeasure::Covariance,
 };
 
 /// The table.
@@ -74,14 +74,14 @@ pub(super) const ALL: [Boxes; 5] = [
     Boxes {
         name: "condition-box",
         about: "The same; how often boxes of 99 % hold draws of the errors.",
-        measured: Measured::Coverage,
+        measured: BoxMeasure::Coverage,
         ..CONDITION
     },
     STIFF,
     Boxes {
         name: "stiff-box",
         about: "The same; how often boxes of 99 % hold draws of the errors.",
-        measured: Measured::Coverage,
+        measured: BoxMeasure::Coverage,
         ..STIFF
     },
     Boxes {
@@ -91,7 +91,7 @@ pub(super) const ALL: [Boxes; 5] = [
         axis: "negative eigenvalue by the greatest",
         difficulties: |quick| powers(-16, -1, quick),
         factors: |negative| Factors { negative, ..by_condition(1e30) },
-        measured: Measured::Coverage,
+        measured: BoxMeasure::Coverage,
     },
 ];
 
@@ -110,8 +110,8 @@ impl Family for Boxes {
 
     fn error(&self) -> &'static str {
         match self.measured {
-            Measured::Covariance => "error of an image covariance, in |J| sigma |J| sigma",
-            Measured::Coverage => "lack of coverage (bound: four sigma of the draws)",
+            BoxMeasure::Covariance => "error of an image covariance, in |J| sigma |J| sigma",
+            BoxMeasure::Coverage => "lack of coverage (bound: four sigma of the draws)",
         }
     }
 
@@ -134,8 +134,8 @@ impl Family for Boxes {
                 Err(e) => return Err(e),
             };
             let (error, bound) = match self.measured {
-                Measured::Covariance => (covariance_error(&setting, &found), COVARIANCE_BOUND),
-                Measured::Coverage => lack_of_coverage(&setting, &factors, &found, if quick { 1000 } else { 20_000 }),
+                BoxMeasure::Covariance => (covariance_error(&setting, &found), COVARIANCE_BOUND),
+                BoxMeasure::Coverage => lack_of_coverage(&setting, &factors, &found, if quick { 1000 } else { 20_000 }),
             };
             findings.push(Finding::of(subject.name.clone(), error, bound));
         }

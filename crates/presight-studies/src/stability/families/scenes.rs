@@ -2,7 +2,7 @@
 
 use super::shapes::{Scene, camera, cuboid, frame, mesh, point, scanner, sensors, wall};
 use super::{Case, Family, Finding, Outcome, powers};
-use crate::stability::judge::{Picture, Verdict};
+use crate::stability::judge::{ErrorSummary, TruthImage};
 use crate::stability::subjects::Subject;
 use glam::{DAffine3, DVec3, Vec3};
 use presight::Result;
@@ -142,12 +142,12 @@ impl Family for SceneFamily {
 
 /// The findings of all engines on some cases together: the first fault, else the greatest error and bound.
 pub(super) fn measure(cases: &[Case], subjects: &mut [Subject]) -> Result<Vec<Finding>> {
-    let mut verdicts = vec![(Verdict::default(), 0); subjects.len()];
+    let mut verdicts = vec![(ErrorSummary::default(), 0); subjects.len()];
     for case in cases {
         let outputs = if case.sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
         let request = ImageRequest { outputs, ids: IdScheme::Model };
         let plan = FramePlan::new(&case.world, &case.sensor, &case.pose, request)?;
-        let picture = Picture::new(&plan);
+        let picture = TruthImage::new(&plan);
         for (subject, (all, edge_on)) in subjects.iter_mut().zip(&mut verdicts) {
             let mut images = Images::default();
             *edge_on += subject.draw(&plan, &mut images).map_err(|e| e.at(subject.name.clone()))?;
@@ -166,8 +166,8 @@ pub(super) fn measure(cases: &[Case], subjects: &mut [Subject]) -> Result<Vec<Fi
     Ok(subjects.iter().zip(verdicts).map(|(subject, (v, edge_on))| finding(subject.name.clone(), v, edge_on)).collect())
 }
 
-fn finding(engine: String, verdict: Verdict, edge_on: usize) -> Finding {
-    let Verdict { error, bound, other, hits, unbounded, fault } = verdict;
+fn finding(engine: String, verdict: ErrorSummary, edge_on: usize) -> Finding {
+    let ErrorSummary { error, bound, other, hits, unbounded, fault } = verdict;
     let outcome = if fault.is_some() { Outcome::Fault } else { Outcome::Ok };
     let told = [
         (unbounded, format!("the bound knows nothing of the range at {unbounded} of {hits} pixels")),

@@ -1,0 +1,139 @@
+//! What all features of a prediction share.
+
+use super::FeatureSettings;
+use crate::environment::Environment;
+use crate::error::{Error, Result};
+use crate::features::sample::Sampler;
+use crate::features::{Occluder, PlacedFeature, STEP};
+use crate::geometry::Pose;
+use crate::plan::{Facing, IdScheme, Images, Instance, facings};
+use crate::sensor::Sensor;
+use crate::world::World;
+use glam::{DMat3, DVec3};
+use std::collections::HashMap;
+use std::sync::OnceLock;
+
+/// What all features of a prediction share.
+pub(super) struct VisibilityContext<'a> {
+    pub world: &'a World,
+    pub environment: &'a Environment,
+    pub sensor: &'a Sensor,
+    pub world_from_sensor: Pose,
+    pub image_from_world: DMat3,
+    pub images: &'a Images,
+    pub options: FeatureSettings,
+    pub time: f64,
+    pub facings: Vec<Facing>,
+    pub instances: Vec<OnceLock<Instance>>,
+    /// Slot by `source` id.
+    pub of_source: HashMap<u32, u32>,
+    pub sampler: Sampler<'a>,
+}
+
+impl<'a> VisibilityContext<'a> {
+    pub fn new(
+        world: &'a World,
+        sensor: &'a Sensor,
+        world_from_sensor: &Pose,
+        images: &'a Images,
+        time: f64,
+        options: &FeatureSettings,
+    ) -> Result<Self> {
+        let environment: &Environment = world.environment();
+        let pixels = sensor.width() as usize * sensor.height() as usize;
+        if images.polygon_id.len() != pixels || (images.width, images.height) != (sensor.width(), sensor.height()) {
+            let what = format!("there is no polygon_id image of {} x {} pixels", sensor.width(), sensor.height());
+            return Err(Error::invalid(what, "ask for polygon_id"));
+        }
+        sensor.check_projection()?;
+        // Much finer than any sensor's pixel is taken for.
+        if !(1e-3..=STEP).contains(&options.step) {
+            let what = format!("features sampled every {} pixels", options.step);
+            return Err(Error::usage(what, format!("give a step of 0.001 to {STEP} pixels")));
+        }
+        let objects = environment.objects().len();
+        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        Ok(Self {
+            world,
+            environment,
+            sensor,
+            world_from_sensor: *world_from_sensor,
+            image_from_world: world_from_image.transpose(),
+            images,
+            options: *options,
+            time,
+            facings: facings(environment, &sensor.spec().class).collect(),
+            instances: (0..objects).map(|_| OnceLock::new()).collect(),
+            of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
+            sampler: Sampler::with_step(sensor, options.step),
+        })
+    }
+
+    #[inline]
+    pub fn instance(&self, object: u32) -> &Instance {
+        self.instances[object as usize].get_or_init(|| {
+            Instance::new(self.environment, self.sensor, &self.world_from_sensor, &self.facings, object)
+        })
+    }
+
+    #[inline]
+    pub fn slot_of_id(&self, id: u32) -> Option<u32> {
+        match self.options.ids {
+            IdScheme::Model => id.checked_sub(1),
+            IdScheme::Source => self.of_source.get(&id).copied(),
+        }
+    }
+
+    pub fn occluder(&self, slot: u32) -> Option<Occluder> {
+        let (object, polygon) = self.environment.locate(slot)?;
+        let o = &self.environment.objects()[object as usize];
+        Some(Occluder { slot, polygon_id: self.options.ids.id_of(o, polygon), object })
+    }
+
+    /// Positions of a feature's points in the image frame, the turn from its object's frame, and how far they may be off by
+    /// rounding.
+    pub fn in_image(&self, placed: &PlacedFeature) -> (Vec<DVec3>, DMat3, f64) {
+        let points = placed.feature.shape.points();
+        let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
+        let rounding = self.rounding(reach, placed.object);
+        let (turn, shift) = self.image_from(placed.object);
+        let place = |p: &DVec3| match placed.object {
+            // Differences to the sensor come first.
+            None => turn * (*p - self.world_from_sensor.translation),
+            Some(_) => turn * *p + shift,
+        };
+        (points.iter().map(place).collect(), turn, rounding)
+    }
+
+    /// Turn and shift from the frame of an object, or of the world, to the image.
+    pub fn image_from(&self, object: Option<u32>) -> (DMat3, DVec3) {
+        match object {
+            None => (self.image_from_world, self.image_from_world * -self.world_from_sensor.translation),
+            Some(object) => {
+                let pose = &self.environment.objects()[object as usize].world_from_object;
+                let turn = self.image_from_world * pose.rotation_matrix();
+                (turn, self.image_from_world * (pose.translation - self.world_from_sensor.translation))
+            }
+        }
+    }
+
+    /// How far points of an object's frame may be off by rounding in the image frame, `reach` metres from its origin at most.
+    pub fn rounding(&self, reach: f64, object: Option<u32>) -> f64 {
+        let apart = |o: u32| {
+            let at = self.environment.objects()[o as usize].world_from_object.translation;
+            (at - self.world_from_sensor.translation).length()
+        };
+        let size = object.map_or(0.0, apart);
+        // Roundings of the sums and of the matrices, and of the world positions themselves.
+        let far = self.world_from_sensor.translation.abs().max_element();
+        f64::EPSILON * (8.0 * (reach + size) + 2.0 * far)
+    }
+}
+
+fn slots_of_sources(environment: &Environment) -> HashMap<u32, u32> {
+    let polygons = environment
+        .objects()
+        .iter()
+        .flat_map(|o| (0..o.mesh.polygon_count() as u32).map(|p| (IdScheme::Source.id_of(o, p), o.first_slot + p)));
+    polygons.collect()
+}

@@ -1,0 +1,148 @@
+//! Polygons set up for tests against features' own rays, once for all samples that come near them.
+
+use super::VisibilityContext;
+use crate::reference::Face;
+use crate::verify::{PlaneBound, Precision};
+use glam::DVec3;
+
+/// A polygon in the image frame, and how far off its plane may be.
+pub(super) struct PreparedPolygon {
+    pub slot: u32,
+    /// It covers rays: opaque, seen from this side, not edge-on.
+    pub covers: bool,
+    /// Unit normal, and whether the sensor is on its side.
+    pub normal: DVec3,
+    pub faces_sensor: bool,
+    /// n / d: its product with a point is the point's range over that of the polygon on the same ray.
+    pub inverse: DVec3,
+    /// Error of that product, for a unit of the point's range, and for a unit of the product; infinite where nothing is
+    /// known of the distance.
+    off: [f64; 2],
+    /// First edge plane and corner, and how many.
+    edges: (u32, u32),
+    /// The last feature that asked for it.
+    pub asked: u32,
+}
+
+/// Is a polygon that covers a point's ray nearer than the point?
+pub(super) enum RelativeDepth {
+    Yes,
+    No,
+    /// Nothing is known about its range.
+    Unknown,
+}
+
+impl PreparedPolygon {
+    /// Is it nearer by more than rounding than a point at `range` that may itself be off by `rounding` metres? `share` is
+    /// the product with [`PreparedPolygon::inverse`].
+    ///
+    /// With k = n . u / d one over the polygon's range, r the point's range and `off` the bound of k
+    /// ([`crate::verify::Precision`]), k > 1 / r + off is `share` = r k > 1 + r off.
+    #[inline]
+    pub fn nearer(&self, share: f64, range: f64, rounding: f64) -> RelativeDepth {
+        if !(share > 1.0 + rounding / range + 8.0 * f64::EPSILON) {
+            return RelativeDepth::No;
+        }
+        let least = self.least_share(share, range, rounding);
+        if share > least {
+            RelativeDepth::Yes
+        } else if least.is_finite() {
+            RelativeDepth::No
+        } else {
+            RelativeDepth::Unknown
+        }
+    }
+
+    /// True if it is nearer than all points up to the range `far`, in its cone, of which none has a lesser share than `least`.
+    pub fn hides_all(&self, least: f64, far: f64, rounding: f64) -> bool {
+        // What is behind it is no nearer than its plane.
+        let near = self.inverse.length().recip();
+        let bound = [near, far].map(|range| self.least_share(least, range, rounding));
+        least > bound[0].max(bound[1]) * (1.0 + 8.0 * f64::EPSILON)
+    }
+
+    /// The share above which it is.
+    #[inline]
+    pub fn least_share(&self, share: f64, range: f64, rounding: f64) -> f64 {
+        1.0 + rounding / range + 8.0 * f64::EPSILON + self.off[0] * range + self.off[1] * share
+    }
+}
+
+/// Polygons by slot.
+pub(super) struct Faces {
+    /// By slot: index in `known` + 1. Pages that nothing touches cost nothing.
+    at: Vec<u32>,
+    pub known: Vec<PreparedPolygon>,
+    planes: Vec<DVec3>,
+    corners: Vec<DVec3>,
+    face: Face,
+}
+
+impl Faces {
+    pub fn new(frame: &VisibilityContext<'_>) -> Self {
+        let at = vec![0; frame.environment.slot_count() as usize];
+        Self {
+            at,
+            known: Vec::with_capacity(256),
+            planes: Vec::with_capacity(1024),
+            corners: Vec::with_capacity(1024),
+            face: Face::default(),
+        }
+    }
+
+    /// The polygon of a slot; `None` if there is none.
+    #[inline]
+    pub fn of_slot(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<usize> {
+        match self.at.get(slot as usize) {
+            Some(0) => self.set_up(frame, slot),
+            Some(at) => Some(*at as usize - 1),
+            None => None,
+        }
+    }
+
+    fn set_up(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<usize> {
+        let (object, polygon) = frame.environment.locate(slot)?;
+        let instance = frame.instance(object);
+        let mesh = &frame.environment.objects()[object as usize].mesh;
+        let face = &mut self.face;
+        face.renew(instance, mesh, polygon);
+        let bound = PlaneBound::new(face, instance.center_in_mesh, Precision::F64);
+        let known = face.distance.abs() - bound.distance;
+        let off = if known > 0.0 { [bound.cosine / known, bound.distance / known] } else { [f64::INFINITY; 2] };
+        let facing = frame.facings[usize::from(mesh.material(polygon))];
+        let first = self.planes.len() as u32;
+        self.planes.extend(face.edges.iter().map(|e| e.plane));
+        self.corners.extend_from_slice(&face.corners);
+        self.known.push(PreparedPolygon {
+            slot,
+            covers: facing.opaque && (!facing.one_sided || face.distance < 0.0) && !face.edge_on(),
+            normal: face.normal,
+            faces_sensor: face.distance < 0.0,
+            inverse: face.normal / face.distance,
+            off,
+            edges: (first, face.edges.len() as u32),
+            asked: 0,
+        });
+        self.at[slot as usize] = self.known.len() as u32;
+        Some(self.known.len() - 1)
+    }
+
+    /// Planes through the sensor and the sides of a polygon: inside is where all products are >= 0.
+    #[inline]
+    pub fn planes_of(&self, known: &PreparedPolygon) -> &[DVec3] {
+        let (first, count) = known.edges;
+        &self.planes[first as usize..(first + count) as usize]
+    }
+
+    /// Corners, image frame.
+    pub fn corners_of(&self, known: &PreparedPolygon) -> &[DVec3] {
+        let (first, count) = known.edges;
+        &self.corners[first as usize..(first + count) as usize]
+    }
+
+    /// True if a point's ray is in the polygon's cone.
+    #[inline]
+    pub fn holds(&self, known: &PreparedPolygon, at: DVec3) -> bool {
+        self.planes_of(known).iter().all(|e| e.dot(at) >= 0.0)
+    }
+}

@@ -1,0 +1,210 @@
+//! The buffers of the engine, reused from frame to frame.
+
+use super::buffers::{Growable, Mapping, Uploads};
+use super::device::Gpu;
+use super::grid::Tables;
+use super::layout::{
+    Counters, FEW_INSTANCES, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, Params, SHORT_GRID, SLOT_WORDS, Survivor,
+};
+use super::stages::NAMES;
+use super::uploads::FrameUploads;
+use crate::error::Result;
+use std::mem::size_of;
+
+/// Every buffer but the meshes'.
+pub(super) struct FrameBuffers {
+    pub params: Growable,
+    pub instances: Growable,
+    pub work: Growable,
+    pub grid: Growable,
+    /// Instances again, where they are few enough.
+    pub few_instances: Growable,
+    /// The rays again, where they are few enough.
+    pub short_grid: Growable,
+    pub survivors: Growable,
+    pub counters: Growable,
+    pub records: Growable,
+    pub items: Growable,
+    pub seen_slots: Growable,
+    pub keys: Growable,
+    pub outputs: Growable,
+    pub dispatch: Growable,
+    pub readback: Growable,
+    pub readback_mapping: Mapping,
+    pub uploads: Uploads,
+    /// Begin and end of every stage, where the device can tell.
+    pub times: Option<(wgpu::QuerySet, Growable)>,
+}
+
+impl FrameBuffers {
+    pub fn new(gpu: &Gpu) -> Self {
+        use wgpu::BufferUsages as U;
+        let times = gpu.timestamps.then(|| {
+            gpu.made.buffers.add();
+            let queries = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("times"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * NAMES.len() as u32,
+            });
+            (queries, Growable::new(gpu, "times", U::QUERY_RESOLVE | U::COPY_SRC, false))
+        });
+        Self {
+            params: Growable::uniform(gpu, "parameters", size_of::<Params>() as u64),
+            few_instances: Growable::uniform(
+                gpu,
+                "few instances",
+                u64::from(FEW_INSTANCES) * size_of::<Instance>() as u64,
+            ),
+            short_grid: Growable::uniform(gpu, "few rays", u64::from(SHORT_GRID) * 16),
+            instances: Growable::storage(gpu, "instances"),
+            work: Growable::storage(gpu, "runs"),
+            grid: Growable::storage(gpu, "rays"),
+            survivors: Growable::storage(gpu, "polygons in view"),
+            counters: Growable::storage(gpu, "counters"),
+            records: Growable::storage(gpu, "polygons set up"),
+            items: Growable::storage(gpu, "work items"),
+            seen_slots: Growable::storage(gpu, "slots"),
+            keys: Growable::storage(gpu, "nearest"),
+            outputs: Growable::storage(gpu, "images"),
+            dispatch: Growable::new(gpu, "dispatch", U::INDIRECT | U::COPY_DST, false),
+            readback: Growable::new(gpu, "readback", U::MAP_READ | U::COPY_DST, false),
+            readback_mapping: Mapping::default(),
+            uploads: Uploads::new(gpu),
+            times,
+        }
+    }
+
+    /// Makes room for a frame; true if a bound buffer is another one now.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::DeviceMemory`].
+    pub fn reserve(&mut self, gpu: &Gpu, frame: &FrameUploads) -> Result<bool> {
+        let words = |n: usize| n as u64 * 4;
+        let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
+        // What is not needed stays as small as it was made: it is bound, and neither written nor read.
+        let instances = if frame.few() { 0 } else { frame.instances.len() * size_of::<Instance>() };
+        let outputs = if frame.on_host { 0 } else { frame.output_words * 4 };
+        let mut replaced = self.instances.reserve(gpu, instances as u64)?;
+        replaced |= self.work.reserve(gpu, words(frame.work.len()))?;
+        let survivors = u64::from(frame.params.polygon_count) * size_of::<Survivor>() as u64;
+        replaced |= self.survivors.reserve(gpu, survivors)?;
+        replaced |= self.records.reserve(gpu, words(frame.near.records.len()))?;
+        replaced |= self.items.reserve(gpu, words(frame.near.items.len()))?;
+        replaced |= self.seen_slots.reserve(gpu, frame.slot_bytes())?;
+        replaced |= self.keys.reserve(gpu, pixels * 8)?;
+        replaced |= self.outputs.reserve(gpu, outputs)?;
+        self.readback.reserve(gpu, Readback::of(frame).bytes)?;
+        Ok(replaced)
+    }
+
+    /// Makes room for a sensor's tables; true if the buffer is another one now.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::DeviceMemory`].
+    pub fn reserve_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
+        self.grid.reserve(gpu, tables.words.len() as u64 * 4)
+    }
+
+    /// Uploads a sensor's tables.
+    pub fn put_grid(&mut self, tables: &Tables) {
+        let bytes: &[u8] = bytemuck::cast_slice(&tables.words);
+        if tables.short() {
+            self.uploads.put(&self.short_grid, 0, bytes);
+        }
+        self.uploads.put(&self.grid, 0, bytes);
+    }
+
+    /// Uploads a frame, with room and counters as they are at its start.
+    pub fn put(&mut self, frame: &FrameUploads) {
+        let params = Params { record_words: self.record_room(), item_room: self.item_room(), ..frame.params };
+        let uploads = &mut self.uploads;
+        uploads.put(&self.params, 0, bytemuck::bytes_of(&params));
+        let instances = if frame.few() { &self.few_instances } else { &self.instances };
+        uploads.put(instances, 0, bytemuck::cast_slice(&frame.instances));
+        uploads.put(&self.work, 0, bytemuck::cast_slice(&frame.work));
+        uploads.put(&self.records, 0, bytemuck::cast_slice(&frame.near.records));
+        uploads.put(&self.items, 0, bytemuck::cast_slice(&frame.near.items));
+        for (slot, words) in &frame.near.slots {
+            let at = u64::from(*slot) * 4 * u64::from(SLOT_WORDS);
+            uploads.put(&self.seen_slots, at, bytemuck::bytes_of(words));
+        }
+        let items = frame.near.items.len() as u32 / ITEM_WORDS;
+        let counters = Counters {
+            record_words: frame.near.records.len() as u32,
+            items,
+            setup_y: 1,
+            setup_z: 1,
+            raster_groups: items.div_ceil(GROUP).min(MAX_GROUPS),
+            raster_y: 1,
+            raster_z: 1,
+            ..Counters::default()
+        };
+        uploads.put(&self.counters, 0, bytemuck::bytes_of(&counters));
+    }
+
+    fn record_room(&self) -> u32 {
+        (self.records.buffer().size() / 4).min(u64::from(u32::MAX)) as u32
+    }
+
+    fn item_room(&self) -> u32 {
+        (self.items.buffer().size() / (4 * u64::from(ITEM_WORDS))).min(u64::from(u32::MAX)) as u32
+    }
+
+    /// Makes room for what a frame turned out to need; true if it had too little and must run again.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::DeviceMemory`].
+    pub fn grow_for(&mut self, gpu: &Gpu, counters: &Counters) -> Result<bool> {
+        let mut again = self.records.reserve(gpu, u64::from(counters.record_words) * 4)?;
+        again |= self.items.reserve(gpu, u64::from(counters.items) * 4 * u64::from(ITEM_WORDS))?;
+        Ok(again)
+    }
+
+    /// A compute pass that notes its times.
+    pub fn pass(&self, stage: u32) -> wgpu::ComputePassDescriptor<'_> {
+        wgpu::ComputePassDescriptor {
+            label: Some(NAMES[stage as usize]),
+            timestamp_writes: self.times.as_ref().map(|(query_set, _)| wgpu::ComputePassTimestampWrites {
+                query_set,
+                beginning_of_pass_write_index: Some(2 * stage),
+                end_of_pass_write_index: Some(2 * stage + 1),
+            }),
+        }
+    }
+
+    /// Encodes the copies that bring a frame's answers to where they can be mapped.
+    pub fn encode_readback(&self, encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads) {
+        let at = Readback::of(frame);
+        let to = self.readback.buffer();
+        if frame.on_host {
+            encoder.copy_buffer_to_buffer(self.keys.buffer(), 0, to, 0, at.slots);
+            encoder.copy_buffer_to_buffer(self.seen_slots.buffer(), 0, to, at.slots, at.counters - at.slots);
+        } else if at.counters > 0 {
+            encoder.copy_buffer_to_buffer(self.outputs.buffer(), 0, to, 0, at.counters);
+        }
+        encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, to, at.counters, size_of::<Counters>() as u64);
+        if let Some((queries, resolved)) = &self.times {
+            encoder.resolve_query_set(queries, 0..2 * frame.stages().len() as u32, resolved.buffer(), 0);
+            encoder.copy_buffer_to_buffer(resolved.buffer(), 0, to, at.times, at.bytes - at.times);
+        }
+    }
+}
+
+/// Where answers lie in the readback buffer, bytes: images (or keys and slots), counters, times.
+#[derive(Clone, Copy)]
+pub(super) struct Readback {
+    pub slots: u64,
+    pub counters: u64,
+    pub times: u64,
+    pub bytes: u64,
+}
+
+impl Readback {
+    pub fn of(frame: &FrameUploads) -> Self {
+        let slots = if frame.on_host { u64::from(frame.params.width) * u64::from(frame.params.height) * 8 } else { 0 };
+        let counters = if frame.on_host { slots + frame.slot_bytes() } else { frame.output_words * 4 };
+        // Query results are 8 bytes and must lie on 8.
+        let times = (counters + size_of::<Counters>() as u64).next_multiple_of(8);
+        Self { slots, counters, times, bytes: times + 16 * frame.stages().len() as u64 }
+    }
+}

@@ -1,0 +1,212 @@
+//! Folders of depth images: `camera.json`, `depth/*.png` of 16 bits, and optionally `poses.txt`.
+//!
+//! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, optionally `distortion` (five numbers of a plumb-bob lens) and
+//! `depth_unit_m` (default 0.001). A pixel of 0 is no measurement. Images are taken in the order of their names; where a name is a
+//! number, that is the frame's time in seconds, otherwise frames are counted from 0.
+//!
+//! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; what follows is not read. These poses are world_from_camera in optical
+//! axes, in the frame of the scene's file (y up).
+
+use super::file;
+use super::text::read_text;
+use crate::error::{Error, Result};
+use crate::frame::{Frame, Measurement};
+use crate::geometry::Pose;
+use crate::io::tum::StampedPose;
+use crate::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec, body_from_optical_rotation};
+use glam::DVec3;
+use image::codecs::png::PngDecoder;
+use image::{DynamicImage, ImageDecoder};
+use serde::Deserialize;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+/// The frames of a folder, one at a time.
+#[derive(Debug)]
+pub struct DepthFolder {
+    sensor: Sensor,
+    unit: f64,
+    images: std::vec::IntoIter<PathBuf>,
+    count: usize,
+    reference: Vec<StampedPose>,
+}
+
+#[derive(Deserialize)]
+struct File {
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    #[serde(default)]
+    distortion: Option<[f64; 5]>,
+    #[serde(default)]
+    depth_unit_m: Option<f64>,
+}
+
+impl DepthFolder {
+    /// Opens a folder. `sensor` says what `camera.json` does not: noise, limits, mount; its image must have the same size.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the file at fault; [`crate::ErrorKind::System`] if the system refuses.
+    pub fn open(folder: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let path = folder.join("camera.json");
+        let text = read_text(&path)?;
+        let (own, unit) = camera(&text).map_err(|e| e.in_file(&path))?;
+        let sensor = sensor.cloned().unwrap_or(own.clone());
+        if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
+            let what = format!(
+                "{} x {} pixels, the sensor has {} x {}",
+                own.width(),
+                own.height(),
+                sensor.width(),
+                sensor.height()
+            );
+            return Err(Error::invalid(what, "give the sensor that took the images").in_file(&path));
+        }
+        let depth = folder.join("depth");
+        let entries = std::fs::read_dir(&depth).map_err(|e| Error::io(&depth, "list it", e))?;
+        let mut images = Vec::new();
+        for entry in entries {
+            let path = entry.map_err(|e| Error::io(&depth, "list it", e))?.path();
+            if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+                images.push(path);
+            }
+        }
+        images.sort();
+        if images.is_empty() {
+            return Err(Error::invalid("there is no .png file", "give depth images of 16 bits").in_file(&depth));
+        }
+        let poses = folder.join("poses.txt");
+        let reference = if poses.exists() { reference(&poses)? } else { Vec::new() };
+        Ok(Self { sensor, unit, images: images.into_iter(), count: 0, reference })
+    }
+
+    /// The sensor that measured.
+    pub fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+
+    /// world_from_sensor (body axes, z up) by the folder's own `poses.txt`, at times of frames. No estimate may use them.
+    pub fn reference(&self) -> &[StampedPose] {
+        &self.reference
+    }
+
+    fn frame(&self, path: &Path) -> Result<Frame> {
+        let stamp = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse::<f64>().ok());
+        let stamp = stamp.filter(|s| s.is_finite()).unwrap_or(self.count as f64);
+        let wrong =
+            |what: String| Error::invalid(what, "give a PNG of 16 bits grey, depth in whole units").in_file(path);
+        let file = BufReader::new(file::open(path)?);
+        let decoder = PngDecoder::new(file).map_err(|e| wrong(e.to_string()))?;
+        // Before anything is decoded: a small file may claim a huge image.
+        let size = (self.sensor.width(), self.sensor.height());
+        let (w, h) = decoder.dimensions();
+        if (w, h) != size {
+            return Err(wrong(format!("{w} x {h} pixels; the camera has {} x {}", size.0, size.1)));
+        }
+        let DynamicImage::ImageLuma16(picture) =
+            DynamicImage::from_decoder(decoder).map_err(|e| wrong(e.to_string()))?
+        else {
+            return Err(wrong("this is no image of 16 bits grey".into()));
+        };
+        let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
+        let depth = picture.as_raw().iter().map(metres).collect();
+        Frame::new(stamp, self.sensor.clone(), Measurement::DepthZ(depth)).map_err(|e| e.in_file(path))
+    }
+}
+
+impl Iterator for DepthFolder {
+    type Item = Result<Frame>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let path = self.images.next()?;
+        let frame = self.frame(&path);
+        self.count += 1;
+        Some(frame)
+    }
+}
+
+/// The text of `camera.json` for a camera whose depths are written in millimetres.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] for a sensor that is no camera, or whose lens is no plumb-bob one.
+pub fn camera_json(sensor: &Sensor) -> Result<String> {
+    let name = &sensor.spec().name;
+    let Geometry::Camera(c) = &sensor.spec().geometry else {
+        return Err(Error::usage(format!("sensor {name:?} is no camera and has no depth images"), "give a camera"));
+    };
+    let lens = match &c.distortion {
+        Distortion::None => [0.0; 5],
+        Distortion::PlumbBob(k) => *k,
+        _ => {
+            let remedy = "give a camera without distortion, or with a plumb-bob lens";
+            return Err(Error::usage(format!("the lens of sensor {name:?} has no place in camera.json"), remedy));
+        }
+    };
+    let json = serde_json::json!({
+        "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
+        "distortion": lens, "depth_unit_m": 1e-3,
+    });
+    Ok(format!("{json}\n"))
+}
+
+/// The name of the image of a time, seconds of at least 0: names sort as times do.
+pub fn image_name(time: f64) -> String {
+    format!("{time:018.6}.png")
+}
+
+/// The text of `poses.txt` for poses of the robot on which a sensor is mounted.
+pub fn poses_txt(sensor: &Sensor, world_from_robot: &[StampedPose]) -> String {
+    let (y_up, body_from_optical) = (z_up_from_y_up().inverse(), optical_from_body().inverse());
+    let mut text = String::from("# time tx ty tz qx qy qz qw: world_from_camera, optical axes, y up, metres\n");
+    for s in world_from_robot {
+        let pose = y_up * s.pose * sensor.spec().mount * body_from_optical;
+        let (t, q) = (pose.translation, pose.rotation);
+        // The time as the image's name tells it.
+        text += &format!("{:.6} {} {} {} {} {} {} {}\n", s.time, t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+    }
+    text
+}
+
+fn z_up_from_y_up() -> Pose {
+    Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0)
+}
+
+fn optical_from_body() -> Pose {
+    Pose { rotation: body_from_optical_rotation().conjugate(), translation: DVec3::ZERO }
+}
+
+fn camera(text: &str) -> Result<(Sensor, f64)> {
+    let file: File = serde_json::from_str(text).map_err(|e| {
+        let remedy = "give width, height, fx, fy, cx, cy, and optionally distortion and depth_unit_m";
+        Error::invalid(e.to_string(), remedy).at(format!("line {}", e.line()))
+    })?;
+    let unit = file.depth_unit_m.unwrap_or(1e-3);
+    if !(unit > 0.0 && unit.is_finite()) {
+        return Err(Error::invalid(format!("a depth unit of {unit} m"), "give metres above 0"));
+    }
+    let distortion = file.distortion.map_or(Distortion::None, Distortion::PlumbBob);
+    let camera = Camera { distortion, ..Camera::pinhole(file.width, file.height, file.fx, file.fy, file.cx, file.cy) };
+    let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
+    // Triangulating cameras are about as good as this at one metre.
+    spec.noise.range_sigma = 0.005;
+    Ok((Sensor::new(spec)?, unit))
+}
+
+/// Poses of optical axes in a world with y up, as those of the body in one with z up.
+fn reference(path: &Path) -> Result<Vec<StampedPose>> {
+    let text = read_text(path)?;
+    let first_eight = |line: &str| line.split_whitespace().take(8).collect::<Vec<_>>().join(" ");
+    let kept: Vec<String> = text
+        .lines()
+        .map(|line| if line.trim_start().starts_with('#') { String::new() } else { first_eight(line) })
+        .collect();
+    let mut poses = super::tum::parse(&kept.join("\n")).map_err(|e| e.in_file(path))?;
+    poses.iter_mut().for_each(|s| s.pose = z_up_from_y_up() * s.pose * optical_from_body());
+    Ok(poses)
+}
+
+#[cfg(test)]
+mod tests;
