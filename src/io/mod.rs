@@ -24,7 +24,6 @@ mod point_fields;
 mod points;
 pub mod prediction_json;
 pub mod robot_toml;
-pub mod rows;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;

@@ -1,16 +1,16 @@
-//! Series of many poses that can be interrupted: what is finished is recorded beside the files, and the same series goes on
-//! from there.
+//! Work on many poses that can be interrupted: what is finished is recorded beside the files, and the same work goes on
+//! from there. The record of a batch is its table of results, which gets its name when it is whole.
 
+use super::atomic::refused;
 use crate::error::{Error, ErrorKind, Result};
-use std::fs::{self, File};
-use std::io::{BufRead, BufReader, Seek, SeekFrom, Write};
+use std::fs::{self, File, TryLockError};
+use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-const START: &str = "presight series 1";
-
-/// Which poses of a series are finished. The record is a file of lines: a head that names the job, then the number of each pose
-/// whose files are complete. It is removed when the series is.
+/// How far a series of poses is. The record is a file of lines: a head that names the job, then for each finished pose the same
+/// number of lines, which begin with the pose's number, and a comma if there is more. One process at a time works on it.
 ///
 /// ```
 /// use presight::io::series::SeriesProgress;
@@ -34,10 +34,11 @@ const START: &str = "presight series 1";
 pub struct SeriesProgress {
     path: PathBuf,
     file: File,
-    done: Vec<bool>,
-    /// There was a record of another job.
+    head: String,
+    poses: Range<usize>,
+    lines_per_pose: usize,
+    next: usize,
     replaced: bool,
-    /// When a pose was finished last, before it was opened.
     written: Option<SystemTime>,
 }
 
@@ -47,54 +48,78 @@ impl SeriesProgress {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the record cannot be written, or another process is at work on it.
-    pub fn open(path: &Path, job: &str, count: usize) -> Result<Self> {
-        let refused = |e: std::io::Error| {
-            let remedy = "create the folder first, check its permissions, or write elsewhere";
-            let what = format!("cannot keep a record of what is finished: {e}");
-            Error::new(ErrorKind::System, what, remedy).in_file(path).caused_by(e)
-        };
-        let mut file =
-            File::options().read(true).write(true).create(true).truncate(false).open(path).map_err(refused)?;
-        if matches!(file.try_lock(), Err(fs::TryLockError::WouldBlock)) {
-            let what = "another presight is writing these files";
-            return Err(Error::new(ErrorKind::System, what, "wait until it has ended, or stop it").in_file(path));
+    pub fn open(path: &Path, head: &str, poses: Range<usize>, lines_per_pose: usize) -> Result<Self> {
+        let failed = |e| refused(path, e);
+        let opened = File::options().read(true).write(true).create(true).truncate(false).open(path);
+        let file = opened.map_err(failed)?;
+        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            let (what, remedy) = ("another presight is writing these files", "wait until it has ended, or stop it");
+            return Err(Error::new(ErrorKind::System, what, remedy).in_file(path));
         }
         let written = file.metadata().and_then(|m| m.modified()).ok();
-        let head = format!("{START} {job}");
-        let (mut same, mut started, mut done) = (false, false, vec![false; count]);
-        let mut sound = 0;
-        let mut reader = BufReader::new(&file);
-        let mut line = String::new();
-        // A line without its end was being written when the process ended.
-        while reader.read_line(&mut line).is_ok_and(|n| n > 0) && line.ends_with('\n') {
-            let text = line.trim_end();
-            match (started, text.parse::<usize>()) {
-                (false, _) => same = text == head,
-                (true, Ok(i)) if same && i < count => done[i] = true,
-                _ => break,
-            }
-            (started, sound) = (true, sound + line.len() as u64);
+        let (path, head, next) = (path.to_owned(), format!("{head}\n"), poses.start);
+        let mut progress = Self { path, file, head, poses, lines_per_pose, next, replaced: false, written };
+        progress.keep_while(|_| true)?;
+        Ok(progress)
+    }
+
+    /// Takes the first pose of which `is_there` says that its files are lost, and all after it, as unfinished.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if the record cannot be read or written.
+    pub fn keep_while(&mut self, is_there: impl Fn(usize) -> bool) -> Result<()> {
+        let failed = |e| refused(&self.path, e);
+        self.file.rewind().map_err(failed)?;
+        let (next, sound) = self.sound_part(is_there).map_err(failed)?;
+        self.replaced |= sound == 0 && self.file.metadata().map_err(failed)?.len() > 0;
+        self.next = next;
+        self.file.set_len(sound).and_then(|()| self.file.seek(SeekFrom::End(0))).map_err(failed)?;
+        if sound == 0 {
+            self.file.write_all(self.head.as_bytes()).map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    /// The first pose that is missing, and the bytes before it; 0 bytes where the head is another one.
+    fn sound_part(&self, is_there: impl Fn(usize) -> bool) -> io::Result<(usize, u64)> {
+        let mut reader = BufReader::new(&self.file);
+        let mut line = Vec::new();
+        let mut next_line = |line: &mut Vec<u8>| -> io::Result<bool> {
             line.clear();
+            // A line without its end was being written when the process ended.
+            Ok(reader.read_until(b'\n', line)? > 0 && line.ends_with(b"\n"))
+        };
+        if !next_line(&mut line)? || line != self.head.as_bytes() {
+            return Ok((self.poses.start, 0));
         }
-        if !same {
-            done.fill(false);
-            sound = 0;
+        let mut sound = line.len() as u64;
+        for pose in self.poses.clone() {
+            let number = pose.to_string();
+            let mut bytes = 0;
+            for _ in 0..self.lines_per_pose {
+                let is_its = next_line(&mut line)?
+                    && line.strip_prefix(number.as_bytes()).is_some_and(|rest| rest.starts_with(b",") || rest == b"\n");
+                if !is_its {
+                    return Ok((pose, sound));
+                }
+                bytes += line.len() as u64;
+            }
+            if !is_there(pose) {
+                return Ok((pose, sound));
+            }
+            sound += bytes;
         }
-        file.set_len(sound).and_then(|()| file.seek(SeekFrom::End(0))).map_err(refused)?;
-        if !same {
-            writeln!(file, "{head}").map_err(refused)?;
-        }
-        Ok(Self { path: path.to_owned(), file, done, replaced: started && !same, written })
+        Ok((self.poses.end, sound))
+    }
+
+    /// The first pose that is not finished.
+    pub fn next(&self) -> usize {
+        self.next
     }
 
     /// How many poses are finished.
     pub fn finished(&self) -> usize {
-        self.done.iter().filter(|done| **done).count()
-    }
-
-    /// True if the pose is finished.
-    pub fn is_finished(&self, index: usize) -> bool {
-        self.done.get(index).copied().unwrap_or(false)
+        self.next - self.poses.start
     }
 
     /// True if there was a record of another job, which was never completed.
@@ -102,35 +127,18 @@ impl SeriesProgress {
         self.replaced
     }
 
-    /// When a pose was finished last. A file that was written later is not of this series any more.
+    /// When a pose was finished last, before the record was opened. A file that was written later is not of this series any more.
     pub fn written(&self) -> Option<SystemTime> {
         self.written
     }
 
-    /// Takes as unfinished what `is_there` says has lost its files.
-    pub fn keep_if(&mut self, is_there: impl Fn(usize) -> bool) {
-        for (i, done) in self.done.iter_mut().enumerate() {
-            *done = *done && is_there(i);
-        }
-    }
-
-    /// Does the work of every pose that is not finished, in order, and records it.
+    /// Records all poses up to `last` as finished; `lines` are theirs, each with its end.
     ///
     /// # Errors
-    /// The first of the work, after which nothing more is done; [`ErrorKind::System`] if the record cannot be written.
-    pub fn run(&mut self, mut work: impl FnMut(&Self, usize) -> Result<()>) -> Result<()> {
-        for i in 0..self.done.len() {
-            if self.done[i] {
-                continue;
-            }
-            work(self, i)?;
-            self.done[i] = true;
-            // One write: a line is there whole, or its pose is done again.
-            self.file.write_all(format!("{i}\n").as_bytes()).map_err(|e| {
-                let what = format!("cannot keep a record of what is finished: {e}");
-                Error::new(ErrorKind::System, what, "free some disk space").in_file(&self.path).caused_by(e)
-            })?;
-        }
+    /// [`ErrorKind::System`] if they cannot be written; what of them is there is dropped by the next [`SeriesProgress::open`].
+    pub fn append(&mut self, last: usize, lines: &str) -> Result<()> {
+        self.file.write_all(lines.as_bytes()).map_err(|e| refused(&self.path, e))?;
+        self.next = last + 1;
         Ok(())
     }
 
@@ -138,12 +146,20 @@ impl SeriesProgress {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the system refuses.
-    pub fn complete(self) -> Result<()> {
-        if self.done.iter().all(|done| *done) {
+    pub fn remove(self) -> Result<()> {
+        if self.next == self.poses.end {
             drop(self.file);
             fs::remove_file(&self.path).map_err(|e| Error::io(&self.path, "remove the record", e))?;
         }
         Ok(())
+    }
+
+    /// Gives the record another name: that of the table which it has become.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if the system refuses.
+    pub fn rename(self, to: &Path) -> Result<()> {
+        self.file.sync_all().and_then(|()| fs::rename(&self.path, to)).map_err(|e| refused(to, e))
     }
 }
 
@@ -156,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_finished_is_not_done_again_whatever_the_end_of_the_record() {
+    fn what_is_finished_is_not_done_again_whatever_follows() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.series");
         let stop_at = |progress: &mut SeriesProgress, stop| {
@@ -172,34 +188,40 @@ mod tests {
             let progress = open(&path, "j");
             assert_eq!((progress.finished(), progress.is_finished(1), progress.is_finished(2)), (2, true, false));
             drop(progress);
-            assert_eq!(fs::read(&path).unwrap(), sound);
+            assert_eq!(fs::read_to_string(&path).unwrap(), whole);
         }
-        let other = open(&path, "k");
+        let other = open(&path, "pose,other");
         assert!(other.replaced() && other.finished() == 0);
         drop(other);
-        assert_eq!(open(&path, "j").finished(), 0, "the other job may have written over its files");
+        let again = open(&path, "pose,value");
+        assert_eq!(again.finished(), 0, "the other job may have written over its files");
     }
 
     #[test]
-    fn lost_files_are_made_again_and_the_record_goes_at_the_end() {
+    fn what_follows_a_lost_file_is_done_again() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.series");
         let mut progress = open(&path, "j");
-        progress.run(|_, _| Ok(())).unwrap();
-        progress.keep_if(|i| i != 1);
-        let mut again = Vec::new();
-        progress
-            .run(|progress, i| {
-                again.push((i, progress.finished()));
-                Ok(())
-            })
-            .unwrap();
-        assert_eq!(again, [(1, 3)]);
-        progress.complete().unwrap();
-        assert!(!path.exists());
-        let unfinished = open(&path, "j");
-        unfinished.complete().unwrap();
+        for pose in 4..9 {
+            progress.append(pose, &format!("{pose}\n{pose}\n")).unwrap();
+        }
+        progress.keep_while(|pose| pose != 6).unwrap();
+        assert_eq!((progress.next(), fs::read_to_string(&path).unwrap().as_str()), (6, "j\n4\n4\n5\n5\n"));
+        progress.append(8, "6\n6\n7\n7\n8\n8\n").unwrap();
+        drop(progress);
+        assert_eq!(open(&path, "j").finished(), 5);
+    }
+
+    #[test]
+    fn a_record_goes_only_when_everything_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.series");
+        open(&path, "j").remove().unwrap();
         assert!(path.exists());
+        let mut progress = open(&path, "j");
+        progress.append(8, "").unwrap();
+        progress.remove().unwrap();
+        assert!(!path.exists());
     }
 
     #[test]

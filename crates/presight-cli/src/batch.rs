@@ -10,7 +10,7 @@ use presight::index::Scheme;
 use presight::internal::{inputs, text};
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
-use presight::io::rows::Rows;
+use presight::io::series::SeriesProgress;
 use presight::io::{exr, load_sensor, log, sensor_toml, tum};
 use presight::{
     Error, IdScheme, ImageRequest, Options, Output, Outputs, Pose, Predictor, Result, Scene, Sensor, Threads, blake3_of,
@@ -147,6 +147,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let (done, all) = (rows.next() - items.start, items.len());
         print::message(&format!("note: {done} of {all} poses are finished already; this goes on with the others"));
     }
+    let mut progress = job.progress(&table, items.clone())?;
+    print::finished_before(&progress, items.len());
     let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
     job.write(&mut predictor, &threads, &mut rows, items)?;
     rows.finish()?;
@@ -369,10 +371,13 @@ impl<'a> Job<'a> {
     }
 
     /// The table, with what an earlier run left.
-    fn rows(&self, items: Range<usize>) -> Result<Option<Rows>> {
+    fn progress(&self, table: &Path, items: Range<usize>) -> Result<SeriesProgress> {
         let per_item = self.request.headings.as_ref().map_or(1, |h| h.count() as usize);
-        let is_there = |index| self.request.images.is_none() || self.args.out.join(image_name(index)).is_file();
-        Rows::open(&self.args.table(), HEADER, items, per_item, is_there)
+        let mut progress = SeriesProgress::open(&table.with_added_extension("part"), HEADER, items, per_item)?;
+        if self.request.images.is_some() {
+            progress.keep_while(|index| self.args.out.join(image_name(index)).is_file())?;
+        }
+        Ok(progress)
     }
 
     /// Everything that is missing, from the table's next row on.
@@ -380,10 +385,10 @@ impl<'a> Job<'a> {
         &mut self,
         predictor: &mut Predictor,
         threads: &Threads,
-        rows: &mut Rows,
+        progress: &mut SeriesProgress,
         items: Range<usize>,
     ) -> Result<()> {
-        let first = rows.next();
+        let first = progress.next();
         let stream = || Ok::<_, Error>(tum::stream(&self.args.poses)?.skip(first).take(items.end - first));
         let mut times = stream()?.map(|stamped| stamped.map(|s| s.time));
         // Checked before; what changed since ends the batch.
@@ -411,7 +416,7 @@ impl<'a> Job<'a> {
                 self.tell(&mut lines, first + item.index, times.next().transpose()?.unwrap_or(f64::NAN), item);
             }
             if let Some(last) = last {
-                rows.append(last, &lines)?;
+                progress.append(last, &lines)?;
                 bar.set_position((last + 1 - items.start) as u64);
             }
             match failed {
@@ -424,7 +429,7 @@ impl<'a> Job<'a> {
         bar.finish_and_clear();
         match fault {
             Some(e) => Err(e),
-            None if rows.next() < items.end => {
+            None if progress.next() < items.end => {
                 let what = "the file has lost poses since this batch began";
                 Err(Error::invalid(what, "give another --out").in_file(&self.args.poses))
             }

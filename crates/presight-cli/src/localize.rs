@@ -13,7 +13,7 @@ use presight::io::load_sensor;
 use presight::io::tum::StampedPose;
 use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight::verdict::{Verdict as Judged, Verdicts};
-use presight::{Backend, Error, Options, Pose, Predictor, Result, Threads};
+use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Threads};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -28,12 +28,23 @@ const EXAMPLES: &str = "Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
+    #[command(flatten)]
+    drive: Drive,
+
+    /// Write the poses here: lines of timestamp tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE.tum")]
+    out: PathBuf,
+}
+
+/// A log, its map, and how the robot is followed through them.
+#[derive(Debug, clap::Args)]
+pub struct Drive {
     /// The log
-    log: PathBuf,
+    pub log: PathBuf,
 
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     #[arg(long, value_name = "SCENE")]
-    map: PathBuf,
+    pub map: PathBuf,
 
     /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, or `reference` for the log's own first pose
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
@@ -59,13 +70,72 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     stride: u32,
 
-    /// Write the poses here: lines of timestamp tx ty tz qx qy qz qw
-    #[arg(long, value_name = "FILE.tum")]
-    out: PathBuf,
-
     /// CPU threads, 0 = all cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
+}
+
+/// A drive that was followed to its end.
+pub struct Followed {
+    /// What became of each frame; images of verdicts are left out.
+    pub steps: Vec<Step>,
+    /// Pixels of each verdict, by frame.
+    pub counts: Vec<[usize; 7]>,
+    /// world_from_sensor by the log itself.
+    pub reference: Vec<StampedPose>,
+    /// robot_from_sensor.
+    pub mount: Pose,
+}
+
+impl Drive {
+    /// Follows the robot. `visit` sees each frame with what became of it; before the first, `files` are held against what was read.
+    ///
+    /// # Errors
+    /// Those of the log, the map and the sensor, of estimates, and of `visit`.
+    pub fn follow(
+        &self,
+        files: OutputFiles,
+        mut visit: impl FnMut(&Scene, &Frame, &Step) -> Result<()>,
+    ) -> Result<Followed> {
+        files.check_named([self.log.as_path(), self.map.as_path()])?;
+        let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
+        print::notices(sensor.iter().flat_map(|(_, notices)| notices));
+        let log = DepthFolder::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor))?;
+        let start = self.start(&log)?;
+        let threads = Threads::from(self.threads).started()?;
+        let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+        let scene = open_scene(&self.map, &import, Scheme::default())?;
+        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
+        let estimator = Estimator::new(predictor, EstimateOptions::default());
+        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        let mut localizer = Localizer::new(estimator, prior, LocalizeOptions::default());
+        let (reference, mount) = (log.reference().to_vec(), log.sensor().spec().mount);
+        files.check_read()?;
+        let mut followed = Followed { steps: Vec::new(), counts: Vec::new(), reference, mount };
+        for frame in log {
+            let frame = frame?;
+            if self.from.is_none_or(|from| frame.stamp >= from) {
+                let frame: Frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
+                let mut step = localizer.step(&scene.world, &frame)?;
+                visit(&scene, &frame, &step)?;
+                followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
+                step.estimate.verdicts.clear();
+                followed.steps.push(step);
+            }
+        }
+        Ok(followed)
+    }
+
+    fn start(&self, log: &DepthFolder) -> Result<Pose> {
+        if self.init == "reference" {
+            let from = self.from.unwrap_or(f64::NEG_INFINITY);
+            let first = log.reference().iter().find(|s| s.time >= from);
+            return first.map(|s| s.pose * log.sensor().spec().mount.inverse()).ok_or_else(|| {
+                Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+            });
+        }
+        parse_pose(&self.init).map_err(|e| e.at(format!("--init {}", self.init)))
+    }
 }
 
 /// Runs the command.
@@ -106,18 +176,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-fn start(args: &Args, log: &DepthFolder) -> Result<Pose> {
-    if args.init == "reference" {
-        let from = args.from.unwrap_or(f64::NEG_INFINITY);
-        let first = log.reference().iter().find(|s| s.time >= from);
-        return first.map(|s| s.pose * log.sensor().spec().mount.inverse()).ok_or_else(|| {
-            Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
-        });
-    }
-    parse_pose(&args.init).map_err(|e| e.at(format!("--init {}", args.init)))
-}
-
-fn is_known(step: &Step) -> bool {
+/// True if the frame's pose is one to go by.
+pub fn is_known(step: &Step) -> bool {
     matches!(step.phase, Phase::Tracking | Phase::Candidates)
 }
 
@@ -132,13 +192,12 @@ fn write(path: &Path, steps: &[Step]) -> Result<()> {
     })
 }
 
-fn write_details(path: &Path, steps: &[Step]) -> Result<()> {
+fn write_details(path: &Path, followed: &Followed) -> Result<()> {
     write_atomically(path, |file| {
-        for s in steps {
+        for (s, counts) in followed.steps.iter().zip(&followed.counts) {
             let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
-            let counts = s.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default();
             let verdicts: serde_json::Map<String, serde_json::Value> =
-                Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), n.into())).collect();
+                Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), (*n).into())).collect();
             let line = serde_json::json!({
                 "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
                 "translation": s.pose.translation.to_array(), "rotation_xyzw": s.pose.rotation.to_array(),
@@ -162,7 +221,7 @@ fn summary(steps: &[Step], reference: &[StampedPose], mount: Pose) -> String {
     let mut off: Vec<(f64, f64)> = Vec::new();
     for step in &known {
         let Some(there) = at(step.stamp) else { continue };
-        let here = step.pose * mount;
+        let here = step.pose * *mount;
         let degrees = here.rotation.angle_between(there.pose.rotation).to_degrees();
         off.push(((here.translation - there.pose.translation).length(), degrees));
     }

@@ -53,9 +53,12 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     match progress {
         None => (0..job.poses.len()).try_for_each(work)?,
         Some(mut progress) => {
-            progress.run(|_, index| work(index))?;
+            for index in progress.next()..job.poses.len() {
+                work(index)?;
+                progress.append(index, &format!("{index}\n"))?;
+            }
             setups.into_iter().flat_map(|setup| setup.stacks).try_for_each(|(_, stack)| stack.finish())?;
-            progress.complete()?;
+            progress.remove()?;
         }
     }
     bar.finish_and_clear();
@@ -124,13 +127,8 @@ impl Series<'_> {
         let are_there = |setup: &Setup, i| {
             until.is_some_and(|until| self.paths(&setup.sensor, i).is_ok_and(|paths| paths.are_there(stacked, until)))
         };
-        progress.keep_if(|i| kept && setups.iter().all(|setup| are_there(setup, i)));
-        if progress.finished() > 0 {
-            let (finished, all) = (progress.finished(), self.poses.len());
-            print::message(&format!(
-                "note: {finished} of {all} poses are finished already; this goes on with the others"
-            ));
-        }
+        progress.keep_while(|i| kept && setups.iter().all(|setup| are_there(setup, i)))?;
+        print::finished_before(&progress, self.poses.len());
         if progress.replaced() {
             print::message("note: another series was left unfinished here; all files are written anew");
         }

@@ -1,6 +1,7 @@
 //! Printing that survives a reader who went away.
 
 use presight::internal::{clipped, printable};
+use presight::io::series::SeriesProgress;
 use presight::limits;
 use presight::{Error, ErrorKind, Result};
 use std::io::{self, Write};
@@ -38,6 +39,14 @@ pub fn message(line: &str) {
     // An error has four parts.
     let line = clipped(line, 5 * limits::MAX_SHOWN);
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line));
+}
+
+/// Tells what an interrupted run of a series left, if anything.
+pub fn finished_before(progress: &SeriesProgress, count: usize) {
+    if progress.finished() > 0 {
+        let finished = progress.finished();
+        message(&format!("note: {finished} of {count} poses are finished already; this goes on with the others"));
+    }
 }
 
 /// Prints things to know that stopped nothing, one line each.

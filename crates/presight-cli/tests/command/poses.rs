@@ -232,12 +232,12 @@ fn another_series_is_not_gone_on_with_and_lost_files_are_made_again() {
     assert!(place.path("run/1.exr").exists() && first() == before);
     // A file that something else wrote since is made again.
     stop();
-    let sound = fs::read(place.path("run/0.exr")).unwrap();
+    let sound = fs::read(place.path("run/1.exr")).unwrap();
     // Clocks of file systems go in steps.
     std::thread::sleep(std::time::Duration::from_millis(50));
-    fs::write(place.path("run/0.exr"), b"of another").unwrap();
+    fs::write(place.path("run/1.exr"), b"of another").unwrap();
     assert!(place.run(&line("")).stderr.starts_with("note: 1 of 3 poses"));
-    assert_eq!(fs::read(place.path("run/0.exr")).unwrap(), sound);
+    assert_eq!(fs::read(place.path("run/1.exr")).unwrap(), sound);
     // Another scene under the same name is another series.
     stop();
     place.write(
