@@ -15,19 +15,18 @@ use std::time::SystemTime;
 /// ```
 /// use presight::io::series::SeriesProgress;
 /// let folder = tempfile::tempdir()?;
-/// let (record, job) = (folder.path().join("a.series"), blake3_of("hall.glb, vlp-16, 3 poses"));
-/// let mut progress = SeriesProgress::open(&record, &job, 3)?;
-/// progress.run(|_, i| if i < 2 { Ok(()) } else { Err(presight::Error::invalid("the disk is full", "")) }).unwrap_err();
+/// let (part, table) = (folder.path().join("poses.csv.part"), folder.path().join("poses.csv"));
+/// let open = || SeriesProgress::open(&part, "pose,value", 0..2, 1);
+/// let mut progress = open()?;
+/// progress.append(0, "0,1.5\n")?;
 /// drop(progress);
 ///
-/// let mut progress = SeriesProgress::open(&record, &job, 3)?;
-/// assert_eq!(progress.finished(), 2);
-/// let mut done = Vec::new();
-/// progress.run(|_, i| Ok(done.push(i)))?;
-/// progress.complete()?;
-/// assert_eq!(done, [2]);
-/// assert!(!record.exists());
-/// # fn blake3_of(what: &str) -> String { what.replace(|c: char| !c.is_alphanumeric(), "") }
+/// let mut progress = open()?;
+/// assert_eq!(progress.next(), 1);
+/// progress.append(1, "1,2.5\n")?;
+/// assert!(!table.exists());
+/// progress.rename(&table)?;
+/// assert_eq!(std::fs::read_to_string(&table)?, "pose,value\n0,1.5\n1,2.5\n");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -43,8 +42,8 @@ pub struct SeriesProgress {
 }
 
 impl SeriesProgress {
-    /// Opens the record of a job of `count` poses, or begins one. A record of another job is begun anew: all its files count as
-    /// unfinished. `job` tells what must be the same, such as a hash of scene, sensors, poses and request.
+    /// Opens the record of a job on some poses, or begins one. A record of another job is begun anew. `head` is one line without
+    /// its end that tells what must be the same, such as a hash of scene, sensors, poses and request.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the record cannot be written, or another process is at work on it.
@@ -167,26 +166,21 @@ impl SeriesProgress {
 mod tests {
     use super::*;
 
-    fn open(path: &Path, job: &str) -> SeriesProgress {
-        SeriesProgress::open(path, job, 4).unwrap()
+    fn open(path: &Path, head: &str) -> SeriesProgress {
+        SeriesProgress::open(path, head, 4..9, 2).unwrap()
     }
 
     #[test]
     fn what_is_finished_is_not_done_again_whatever_follows() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.series");
-        let stop_at = |progress: &mut SeriesProgress, stop| {
-            progress.run(|_, i| if i == stop { Err(Error::invalid("stop", "")) } else { Ok(()) })
-        };
-        let mut progress = open(&path, "j");
-        assert!(!progress.replaced() && stop_at(&mut progress, 2).is_err());
-        drop(progress);
-        // Torn lines: without its end, cut within the digits, and of another file.
-        let sound = fs::read(&path).unwrap();
-        for end in [&b""[..], b"3", b"x\n3\n", b"99\n3\n", b"\xff\n3\n"] {
-            fs::write(&path, [&sound[..], end].concat()).unwrap();
-            let progress = open(&path, "j");
-            assert_eq!((progress.finished(), progress.is_finished(1), progress.is_finished(2)), (2, true, false));
+        let path = folder.path().join("a.csv.part");
+        let whole = "pose,value\n4,1\n4,2\n5\n5,2\n";
+        let ends = ["", "6", "6,1\n", "6,1\n6,2", "7,1\n7,2\n", "x\n", "6,1\n7,2\n", "60\n60\n", "9\n9\n"];
+        for end in ends.map(str::as_bytes).into_iter().chain([&b"\xff\n6,1\n"[..]]) {
+            fs::write(&path, [whole.as_bytes(), end].concat()).unwrap();
+            let progress = open(&path, "pose,value");
+            assert_eq!((progress.next(), progress.finished()), (6, 2), "{end:?}");
+            assert!(!progress.replaced());
             drop(progress);
             assert_eq!(fs::read_to_string(&path).unwrap(), whole);
         }
@@ -229,8 +223,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.series");
         let _first = open(&path, "j");
-        let e = SeriesProgress::open(&path, "j", 4).unwrap_err();
-        assert_eq!(e.kind(), ErrorKind::System);
-        assert!(e.to_string().contains("another presight"), "{e}");
+        let e = SeriesProgress::open(&path, "j", 4..9, 2).unwrap_err();
+        assert!(e.kind() == ErrorKind::System && e.to_string().contains("another presight"), "{e}");
     }
 }

@@ -139,19 +139,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     folder::ready(&args.out)?;
     check_job(&args.out, &args.job(&scene, &sensor, &poses)?)?;
     let mut job = Job::new(args, scene, sensor, request)?;
-    let Some(mut rows) = job.rows(items.clone())? else {
-        print::message(&format!("note: {} is finished already", args.table().display()));
+    let table = args.table();
+    if table.exists() {
+        print::message(&format!("note: {} is finished already", table.display()));
         return Ok(CommandOutcome::Done);
-    };
-    if rows.next() > items.start {
-        let (done, all) = (rows.next() - items.start, items.len());
-        print::message(&format!("note: {done} of {all} poses are finished already; this goes on with the others"));
     }
     let mut progress = job.progress(&table, items.clone())?;
     print::finished_before(&progress, items.len());
     let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
-    job.write(&mut predictor, &threads, &mut rows, items)?;
-    rows.finish()?;
+    job.write(&mut predictor, &threads, &mut progress, items)?;
+    progress.rename(&table)?;
     Ok(CommandOutcome::Done)
 }
 

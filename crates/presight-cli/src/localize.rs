@@ -141,38 +141,16 @@ impl Drive {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of the log, the map and the sensor, of estimates, and of writing.
+/// Those of [`Drive::follow`], and of writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
     files.add_any(&details)?;
-    files.check_named([args.log.as_path(), args.map.as_path()])?;
-    let sensor = args.sensor.as_deref().map(load_sensor).transpose()?;
-    print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-    let log = DepthFolder::open(&args.log, sensor.as_ref().map(|(sensor, _)| sensor))?;
-    let start = start(args, &log)?;
-    let threads = Threads::from(args.threads).started()?;
-    let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = open_scene(&args.map, &import, Scheme::default())?;
-    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-    let estimator = Estimator::new(predictor, EstimateOptions::default());
-    let prior = Prior::of_sigmas(start, args.init_sigma, args.init_sigma_deg.to_radians());
-    let mut localizer = Localizer::new(estimator, prior, LocalizeOptions::default());
-    let reference = log.reference().to_vec();
-    let mount = log.sensor().spec().mount;
-    files.check_read()?;
-    let mut steps = Vec::new();
-    for frame in log {
-        let frame = frame?;
-        if args.from.is_none_or(|from| frame.stamp >= from) {
-            let frame: Frame = if args.stride > 1 { frame.thinned(args.stride)? } else { frame };
-            steps.push(localizer.step(&scene.world, &frame)?);
-        }
-    }
-    write(&args.out, &steps)?;
-    write_details(&details, &steps)?;
-    print::data(&summary(&steps, &reference, mount))?;
+    let followed = args.drive.follow(files, |_, _, _| Ok(()))?;
+    write(&args.out, &followed.steps)?;
+    write_details(&details, &followed)?;
+    print::data(&summary(&followed))?;
     Ok(CommandOutcome::Done)
 }
 
@@ -211,7 +189,8 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
 }
 
 /// How many frames are known, and how far they are from the log's own poses.
-fn summary(steps: &[Step], reference: &[StampedPose], mount: Pose) -> String {
+pub fn summary(followed: &Followed) -> String {
+    let Followed { steps, reference, mount, .. } = followed;
     let known: Vec<&Step> = steps.iter().filter(|s| is_known(s)).collect();
     let mut text = format!("{} of {} frames have a pose\n", known.len(), steps.len());
     for pair in steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase) {

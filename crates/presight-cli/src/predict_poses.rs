@@ -110,7 +110,8 @@ impl Series<'_> {
         if !self.names.write_predictions() {
             return Ok(None);
         }
-        let mut progress = SeriesProgress::open(&self.record(setups)?, &self.job(setups)?, self.poses.len())?;
+        let head = format!("presight series 1 {}", self.job(setups)?);
+        let mut progress = SeriesProgress::open(&self.record(setups)?, &head, 0..self.poses.len(), 1)?;
         let until = progress.written().filter(|_| progress.finished() > 0);
         let mut kept = true;
         for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {
