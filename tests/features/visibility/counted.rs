@@ -57,9 +57,9 @@ fn agree(name: &str, world: &World, sensor: &Sensor, pose: &Pose, placed: &[Plac
 fn counting_the_hidden_leaves_the_seen_as_they_are() {
     let mut random = Random(env_number("PRESIGHT_SEED", 1));
     let (mut features, mut asked, mut seen) = (0, 0, 0);
-    for boxes in [3, 20, 60] {
+    for boxes in [5, 40] {
         let world = scenes::room_world(random.bits(), boxes);
-        let mut placed = edges(world.environment(), 300, &mut random);
+        let mut placed = edges(world.environment(), 200, &mut random);
         placed.extend(patches_and_points(world.environment(), &mut random));
         let at = DVec3::new(random.uniform(-0.6, 0.6), random.uniform(-0.6, 0.6), random.uniform(0.8, 1.8));
         let pose = Pose::from_xyz_rpy(at, 0.1, random.uniform(-0.2, 0.2), random.uniform(-3.0, 3.0));
@@ -69,15 +69,15 @@ fn counting_the_hidden_leaves_the_seen_as_they_are() {
             (features, asked, seen) = (features + placed.len(), asked + some, seen + shown);
         }
     }
-    assert!(seen > 300 && asked < features / 2, "{seen} seen, {asked} asked of {features}");
+    assert!(seen > 200 && asked < features / 2, "{seen} seen, {asked} asked of {features}");
 }
 
 #[test]
 fn in_real_scenes_too() {
-    for name in ["factory_hall", "office_willowgarage"] {
+    for name in ["warehouse_small", "office_willowgarage"] {
         let Some(world) = data::scene(name, true) else { return };
         let mut random = Random(3);
-        let placed = edges(world.environment(), 3000, &mut random);
+        let placed = edges(world.environment(), 1500, &mut random);
         for pose in data::poses(&world, 2, 5) {
             for sensor in [scenes::camera(200, 150), scenes::scanner(360, 91)] {
                 agree(name, &world, &sensor, &pose, &placed);
