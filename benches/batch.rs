@@ -39,7 +39,7 @@ fn predictor() -> Predictor {
 
 fn noisy(spec: &SensorSpec) -> Sensor {
     let noise = Noise { range_sigma: 0.03, angle_sigma: 2e-3, ..Noise::default() };
-    Sensor::new(SensorSpec { noise, ..spec.clone() }).expect("a sound sensor")
+    Sensor::new(spec.clone().with_noise(noise)).expect("a sound sensor")
 }
 
 /// The least of some times, milliseconds.

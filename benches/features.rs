@@ -131,8 +131,9 @@ fn with_regions(
     let mut least = [f64::INFINITY; 2];
     for _ in 0..12 {
         predictor.predict_again(world, pose, &mut prediction).expect("it predicts");
-        let of =
-            |name: &str| prediction.stats.stages_ms.iter().filter(|(n, _)| n == name).map(|(_, ms)| ms).sum::<f64>();
+        let of = |name: &str| {
+            prediction.stats.stages_ms.iter().filter(|(n, _)| n.name() == name).map(|(_, ms)| ms).sum::<f64>()
+        };
         let features = of("features") + of("features on the device");
         let both = features + of("regions of interest");
         let seen = prediction.features.as_ref().expect("features");

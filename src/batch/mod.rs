@@ -13,7 +13,7 @@ pub use likelihood::RangeLikelihood;
 use crate::engine::Engine;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
+use crate::plan::{CountName, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
 use crate::predict::Predictor;
 use crate::request::Request;
 use crate::row::{RowCuts, RowView, is_level};
@@ -232,7 +232,7 @@ impl Task {
     /// Bytes that an item takes.
     fn bytes(&self) -> usize {
         let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
-        4 * pixels * self.wanted.iter().count() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
+        4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
     }
 
     /// The pose at which is predicted.
@@ -249,7 +249,7 @@ impl Task {
         let Lane { engine, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
             let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
-            stats.index = self.world.index().scheme().name().to_owned();
+            stats.index = self.world.index().scheme().name();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();
             rendered?;
@@ -263,9 +263,9 @@ impl Task {
         let Some(view) = lane.view.as_mut().filter(|_| serves) else { return false };
         let cut = cuts.get(&self.world, &self.sensor.spec().class, pose.translation.z);
         view.see(&cut, pose, &mut lane.images.range, &mut lane.images.cos_incidence);
-        (stats.engine, stats.threads) = ("row".into(), 1);
-        stats.count("segments of the cut", cut.segments.len());
-        stats.count("segments tested", view.tested);
+        (stats.engine, stats.threads) = ("row", 1);
+        stats.count(CountName::SegmentsOfCut, cut.segments.len());
+        stats.count(CountName::SegmentsTested, view.tested);
         true
     }
 

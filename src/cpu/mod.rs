@@ -18,12 +18,13 @@ mod rays;
 mod resolve;
 mod setup;
 mod spans;
+mod thinning;
 
 use crate::deadline::{DeadlineOutcome, Watch};
 use crate::error::{Error, Result};
 use crate::memory::{self, FrameMemory};
-use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
-use crate::sensor::{LineAxis, PixelGrid};
+use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats};
+use crate::sensor::{ImagePart, LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
@@ -42,6 +43,8 @@ pub struct CpuEngine {
     batches: Vec<Batch>,
     winners: Winners,
     canvas: Vec<Buffer>,
+    /// Images of a part, before they are whole ones.
+    part: Images,
 }
 
 /// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
@@ -60,13 +63,27 @@ impl CpuEngine {
     /// As [`Threads::new`].
     pub fn new(threads: impl Into<Threads>) -> Result<Self> {
         let pool = threads.into().pool()?;
-        Ok(Self { pool, alone: false, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+        Ok(Self {
+            pool,
+            alone: false,
+            batches: Vec::new(),
+            winners: Winners::default(),
+            canvas: Vec::new(),
+            part: Images::default(),
+        })
     }
 
     /// Another one that hands no work to other threads, for a task on one of the pool's.
     pub(crate) fn on_one_thread(&self) -> Self {
         let pool = self.pool.clone();
-        Self { pool, alone: true, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() }
+        Self {
+            pool,
+            alone: true,
+            batches: Vec::new(),
+            winners: Winners::default(),
+            canvas: Vec::new(),
+            part: Images::default(),
+        }
     }
 
     /// How many threads it has.
@@ -81,8 +98,35 @@ impl CpuEngine {
     /// [`crate::ErrorKind::System`] if there is no memory for the images; those of
     /// [`crate::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let thinned = match plan.part {
+            Some(part) => Some(part),
+            None => self.draw(plan, images, stats)?.map(|stride| ImagePart { stride, ..plan.sensor.whole() }),
+        };
+        thinned.map_or(Ok(()), |part| self.draw_part(plan, part, images, stats))
+    }
+
+    /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
+    fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let elapsed = || plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
+        let (mut of_part, mut since) = (std::mem::take(&mut self.part), elapsed());
+        let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
+        let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
+        if stride.is_some() {
+            since = elapsed();
+            self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
+        }
+        let left_out = images.spread(&of_part, &part, &plan.sensor)?;
+        self.part = of_part;
+        stats.work.image_bytes = images.bytes();
+        progress::tell_part(plan, (&part, since), left_out, stats);
+        Ok(())
+    }
+
+    /// Fills the asked images. The answer is a stride where thinned images, for which nothing is done yet, would have more samples by
+    /// the deadline.
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
-        stats.engine = "cpu".into();
+        stats.engine = "cpu";
         stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
@@ -94,19 +138,20 @@ impl CpuEngine {
                 "lower range_max or split the environment",
             ));
         }
-        if plan.polygon_count == 0 {
+        // Beyond a radius there may be something.
+        if plan.polygon_count == 0 && plan.radius.is_none() {
             images.show_nothing(plan.sensor.grid());
-            plan.finish_noting(images, stats);
-            stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
-            stats.count("polygons selected", 0);
+            plan.finish_noting(images, stats)?;
+            stats.leave_out(StageName::SetupAndRasterization, NOTHING_IN_VIEW);
+            stats.count(CountName::PolygonsSelected, 0);
             let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
             stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
-            return Ok(());
+            return Ok(None);
         }
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
-        let Self { pool, alone, batches, winners, canvas } = self;
+        let Self { pool, alone, batches, winners, canvas, .. } = self;
         let canvas = &mut canvas[..bands.count()];
         for (band, buffer) in canvas.iter_mut().enumerate() {
             buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
@@ -114,13 +159,19 @@ impl CpuEngine {
         // What is never split never waits for another task, and no other one comes between.
         let least = if *alone { usize::MAX } else { 1 };
         // The whole frame on the pool: between two stages its threads stay awake.
-        pool.install(|| {
-            let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
-            stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
-            stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
+        let stride = pool.install(|| {
+            let used = match draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats) {
+                Drawn::All(used) => used,
+                Drawn::Thinned(stride) => return Some(stride),
+            };
+            stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
+            None
         });
-        plan.finish_noting(images, stats);
-        Ok(())
+        if stride.is_none() {
+            plan.finish_noting(images, stats)?;
+        }
+        Ok(stride)
     }
 }
 
@@ -142,8 +193,15 @@ impl CpuEngine {
     }
 }
 
-/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads; the answer is the
-/// number of batches in use.
+/// What came of drawing.
+enum Drawn {
+    /// Images, with so many batches.
+    All(usize),
+    /// Nothing yet: every so many columns and rows are to be drawn instead.
+    Thinned(u32),
+}
+
+/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads.
 fn draw_waves(
     plan: &FramePlan,
     bands: &Bands,
@@ -152,7 +210,7 @@ fn draw_waves(
     canvas: &mut [Buffer],
     images: &mut Images,
     stats: &mut Stats,
-) -> usize {
+) -> Drawn {
     let arch = pulp::Arch::new();
     let mut targets = resolve::split(images, bands);
     winners.clear();
@@ -182,12 +240,20 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
+        if waves == 0 {
+            let stride = progress.begin_wave(batches, beyond, times[0] + times[1]);
+            if stride > 1 {
+                stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
+                return Drawn::Thinned(stride);
+            }
+        }
         let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
         parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
             let (target, clear) = (last.then_some(target), waves == 0);
             arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress });
         });
         waves += 1;
+        progress.end_wave(waves, last);
         if !last && progress.is_over() {
             let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate();
             parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
@@ -199,20 +265,25 @@ fn draw_waves(
             break;
         }
     }
+    tell_stages(times, waves, stats);
+    stats.count(CountName::PolygonsSelected, plan.polygon_count);
+    stats.count(CountName::RunsSelected, plan.runs.len());
+    stats.count(CountName::RunsHidden, hidden);
+    stats.count(CountName::Waves, waves);
+    progress.tell(stats);
+    Drawn::All(used)
+}
+
+/// Tells the times of dropping what is hidden, of setup and of drawing.
+fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
-        stats.stages_ms.push(("hidden".to_owned(), hiding));
+        stats.stages_ms.push((StageName::Hidden, hiding));
     } else {
-        stats.leave_out("hidden", "the polygons are drawn in one wave");
+        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
     }
-    stats.stages_ms.push(("setup".to_owned(), if waves > 1 { setting_up } else { hiding + setting_up }));
-    stats.stages_ms.push(("rasterization".to_owned(), drawing));
-    stats.count("polygons selected", plan.polygon_count);
-    stats.count("runs selected", plan.runs.len());
-    stats.count("runs hidden", hidden);
-    stats.count("waves", waves);
-    progress.tell(stats);
-    used
+    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push((StageName::Rasterization, drawing));
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time

@@ -8,7 +8,7 @@ use crate::cpu;
 use crate::error::Result;
 use crate::features::{self, BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
 use crate::geometry::Pose;
-use crate::plan::{EDGE_ON, FramePlan, Images, Stats, Work};
+use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Work};
 use crate::reference;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
@@ -167,10 +167,10 @@ impl Engine for Reference {
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let start = Instant::now();
         let counts = self.threads.run(|| reference::render(plan, images))??;
-        stats.engine = "reference".into();
-        stats.stage("reference", start);
-        stats.count("polygons tested", counts.polygons);
-        stats.count(EDGE_ON, counts.edge_on);
+        stats.engine = "reference";
+        stats.stage(StageName::Reference, start);
+        stats.count(CountName::PolygonsTested, counts.polygons);
+        stats.count(CountName::PolygonsEdgeOn, counts.edge_on);
         Ok(())
     }
 }

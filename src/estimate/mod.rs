@@ -39,7 +39,7 @@ mod normal;
 mod range;
 mod solve;
 
-pub use crate::motion::{Vector, motion_between, moved};
+pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use range::{MeasuredPoint, RangeSource, measured_points};

@@ -1,6 +1,7 @@
 //! Predicted features.
 
 use crate::environment::Feature;
+use crate::plan::CountName;
 use glam::{DVec2, DVec3};
 
 /// Why a part of a feature is hidden: the first reason that applies, in this order.
@@ -180,15 +181,15 @@ impl FeatureStats {
     }
 
     /// Names and counts, as in the statistics file.
-    pub fn counts(&self) -> [(&'static str, usize); 7] {
+    pub fn counts(&self) -> [(CountName, usize); 7] {
         [
-            ("features", self.features),
-            ("features asked", self.asked),
-            ("feature samples", self.samples),
-            ("feature samples hidden by neighbours", self.hidden_by_neighbours),
-            ("feature samples hidden in space", self.hidden_in_space),
-            ("feature samples visible", self.visible),
-            ("feature samples undecided", self.undecided),
+            (CountName::Features, self.features),
+            (CountName::FeaturesQueried, self.asked),
+            (CountName::FeatureSamples, self.samples),
+            (CountName::FeatureSamplesHiddenByNeighbours, self.hidden_by_neighbours),
+            (CountName::FeatureSamplesHiddenInSpace, self.hidden_in_space),
+            (CountName::FeatureSamplesVisible, self.visible),
+            (CountName::FeatureSamplesUndecided, self.undecided),
         ]
     }
 }

@@ -163,7 +163,7 @@ impl FrameBuffers {
     /// A compute pass that notes its times.
     pub fn pass(&self, stage: u32) -> wgpu::ComputePassDescriptor<'_> {
         wgpu::ComputePassDescriptor {
-            label: Some(NAMES[stage as usize]),
+            label: Some(NAMES[stage as usize].name()),
             timestamp_writes: self.times.as_ref().map(|(query_set, _)| wgpu::ComputePassTimestampWrites {
                 query_set,
                 beginning_of_pass_write_index: Some(2 * stage),

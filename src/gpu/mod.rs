@@ -25,7 +25,7 @@ pub use visible::OcclusionQuery;
 
 use crate::error::{ErrorKind, Result};
 use crate::features::OcclusionHint;
-use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Output, Stats, Work};
+use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, SamplesMut, StageName, Stats, Work};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use device::Gpu;
@@ -149,7 +149,7 @@ impl GpuEngine {
     /// it can go on with smaller tasks; those of [`crate::Pose::check`], if the plan's pose was changed; those of [`Threads::new`] if the adapter is a program, which leaves work to the CPU.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
-        stats.engine = "gpu".into();
+        stats.engine = "gpu";
         stats.adapter = Some(self.gpu.adapter.to_string());
         let start = Instant::now();
         self.gpu.check()?;
@@ -157,13 +157,13 @@ impl GpuEngine {
         if plan.polygon_count == 0 {
             images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             images.show_nothing(plan.sensor.grid());
-            plan.finish_noting(images, stats);
-            stats.leave_out("drawing on the device", NOTHING_IN_VIEW);
+            plan.finish_noting(images, stats)?;
+            stats.leave_out(StageName::DrawingOnDevice, NOTHING_IN_VIEW);
             return Ok(());
         }
         let before = self.gpu.work();
         self.upload(plan)?;
-        stats.stage("upload", start);
+        stats.stage(StageName::Upload, start);
         let mut reruns = 0;
         loop {
             let start = Instant::now();
@@ -173,7 +173,7 @@ impl GpuEngine {
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
-                plan.finish_noting(images, stats);
+                plan.finish_noting(images, stats)?;
                 self.report(&counters, reruns, stats);
                 let image_bytes = stats.work.image_bytes;
                 stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
@@ -285,7 +285,7 @@ impl GpuEngine {
         mapping.ask(buffer, wgpu::MapMode::Read, at.bytes);
         self.gpu.wait()?;
         mapping.check(&self.gpu, "the answer")?;
-        stats.stage("device", start);
+        stats.stage(StageName::Device, start);
         let start = Instant::now();
         let view = buffer.get_mapped_range(0..at.bytes);
         let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
@@ -302,7 +302,7 @@ impl GpuEngine {
         }
         drop(view);
         buffer.unmap();
-        stats.stage(if self.frame.on_host { "resolve on the CPU" } else { "readback" }, start);
+        stats.stage(if self.frame.on_host { StageName::ResolveOnCpu } else { StageName::Readback }, start);
         Ok(counters)
     }
 
@@ -314,7 +314,7 @@ impl GpuEngine {
         for (name, pair) in self.frame.stages().iter().zip(bytes.chunks_exact(16)) {
             let [begin, end]: [u64; 2] = bytemuck::pod_read_unaligned(pair);
             let ms = end.saturating_sub(begin) as f64 * period * 1e-6;
-            stats.stages_ms.push(((*name).to_owned(), ms));
+            stats.stages_ms.push((*name, ms));
         }
     }
 
@@ -322,29 +322,25 @@ impl GpuEngine {
         let pixels = images.pixels() * 4;
         for (i, output) in self.frame.outputs.iter().enumerate() {
             let from = &bytes[i * pixels..][..pixels];
-            let to: &mut [u8] = match output {
-                Output::Range => bytemuck::cast_slice_mut(&mut images.range),
-                Output::DepthZ => bytemuck::cast_slice_mut(&mut images.depth_z),
-                Output::PolygonId => bytemuck::cast_slice_mut(&mut images.polygon_id),
-                Output::ObjectId => bytemuck::cast_slice_mut(&mut images.object_id),
-                Output::CosIncidence => bytemuck::cast_slice_mut(&mut images.cos_incidence),
-                // The plan leaves them out: made of other images.
-                Output::Echo | Output::FeatureId => continue,
-            };
-            to.copy_from_slice(from);
+            match images.samples_mut(output) {
+                SamplesMut::Floats(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
+                SamplesMut::Ids(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
+                // The plan makes those.
+                SamplesMut::Vectors(_) => {}
+            }
         }
     }
 
     fn report(&self, counters: &Counters, reruns: usize, stats: &mut Stats) {
         self.report_variants(stats);
         let near = &self.frame.near;
-        stats.count("polygons selected", self.frame.params.polygon_count as usize);
-        stats.count("polygons in view", counters.survivors as usize);
-        stats.count("polygons set up in f64", near.slots.len());
-        stats.count(EDGE_ON, (counters.edge_on + near.edge_on) as usize);
-        stats.count("work items", counters.items as usize);
-        stats.count("reruns for room", reruns);
-        stats.count("internal errors: hits without id", counters.lost_ids as usize);
+        stats.count(CountName::PolygonsSelected, self.frame.params.polygon_count as usize);
+        stats.count(CountName::PolygonsInView, counters.survivors as usize);
+        stats.count(CountName::PolygonsSetUpInF64, near.slots.len());
+        stats.count(CountName::PolygonsEdgeOn, (counters.edge_on + near.edge_on) as usize);
+        stats.count(CountName::WorkItems, counters.items as usize);
+        stats.count(CountName::Reruns, reruns);
+        stats.count(CountName::HitsWithoutId, counters.lost_ids as usize);
         if counters.lost_ids > 0 {
             stats.notices.push(format!("{} hits without an id: please report this", counters.lost_ids));
         }
@@ -357,29 +353,29 @@ impl GpuEngine {
             frame.stages().iter().for_each(|name| stats.take(*name, "within device, which tells no times of stages"));
         }
         if frame.on_host {
-            stats.leave_out("resolve on the device", "the adapter is a program on the CPU's own cores");
+            stats.leave_out(StageName::ResolveOnDevice, "the adapter is a program on the CPU's own cores");
         }
         let short = self.sensors.first().is_some_and(|(_, tables)| tables.short());
-        let mut choose = |what: &str, needed: bool, why: [&str; 2]| {
+        let mut choose = |what: StageName, needed: bool, why: [&'static str; 2]| {
             if needed { stats.take(what, why[1]) } else { stats.leave_out(what, why[0]) }
         };
         choose(
-            "second raster pass",
+            StageName::SecondRasterPass,
             !self.gpu.int64,
             ["the device has 64-bit atomics", "the device has no 64-bit atomics: nearest first, then the lowest id"],
         );
         choose(
-            "instances from a storage buffer",
+            StageName::InstancesFromStorage,
             !frame.few(),
             ["a uniform buffer holds them", "a uniform buffer cannot hold as many"],
         );
         choose(
-            "rays from a storage buffer",
+            StageName::RaysFromStorage,
             !short,
             ["a uniform buffer holds them", "a uniform buffer cannot hold as many, or the rays lie on no lines"],
         );
         choose(
-            "setup in f64",
+            StageName::SetupInF64,
             !frame.near.slots.is_empty(),
             ["no polygon around the sensor is flat to it", "polygons around the sensor are flat to it"],
         );

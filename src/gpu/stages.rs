@@ -17,11 +17,11 @@ use super::shaders;
 use super::stage::{Binding, Stage, Variant};
 use super::uploads::FrameUploads;
 use crate::error::Result;
-use crate::plan::Output;
+use crate::plan::{Output, StageName};
 use std::mem::offset_of;
 
 /// Stages in order, as times are reported.
-pub(super) const NAMES: [&str; 4] = ["cull", "setup", "raster", "resolve"];
+pub(super) const NAMES: [StageName; 4] = [StageName::Cull, StageName::Setup, StageName::Raster, StageName::Resolve];
 /// The place of `resolve` among them.
 pub(super) const RESOLVE: usize = 3;
 

@@ -5,7 +5,7 @@ use super::grid::Tables;
 use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS};
 use super::near::{NearList, is_near};
 use super::stages::{NAMES, RESOLVE};
-use crate::plan::{FramePlan, IdScheme, Output, Outputs};
+use crate::plan::{FramePlan, IdScheme, Output, Outputs, StageName};
 use glam::{DMat3, DVec3, Vec3};
 
 /// Most slots that are read back to resolve images on the CPU.
@@ -38,7 +38,7 @@ impl FrameUploads {
     }
 
     /// Names of the stages that run on the device.
-    pub fn stages(&self) -> &'static [&'static str] {
+    pub fn stages(&self) -> &'static [StageName] {
         if self.on_host { &NAMES[..RESOLVE] } else { &NAMES }
     }
 
@@ -138,8 +138,8 @@ impl FrameUploads {
                 Output::PolygonId => self.params.polygon_at = at,
                 Output::ObjectId => self.params.object_at = at,
                 Output::CosIncidence => self.params.cos_at = at,
-                // The plan leaves them out: made of other images.
-                Output::Echo | Output::FeatureId => {}
+                // The plan draws none of those that engines do not make.
+                _ => debug_assert!(false, "{} is made of other images", output.name()),
             }
         }
         self.output_words = u64::from(pixels) * self.outputs.iter().count() as u64;

@@ -12,8 +12,8 @@ use crate::error::{Error, Result};
 use crate::estimate::{Estimate, EstimateState, Estimator, Prior};
 use crate::frame::Frame;
 use crate::geometry::Pose;
-use crate::motion::{add_to, sandwich, turn};
-use crate::virtual_sensors::symmetric::Matrix;
+use crate::matrix::{Matrix, add_to, sandwich};
+use crate::motion::turn;
 use crate::world::World;
 
 /// What a localizer knows.

@@ -17,9 +17,7 @@ fn poses(n: usize) -> Vec<Pose> {
 
 /// Bits, for NaN is unlike itself.
 fn bits(images: &Images) -> Vec<Vec<u32>> {
-    let floats = [&images.range, &images.depth_z, &images.cos_incidence, &images.echo];
-    let floats = floats.map(|image| image.iter().map(|x| x.to_bits()).collect());
-    floats.into_iter().chain([images.polygon_id.clone(), images.object_id.clone()]).collect()
+    presight::Output::ALL.map(|output| common::bits(images, output)).to_vec()
 }
 
 fn check(world: &World, poses: &[Pose]) {
@@ -67,7 +65,7 @@ fn statistics_are_there_if_asked_for() {
         let mut predictor = predictor(2);
         for item in predictor.batch(&world, &sensor, poses(3), &request).unwrap() {
             let item = item.unwrap();
-            assert_eq!(item.stats.as_ref().map(|s| s.engine.as_str()), statistics.then_some("cpu"));
+            assert_eq!(item.stats.as_ref().map(|s| s.engine), statistics.then_some("cpu"));
             assert!(item.images.range.is_empty() && item.log_likelihood.is_none());
         }
     }

@@ -2,6 +2,7 @@
 
 mod drives;
 mod livingroom;
+mod objects;
 mod rooms;
 mod simulated;
 mod singular;

@@ -9,7 +9,8 @@ use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::verify::{Precision, Report, compare};
+use presight::plan::StageName;
+use presight::verify::{Precision, Report};
 use presight::{
     Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
     Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
@@ -37,7 +38,7 @@ fn engines() -> Vec<(&'static str, GpuEngine)> {
 }
 
 fn count(stats: &Stats, name: &str) -> u64 {
-    stats.counts.iter().find(|(n, _)| n.contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
+    stats.counts.iter().find(|(n, _)| n.name().contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
 }
 
 /// Images of values that no prediction gives.
@@ -47,6 +48,7 @@ fn poisoned(sensor: &Sensor) -> Images {
     for image in [&mut images.range, &mut images.depth_z, &mut images.cos_incidence, &mut images.echo] {
         image.fill(-12345.0);
     }
+    images.normal.fill([-12345.0; 3]);
     images.polygon_id.fill(u32::MAX);
     images.object_id.fill(u32::MAX);
     images
@@ -57,7 +59,7 @@ fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pos
     let plan = plan(world, sensor, pose);
     let (mut images, mut stats) = (poisoned(sensor), Stats::default());
     engine.render(&plan, &mut images, &mut stats).unwrap();
-    let report: Report = compare(&reference(&plan), &images, &plan, Precision::F32).unwrap();
+    let report: Report = common::compare_or_show(&reference(&plan), &images, &plan, Precision::F32);
     let what =
         format!("{name} {}: {} of {} edge, worst {:?}", sensor.spec().name, report.edge, report.pixels, report.worst);
     eprintln!("{what}");
@@ -65,7 +67,7 @@ fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pos
         panic!("{what}: {e}; {:#?}; {:?}", &report.faults[..report.faults.len().min(5)], stats.counts);
     }
     if plan.polygon_count == 0 {
-        assert!(stats.left_out.iter().any(|l| l.what == "drawing on the device"), "{:?}", stats.left_out);
+        assert!(stats.left_out.iter().any(|l| l.what == StageName::DrawingOnDevice.into()), "{:?}", stats.left_out);
     } else {
         assert_eq!(count(&stats, "internal"), 0);
     }
@@ -73,7 +75,7 @@ fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pos
 }
 
 fn sensor(name: &str, geometry: Geometry, range_max: f64) -> Sensor {
-    Sensor::new(SensorSpec { range_min: 0.3, range_max, ..SensorSpec::new(name, "laser", geometry) }).unwrap()
+    Sensor::new(SensorSpec::new(name, "laser", geometry).with_limits(0.3, range_max)).unwrap()
 }
 
 fn uniform(start_deg: f64, step_deg: f64, count: u32) -> Angles {
@@ -270,9 +272,7 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
             let mut images = poisoned(sensor);
             engine.render(&plan, &mut images, &mut Stats::default()).unwrap();
             assert_eq!(images.outputs(), request.outputs);
-            let bits = |i: &Images| i.floats(output).map(|f| f.iter().map(|x| x.to_bits()).collect::<Vec<_>>());
-            assert_eq!(bits(&images), bits(&all), "{output:?}");
-            assert_eq!(images.ids(output), all.ids(output), "{output:?}");
+            assert_eq!(common::bits(&images, output), common::bits(&all, output), "{output:?}");
         }
     }
 }

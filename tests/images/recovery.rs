@@ -10,7 +10,7 @@ use common::skip::no_adapter;
 use glam::DVec3;
 use presight::gpu::testing::Setup;
 use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::verify::{Precision, compare};
+use presight::verify::Precision;
 use presight::{
     Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Sensor,
     World,
@@ -45,16 +45,14 @@ impl Task {
     /// Holds images to the reference.
     fn check(&self, prediction: &Prediction) {
         let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request).unwrap();
-        let report = compare(&common::reference(&plan), &prediction.images, &plan, Precision::F32).unwrap();
+        let report = common::compare_or_show(&common::reference(&plan), &prediction.images, &plan, Precision::F32);
         assert_eq!(report.fault, 0, "{:?}", report.faults.first());
     }
 }
 
 /// Every image, bit by bit.
 fn bits(images: &Images) -> Vec<u32> {
-    let floats = Output::ALL.into_iter().filter_map(|o| images.floats(o)).flatten().map(|x| x.to_bits());
-    let ids = Output::ALL.into_iter().filter_map(|o| images.ids(o)).flatten().copied();
-    floats.chain(ids).collect()
+    Output::ALL.into_iter().flat_map(|output| common::bits(images, output)).collect()
 }
 
 fn options(backend: Backend) -> Options {
@@ -86,7 +84,7 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
             assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
             let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
             assert!(notice.starts_with("the GPU was opened again after this: "), "{notice}");
-            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| *name).collect::<Vec<_>>();
             assert_eq!(stages(&after), stages(&before), "nothing of the failed attempt is counted");
         }
     }
@@ -105,7 +103,7 @@ fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
     for gone in [true, false] {
         switches.set_gone(gone);
         let after = task.predict(&mut predictor).unwrap();
-        assert_eq!((after.stats.engine.as_str(), predictor.engine_name().as_str()), ("cpu", "cpu"));
+        assert_eq!((after.stats.engine, predictor.engine_name().as_str()), ("cpu", "cpu"));
         assert!(after.stats.adapter.is_none());
         assert_eq!(bits(&after.images), bits(&expected.images));
         let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };

@@ -72,7 +72,7 @@ pub struct Drive {
 
     /// CPU threads, 0 = all cores
     #[arg(long, value_name = "N", default_value_t = 0)]
-    threads: usize,
+    pub threads: usize,
 }
 
 /// A drive that was followed to its end.

@@ -2,7 +2,7 @@
 
 use assert_cmd::cargo::cargo_bin;
 use presight::io::{exr, gltf, log, sensor_toml};
-use presight::{Noise, Pose, Sensor, SensorSpec};
+use presight::{Noise, Pose, Sensor};
 use presight_testkit::scenes;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -31,7 +31,7 @@ fn tum(count: usize) -> String {
 
 fn scanner() -> Sensor {
     let spec = presight::preset("laser-scanner").unwrap().spec().clone();
-    Sensor::new(SensorSpec { noise: Noise { range_sigma: 0.05, ..Noise::default() }, ..spec }).unwrap()
+    Sensor::new(spec.with_noise(Noise { range_sigma: 0.05, ..Noise::default() })).unwrap()
 }
 
 impl Place {

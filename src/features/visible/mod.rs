@@ -30,7 +30,7 @@ mod worker;
 
 use super::tree::{FeatureTree, check_placed, newest};
 use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
-use crate::environment::FeatureShape;
+use crate::environment::{Feature, FeatureShape};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Images};
@@ -141,7 +141,7 @@ pub(crate) struct PreparedFeatures<'a> {
     placed: &'a [PlacedFeature],
     feature_id: bool,
     /// Numbers of the features that are looked at one by one, rising.
-    some: Vec<u32>,
+    some: Vec<usize>,
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
@@ -197,8 +197,10 @@ impl<'a> PreparedFeatures<'a> {
         let time = options.time.unwrap_or_else(newest);
         let frame = VisibilityContext::new(world, sensor, world_from_sensor, images, time, options)?;
         let some = match tree {
-            Some(tree) if options.hidden == Hidden::Count => select::select(&frame, tree, placed),
-            _ => (0..placed.len() as u32).collect(),
+            Some(tree) if options.hidden == Hidden::Count => {
+                select::select(&frame, tree, placed).into_iter().map(|i| i as usize).collect()
+            }
+            _ => (0..placed.len()).collect(),
         };
         Ok(Self { frame: Some(frame), some, ..prepared })
     }
@@ -210,29 +212,39 @@ impl<'a> PreparedFeatures<'a> {
         self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, i| awake.judge().query_samples(&self.placed[*i as usize]))
+            .map_init(|| judges.wake(), |awake, i| awake.judge().query_samples(&self.placed[*i]))
             .collect()
     }
 
     /// The features asked about, in the order of [`PreparedFeatures::query_samples`].
     pub fn asked(&self) -> impl Iterator<Item = &'a PlacedFeature> {
-        self.some.iter().map(|i| &self.placed[*i as usize])
+        self.some.iter().map(|i| &self.placed[*i])
     }
 
     /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
     /// the images are asked.
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
-        let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
-        let mut keys = vec![u64::MAX; pixels];
+        let mut marks = self.marks();
+        let mut prediction = self.part(&self.some, told, &mut marks);
+        if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count) {
+            prediction.given = Vec::new();
+        }
+        prediction.stats.features = self.placed.len();
+        prediction.feature_id = marks.into_image();
+        prediction
+    }
+
+    /// Predicts some of them, by index, with what is told of each; which pixels they mark is noted.
+    pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
         let judges = WorkerPool::new(frame);
-        let some = self.some.par_iter().enumerate().with_min_len(BATCH);
+        let some = which.par_iter().enumerate().with_min_len(BATCH);
         let parts = some.fold(
             || (judges.wake(), Part::default()),
             |(mut awake, mut part), (at, number)| {
                 let told = told.map(|told| told[at].as_slice());
-                part.take(*number, awake.judge().feature(&self.placed[*number as usize], told));
+                part.take(*number, awake.judge().feature(&self.placed[*number], told));
                 (awake, part)
             },
         );
@@ -240,22 +252,68 @@ impl<'a> PreparedFeatures<'a> {
             prediction.features.append(&mut part.features);
             prediction.given.append(&mut part.given);
             prediction.stats.add(&part.stats);
-            for (number, pixels) in part.pixels {
-                // Points and landmarks over segments over patches, then lower numbers.
-                let feature = &self.placed[number as usize].feature;
-                let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
-                for pixel in pixels {
-                    let at = &mut keys[pixel as usize];
-                    *at = key.min(*at);
-                }
-            }
+            part.pixels.iter().for_each(|(number, pixels)| marks.add(&self.placed[*number].feature, pixels));
         }
-        if frame.options.hidden != Hidden::Count {
-            prediction.given = Vec::new();
-        }
-        prediction.stats.features = self.placed.len();
-        prediction.feature_id = keys.iter().map(|key| if *key == u64::MAX { 0 } else { *key as u32 }).collect();
         prediction
+    }
+
+    /// No pixel is marked yet.
+    pub fn marks(&self) -> Marks {
+        let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
+        Marks(vec![u64::MAX; pixels])
+    }
+
+    /// About how long the images of the features are, pixels: what counts is which is longer.
+    pub fn image_lengths(&self) -> Vec<f64> {
+        let Some(frame) = &self.frame else { return Vec::new() };
+        self.placed.par_iter().with_min_len(BATCH).map(|placed| image_length(frame, placed)).collect()
+    }
+}
+
+/// About how long the image of a feature's outline is, pixels. Parts beside the image have no length.
+fn image_length(frame: &VisibilityContext<'_>, placed: &PlacedFeature) -> f64 {
+    /// Pieces of each side.
+    const PIECES: u32 = 8;
+    let (points, _, _) = frame.in_image(placed);
+    let (sensor, turn) = (frame.sensor, frame.sensor.columns_of_a_turn());
+    let (width, height) = (f64::from(sensor.width()), f64::from(sensor.height()));
+    let place = |p: DVec3| {
+        let inside = |(u, v): &(f64, f64)| (-0.5..=width - 0.5).contains(u) && (-0.5..=height - 0.5).contains(v);
+        sensor.project(p).filter(inside)
+    };
+    let sides = if points.len() > 2 { points.len() } else { points.len().saturating_sub(1) };
+    let mut length = 0.0;
+    for side in 0..sides {
+        let (from, to) = (points[side], points[(side + 1) % points.len()]);
+        let mut last = place(from);
+        for piece in 1..=PIECES {
+            let next = place(from.lerp(to, f64::from(piece) / f64::from(PIECES)));
+            if let (Some(a), Some(b)) = (last, next) {
+                let across = (a.0 - b.0).abs();
+                let across = turn.map_or(across, |turn| across.min(turn - across));
+                length += across.hypot(a.1 - b.1);
+            }
+            last = next;
+        }
+    }
+    length
+}
+
+/// Which feature each pixel shows: points and landmarks over segments over patches, then lower numbers.
+pub(crate) struct Marks(Vec<u64>);
+
+impl Marks {
+    fn add(&mut self, feature: &Feature, pixels: &[u32]) {
+        let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
+        for pixel in pixels {
+            let at = &mut self.0[*pixel as usize];
+            *at = key.min(*at);
+        }
+    }
+
+    /// The numbers of features, 0 is none.
+    pub fn into_image(self) -> Vec<u32> {
+        self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
     }
 }
 
@@ -265,16 +323,16 @@ struct Part {
     features: Vec<SeenFeature>,
     given: Vec<u32>,
     /// By number of the feature, the pixels in which it shows.
-    pixels: Vec<(u32, Vec<u32>)>,
+    pixels: Vec<(usize, Vec<u32>)>,
     stats: FeatureStats,
 }
 
 impl Part {
-    fn take(&mut self, number: u32, FeatureResult { seen, stats, pixels }: FeatureResult) {
+    fn take(&mut self, number: usize, FeatureResult { seen, stats, pixels }: FeatureResult) {
         self.stats.add(&stats);
         if let Some(seen) = seen {
             self.features.push(seen);
-            self.given.push(number);
+            self.given.push(number as u32);
         }
         if !pixels.is_empty() {
             self.pixels.push((number, pixels));
