@@ -197,7 +197,7 @@ impl<'a> SupportFinder<'a> {
         self.found.clear();
         for b in boxes {
             let reach = b.min.abs().max(b.max.abs()).max_element();
-            let margin = tolerance + 64.0 * f64::EPSILON * reach;
+            let margin = self.tolerance + 64.0 * f64::EPSILON * reach;
             let grown = Aabb { min: b.min - margin, max: b.max + margin };
             self.world.index().query(self.environment, &Region::cuboid(&grown), &mut self.found);
         }
@@ -209,8 +209,12 @@ impl<'a> SupportFinder<'a> {
 
     fn local(&self, frame: &FeatureFrame<'_>, slot: u32, tolerance: f64) -> Option<Local> {
         let (index, polygon) = self.environment.locate(slot)?;
-        let (corners, rounding) = frame.corners(&self.environment.objects()[index as usize], index, polygon);
-        Some(Local::new(slot, corners, tolerance + rounding))
+        let object = &self.environment.objects()[index as usize];
+        let (corners, rounding) = frame.corners(object, index, polygon);
+        // Vertices are f32, and so are planes as good as flat.
+        let far = object.mesh.corners_of(polygon).map(|p| p.abs().max_element()).fold(0.0, f64::max);
+        let reach = (tolerance + 4.0 * f64::from(f32::EPSILON) * far).min(self.tolerance);
+        Some(Local::new(slot, corners, reach + rounding))
     }
 
     fn off(&mut self, frame: &FeatureFrame<'_>, at: DVec3, feature: &Feature) -> Error {

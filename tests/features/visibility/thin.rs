@@ -39,7 +39,9 @@ fn see(world: &World, sensor: &Sensor, pose: &Pose, shape: FeatureShape) -> Seen
         let options = FeatureSettings { visibility, hidden: Hidden::Full, ..FeatureSettings::default() };
         predict_features(world, sensor, pose, &images, &placed, &options).unwrap().features.remove(0)
     });
-    assert!((image.visible_fraction - rays.visible_fraction).abs() < 1e-9, "{image:?} {rays:?}");
+    // Of large patches the image asks about other samples.
+    let near = if placed[0].feature.shape.is_area() { 0.02 } else { 1e-9 };
+    assert!((image.visible_fraction - rays.visible_fraction).abs() < near, "{image:?} {rays:?}");
     image
 }
 
