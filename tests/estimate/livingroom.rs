@@ -1,6 +1,7 @@
 //! Real depth images in a real map (../shared/data/rgbd/livingroom). Figures beside each bound are those reached.
 
 use super::*;
+use presight::environment::{Polygon, PolygonOrder};
 use presight::estimate::Prior;
 use presight::io::gltf::import;
 use presight::localize::{LocalizeOptions, Localizer, Phase};
