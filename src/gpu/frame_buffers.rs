@@ -124,11 +124,11 @@ impl FrameBuffers {
         uploads.put(&self.work, 0, bytemuck::cast_slice(&frame.work));
         uploads.put(&self.records, 0, bytemuck::cast_slice(&frame.near.records));
         uploads.put(&self.items, 0, bytemuck::cast_slice(&frame.near.items));
-        for (slot, words) in &frame.near.slots {
+        for (slot, content) in &frame.near.slots {
             let at = u64::from(*slot) * 4 * u64::from(SLOT_WORDS);
-            uploads.put(&self.seen_slots, at, bytemuck::bytes_of(words));
+            uploads.put(&self.seen_slots, at, bytemuck::bytes_of(content));
         }
-        let items = frame.near.items.len() as u32 / ITEM_WORDS;
+        let items = frame.near.items.len() as u32;
         let counters = Counters {
             record_words: frame.near.records.len() as u32,
             items,

@@ -1,7 +1,15 @@
 //! The GPU engine: exact spans in compute shaders, by wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see `stages`. Features are
-//! asked for afterwards: see `visible`.
+//! Meshes stay on the device; a frame uploads instances and runs. The stages bear the names of those of [`crate::cpu`]:
+//!
+//! | stage | shader | on the CPU |
+//! |---|---|---|
+//! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::cull`, for whole runs |
+//! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
+//! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
+//! | resolve | `resolve.wgsl` | `cpu::resolve`; `resolve` from the device's keys, for software adapters |
+//! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
+//! | roi | `roi.wgsl` | `features::roi` |
 
 mod buffers;
 mod device;

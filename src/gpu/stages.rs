@@ -1,13 +1,13 @@
 //! The four stages. Each is `prepare` (pipelines), `bind` (buffers), `encode`; none submits or reads back.
 //!
-//! | stage | reads | writes |
-//! |---|---|---|
-//! | cull | instances, work, meshes | survivors |
-//! | setup | survivors, meshes | records, items |
-//! | raster | records, items | keys |
-//! | resolve | keys, slots | outputs |
+//! | stage | reads | writes | its twin in `crate::cpu` |
+//! |---|---|---|---|
+//! | cull | instances, work, meshes | survivors | `cull` drops whole runs that earlier waves hide; single polygons fall out in `setup` |
+//! | setup | survivors, meshes | records, items | `setup` |
+//! | raster | records, items | keys | `raster_lines` or `raster_rays` |
+//! | resolve | keys, slots | outputs | `resolve` |
 //!
-//! Resolve has a CPU twin of the same name, which runs in its place on software adapters.
+//! On software adapters [`super::resolve`] does on the CPU what `resolve.wgsl` does, from the same keys.
 
 use super::device::Gpu;
 use super::frame_buffers::FrameBuffers;

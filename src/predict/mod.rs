@@ -113,6 +113,7 @@ pub struct Predictor {
     buffers: PlanBuffers,
     /// The world's own features that were placed last.
     own: Option<features::WorldFeatures>,
+    tree: Option<features::KnownTree>,
     /// Keeps deadlines.
     controller: Controller,
     /// What happened to the GPU, if something did.
@@ -150,6 +151,7 @@ impl Predictor {
             proven: ProbeResults::default(),
             buffers: PlanBuffers::default(),
             own: None,
+            tree: None,
             controller: Controller::default(),
             notice: None,
             row_cuts: RowCuts::default(),

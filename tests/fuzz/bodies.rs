@@ -122,10 +122,10 @@ pub fn store(bytes: &[u8]) -> bool {
             let _ = (store::read(path), store::log(path, |_| Ok(())), store::Store::open(path).is_ok());
             return false;
         };
-        let (store, environment) = store::Store::open(path).expect("a sound store opens");
-        assert_eq!(environment.content_hash(), info.environment.content_hash());
+        let store = store::Store::open(path).expect("a sound store opens");
+        assert_eq!(store.world().environment().content_hash(), info.environment.content_hash());
         assert_eq!(store.changes(), info.changes);
-        check_world(environment);
+        check_world(presight::Environment::clone(store.world().environment()));
         true
     })
 }
@@ -136,27 +136,27 @@ pub fn changes(bytes: &[u8]) -> bool {
     use presight::io::store::{Note, Store, create};
     use std::cell::RefCell;
     thread_local! {
-        static OPEN: RefCell<(Store, presight::World)> = FOLDER.with(|folder| {
+        static OPEN: RefCell<Store> = FOLDER.with(|folder| {
             let path = folder.0.path().join("changed.presight");
             create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
-            let (mut store, environment) = Store::open(&path).expect("a sound store opens");
-            store.without_sync().expect("an open store");
             let none = presight::index::Scheme::None;
             let params = presight::index::Params::tuned(none);
-            RefCell::new((store, presight::World::with_index(environment, none, params)))
+            let mut store = Store::open_with_index(&path, none, params).expect("a sound store opens");
+            store.without_sync().expect("an open store");
+            RefCell::new(store)
         });
     }
     OPEN.with(|open| {
-        let (store, world) = &mut *open.borrow_mut();
-        let before = world.environment().content_hash();
-        let mut batch = store.batch(world).expect("a batch");
+        let store = &mut *open.borrow_mut();
+        let before = store.world().environment().content_hash();
+        let mut batch = store.batch().expect("a batch");
         let note = Note::new("fuzz", 2.5);
         let folder = FOLDER.with(|folder| folder.0.path().to_owned());
         let text = text(bytes);
         let lines = text.lines().filter(|line| !line.is_empty());
         let sound = lines.map(|line| batch.apply_line(line, &folder, &note).is_ok()).take_while(|sound| *sound).count();
         drop(batch);
-        assert_eq!(world.environment().content_hash(), before, "what is not committed is gone");
+        assert_eq!(store.world().environment().content_hash(), before, "what is not committed is gone");
         sound > 0
     })
 }

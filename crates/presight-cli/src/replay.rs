@@ -5,7 +5,7 @@ use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
 use presight::estimate::nees;
-use presight::features::{BoxOptions, FeatureOptions, sensor_covariance};
+use presight::features::{BoxOptions, FeatureOptions, Hidden, sensor_covariance};
 use presight::frame::Frame;
 use presight::io::atomic::write_atomically;
 use presight::io::png::{Comparison, Overlay, write_comparison};
@@ -123,7 +123,10 @@ impl Painter {
         }
         let asked = args.own_features || !args.layers.is_empty();
         let placed = asked.then(|| scene.place_layers(&args.layers, class)).transpose()?;
-        Ok(Self { predictor, features: placed.map(|p| FeatureOptions::default().with_placed(p.placed)) })
+        Ok(Self {
+            predictor,
+            features: placed.map(|p| FeatureOptions::default().with_hidden(Hidden::Full).with_placed(p.placed)),
+        })
     }
 
     fn paint(&mut self, scene: &Scene, frame: &Frame, step: &Step, path: &Path) -> Result<()> {
