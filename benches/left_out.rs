@@ -207,7 +207,7 @@ fn stages(side: &mut Side<'_>, pose: &Pose) {
         let times = runs.iter().filter_map(|s| s.stages_ms.get(at)).map(|(_, ms)| *ms).collect();
         format!("{name} {:.2}", median(times))
     };
-    let names = runs[0].stages_ms.iter().enumerate().map(|(at, (name, _))| of_stage(at, name));
+    let names = runs[0].stages_ms.iter().enumerate().map(|(at, (name, _))| of_stage(at, &name.to_string()));
     println!("\nStages with the four default images, ms: {}.", names.collect::<Vec<_>>().join(", "));
 }
 

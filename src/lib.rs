@@ -104,6 +104,7 @@ pub mod io;
 pub mod limits;
 pub mod localize;
 pub mod matching;
+mod matrix;
 pub mod memory;
 mod motion;
 pub mod placement;
@@ -143,3 +144,8 @@ pub use world::World;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// So is that of the guide on features.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/features.md")]
+struct FeaturesGuide;

@@ -86,9 +86,9 @@ pub struct FrameMemory {
     pub scanner: bool,
     /// On a device rather than by the CPU engine; of a device's own memory nothing is said.
     pub on_device: bool,
-    /// Images in memory.
+    /// Images in memory, one of vectors counted as three.
     pub images: u64,
-    /// Images that an EXR file gets.
+    /// Channels that an EXR file gets.
     pub exr: u64,
     /// Pixels of the picture, if one is drawn.
     pub picture: u64,

@@ -1,5 +1,6 @@
 //! Requests: all that one prediction is asked for.
 
+use crate::deadline::Priority;
 use crate::error::{Error, Result};
 use crate::features::{BoxOptions, FeatureOptions};
 use crate::plan::{IdScheme, ImageRequest, Output, Outputs};
@@ -27,9 +28,11 @@ pub struct Request {
     pub features: Option<FeatureOptions>,
     /// Regions of interest of these features, if they are asked for.
     pub regions: Option<BoxOptions>,
-    /// The time that the images may take, from the call on; what cannot be made in it is given up (see [`crate::deadline`]).
+    /// The time that all of it may take, from the call on; what cannot be made in it is given up (see [`crate::deadline`]).
     /// `None` means as long as it takes, and reads no clock to decide anything.
     pub deadline: Option<Duration>,
+    /// What matters most where not all can be made in time.
+    pub priority: Priority,
 }
 
 impl Request {
@@ -68,11 +71,17 @@ impl Request {
         Self { deadline: Some(deadline), ..self }
     }
 
+    /// With what matters most where not all can be made in time.
+    #[must_use]
+    pub fn with_priority(self, priority: Priority) -> Self {
+        Self { priority, ..self }
+    }
+
     /// Checks that a sensor can answer it.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera, for `feature_id` or regions without
-    /// features, and for a confidence outside 0.5..1; [`crate::ErrorKind::Invalid`] for a matrix that is no covariance.
+    /// features, for a confidence outside 0.5..1, and for a priority without sense; [`crate::ErrorKind::Invalid`] for a matrix that is no covariance.
     pub fn check(&self, sensor: &Sensor) -> Result<()> {
         if self.outputs.has(Output::DepthZ) && !sensor.is_camera() {
             let what = format!("sensor {:?} is no camera and has no depth_z", sensor.spec().name);
@@ -83,6 +92,7 @@ impl Request {
             let remedy = "ask for features, too (Request::with_features)";
             return Err(Error::usage(format!("{what} asked for without features"), remedy));
         }
+        self.priority.check()?;
         self.regions.as_ref().map_or(Ok(()), BoxOptions::check)
     }
 

@@ -15,13 +15,16 @@ pub enum Forecast {
     Wave,
     /// Of what is left when drawing has ended.
     Images,
+    /// Of features and their regions of interest.
+    Features,
     /// Of a finished frame, from what was done.
     Finished,
 }
 
 impl Forecast {
     /// All, in order.
-    pub const ALL: [Self; 5] = [Self::Access, Self::Selection, Self::Wave, Self::Images, Self::Finished];
+    pub const ALL: [Self; 6] =
+        [Self::Access, Self::Selection, Self::Wave, Self::Images, Self::Features, Self::Finished];
 
     /// As files name it.
     pub fn name(self) -> &'static str {
@@ -30,6 +33,7 @@ impl Forecast {
             Self::Selection => "selection",
             Self::Wave => "wave",
             Self::Images => "images",
+            Self::Features => "features",
             Self::Finished => "finished",
         }
     }

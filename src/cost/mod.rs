@@ -21,7 +21,7 @@ mod key;
 mod model;
 mod unit_costs;
 
-pub(crate) use controller::Controller;
+pub(crate) use controller::{Controller, DeadlineFrame};
 pub use key::{Forecast, Key};
 pub use model::{CostModel, MAX_MODELS, TimeEstimate};
 pub(crate) use unit_costs::UnitCosts;

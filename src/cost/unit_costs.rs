@@ -99,11 +99,16 @@ impl UnitCosts {
 
     /// The costs of least squares that are not negative, one after the other until none changes: the sum is convex.
     fn solve(&mut self) {
-        let mut u: [f64; KINDS] = std::array::from_fn(|k| self.seconds[k] / DEFAULTS[k]);
+        // What was never counted keeps its default, and has no part in the others.
+        let counted: Vec<usize> = (0..KINDS).filter(|k| self.normal[*k][*k] > 0.0).collect();
+        let mut u = [1.0; KINDS];
+        for &k in &counted {
+            u[k] = self.seconds[k] / DEFAULTS[k];
+        }
         for _ in 0..SWEEPS {
             let mut change: f64 = 0.0;
-            for k in 0..KINDS {
-                let others: f64 = (0..KINDS).filter(|j| *j != k).map(|j| self.normal[k][j] * u[j]).sum();
+            for &k in &counted {
+                let others: f64 = counted.iter().filter(|j| **j != k).map(|j| self.normal[k][*j] * u[*j]).sum();
                 let best = ((self.right[k] + PULL - others) / (self.normal[k][k] + PULL)).max(0.0);
                 change = change.max((best - u[k]).abs());
                 u[k] = best;

@@ -1,7 +1,7 @@
 //! Conservative bounds of the images of eight polygons at a time: which lines each may cover, or that it covers no
 //! ray at all. Most polygons of a scene end here, so this is the loop that must be cheap.
 
-use crate::sensor::{Angles, Geometry, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor};
+use crate::sensor::{Geometry, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor};
 use pulp::Simd;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
@@ -134,14 +134,9 @@ impl<'a> Bounds<'a> {
     pub fn new(sensor: &'a Sensor) -> Self {
         let kind = match (sensor.grid(), &sensor.spec().geometry) {
             (PixelGrid::Rays(grid), _) => Kind::Rays(grid),
-            (PixelGrid::Lines(grid), Geometry::Scanner(scanner)) => Kind::Scanner(ScannerBounds {
+            (PixelGrid::Lines(grid), Geometry::Scanner(_)) => Kind::Scanner(ScannerBounds {
                 grid,
-                uniform: match scanner.azimuth {
-                    Angles::Uniform { start_deg, step_deg, count } if count > 1 => {
-                        Some((start_deg.to_radians(), step_deg.to_radians()))
-                    }
-                    _ => None,
-                },
+                uniform: sensor.uniform_columns().map(|[start, step]| (start.to_radians(), step.to_radians())),
             }),
             (PixelGrid::Lines(grid), _) => {
                 debug_assert_eq!(grid.axis(), LineAxis::Rows);
@@ -170,6 +165,7 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [F
     let (lines, samples) = (grid.lines(), grid.positions());
     let (top, bottom) = (lines[0][0] - SLACK, lines[lines.len() - 1][0] + SLACK);
     let (left, right) = (samples[0] - SLACK, samples[samples.len() - 1] + SLACK);
+    let per_stride = 1.0 / grid.stride();
     let mut e = Extent::new();
     for [y, z, x] in corners {
         e.hold_ahead([y, z, x], [top, bottom, left, right]);
@@ -184,8 +180,8 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [F
             footprints[l] = Footprint { lines, samples, nearest: 0.0 };
             continue;
         }
-        let rows = pixels_between(e.low[0][l], e.high[0][l], lines[0][0], lines.len());
-        let columns = pixels_between(e.low[1][l], e.high[1][l], samples[0], samples.len());
+        let rows = pixels_between(e.low[0][l], e.high[0][l], lines[0][0], per_stride, lines.len());
+        let columns = pixels_between(e.low[1][l], e.high[1][l], samples[0], per_stride, samples.len());
         if !columns.is_empty() {
             footprints[l] = Footprint { lines: [rows, 0..0], samples: columns, nearest: e.least[1][l] };
         }
@@ -193,11 +189,11 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [F
     footprints
 }
 
-/// The pixels i with `low <= first + i <= high`, a little too wide.
+/// The pixels i with `low <= first + i stride <= high`, a little too wide.
 #[inline(always)]
-fn pixels_between(low: f64, high: f64, first: f64, n: usize) -> Range<u32> {
+fn pixels_between(low: f64, high: f64, first: f64, per_stride: f64, n: usize) -> Range<u32> {
     let slack = SLACK * (1.0 + low.abs().max(high.abs()));
-    pieces(low - slack - first, high + slack - first, n)
+    pieces((low - slack - first) * per_stride, (high + slack - first) * per_stride, n)
 }
 
 /// The integers from `low` to `high` in 0..n. Casts saturate; the comparison before them is exact.

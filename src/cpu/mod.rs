@@ -1,37 +1,41 @@
 //! The CPU engine: exact spans in f64 on all cores, the default where no hardware GPU is.
 //!
-//! | stage | in | out |
-//! |---|---|---|
-//! | `setup` | runs of the plan | batches: polygons that may cover a ray, with planes, edges and bounds |
-//! | `spans` or `rays` | batches | a band of the z-buffer: inverse depth and winner per ray |
-//! | `resolve` | the band | the asked images |
+//! | stage | in | out | its twin on the GPU |
+//! |---|---|---|---|
+//! | `cull` | runs of the plan | runs that no earlier wave hides | `cull.wgsl` drops single polygons: out of view, facing away, material |
+//! | `setup` | runs | batches: polygons that may cover a ray, with planes, edges and bounds | `setup.wgsl` |
+//! | `raster_lines` or `raster_rays` | batches | a band of the z-buffer: inverse depth and winner per ray | `raster_lines.wgsl`, `raster_rays.wgsl` |
+//! | `resolve` | the band | the requested images | `resolve.wgsl` |
+//!
+//! Times and what was left out are reported as `hidden`, `setup`, `rasterization` and `resolve`.
 //!
 //! Nearest wins, bit-equal inverse depths go to the lower slot: the order of work, and with it the number of
 //! threads, cannot change a bit.
 
 mod batch;
 mod bounds;
-mod hidden;
+mod cull;
 mod lanes;
 mod progress;
+mod raster_lines;
+mod raster_rays;
 mod ray_bounds;
-mod rays;
 mod resolve;
 mod setup;
-mod spans;
+mod thinning;
 
 use crate::deadline::{DeadlineOutcome, Watch};
 use crate::error::{Error, Result};
 use crate::memory::{self, FrameMemory};
-use crate::plan::{EDGE_ON, FramePlan, Images, NOTHING_IN_VIEW, Run, Stats};
-use crate::sensor::{LineAxis, PixelGrid};
+use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats};
+use crate::sensor::{ImagePart, LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
-use hidden::Occlusion;
+use cull::Occlusion;
 use progress::FrameProgress;
+use raster_lines::Buffer;
 use rayon::prelude::*;
-use spans::Buffer;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -44,6 +48,8 @@ pub struct CpuEngine {
     batches: Vec<Batch>,
     winners: Winners,
     canvas: Vec<Buffer>,
+    /// Images of a part, before they are whole ones.
+    part: Images,
 }
 
 /// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
@@ -62,13 +68,27 @@ impl CpuEngine {
     /// As [`Threads::new`].
     pub fn new(threads: impl Into<Threads>) -> Result<Self> {
         let pool = threads.into().pool()?;
-        Ok(Self { pool, alone: false, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() })
+        Ok(Self {
+            pool,
+            alone: false,
+            batches: Vec::new(),
+            winners: Winners::default(),
+            canvas: Vec::new(),
+            part: Images::default(),
+        })
     }
 
     /// Another one that hands no work to other threads, for a task on one of the pool's.
     pub(crate) fn on_one_thread(&self) -> Self {
         let pool = self.pool.clone();
-        Self { pool, alone: true, batches: Vec::new(), winners: Winners::default(), canvas: Vec::new() }
+        Self {
+            pool,
+            alone: true,
+            batches: Vec::new(),
+            winners: Winners::default(),
+            canvas: Vec::new(),
+            part: Images::default(),
+        }
     }
 
     /// How many threads it has.
@@ -83,8 +103,35 @@ impl CpuEngine {
     /// [`crate::ErrorKind::System`] if there is no memory for the images; those of
     /// [`crate::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let thinned = match plan.part {
+            Some(part) => Some(part),
+            None => self.draw(plan, images, stats)?.map(|stride| ImagePart { stride, ..plan.sensor.whole() }),
+        };
+        thinned.map_or(Ok(()), |part| self.draw_part(plan, part, images, stats))
+    }
+
+    /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
+    fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let elapsed = || plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
+        let (mut of_part, mut since) = (std::mem::take(&mut self.part), elapsed());
+        let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
+        let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
+        if stride.is_some() {
+            since = elapsed();
+            self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
+        }
+        let left_out = images.spread(&of_part, &part, &plan.sensor)?;
+        self.part = of_part;
+        stats.work.image_bytes = images.bytes();
+        progress::tell_part(plan, (&part, since), left_out, stats);
+        Ok(())
+    }
+
+    /// Fills the asked images. The answer is a stride where thinned images, for which nothing is done yet, would have more samples by
+    /// the deadline.
+    fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
-        stats.engine = "cpu".into();
+        stats.engine = "cpu";
         stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
@@ -96,19 +143,20 @@ impl CpuEngine {
                 "lower range_max or split the environment",
             ));
         }
-        if plan.polygon_count == 0 {
+        // Beyond a radius there may be something.
+        if plan.polygon_count == 0 && plan.radius.is_none() {
             images.show_nothing(plan.sensor.grid());
-            plan.finish_noting(images, stats);
-            stats.leave_out("setup and rasterization", NOTHING_IN_VIEW);
-            stats.count("polygons selected", 0);
+            plan.finish_noting(images, stats)?;
+            stats.leave_out(StageName::SetupAndRasterization, NOTHING_IN_VIEW);
+            stats.count(CountName::PolygonsSelected, 0);
             let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
             stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
-            return Ok(());
+            return Ok(None);
         }
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
         }
-        let Self { pool, alone, batches, winners, canvas } = self;
+        let Self { pool, alone, batches, winners, canvas, .. } = self;
         let canvas = &mut canvas[..bands.count()];
         for (band, buffer) in canvas.iter_mut().enumerate() {
             buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
@@ -116,15 +164,21 @@ impl CpuEngine {
         // What is never split never waits for another task, and no other one comes between.
         let least = if *alone { usize::MAX } else { 1 };
         // The whole frame on the pool: between two stages its threads stay awake.
-        pool.install(|| {
-            let used = draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats);
-            stats.count("polygons set up", batches[..used].iter().map(|b| b.polygons.len()).sum());
-            stats.count("polygons hidden", batches[..used].iter().map(|b| b.hidden).sum());
-            stats.count("polygons between samples", batches[..used].iter().map(|b| b.between).sum());
-            stats.count(EDGE_ON, batches[..used].iter().map(|b| b.edge_on).sum());
+        let stride = pool.install(|| {
+            let used = match draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats) {
+                Drawn::All(used) => used,
+                Drawn::Thinned(stride) => return Some(stride),
+            };
+            stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());
+            stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
+            stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
+            None
         });
-        plan.finish_noting(images, stats);
-        Ok(())
+        if stride.is_none() {
+            plan.finish_noting(images, stats)?;
+        }
+        Ok(stride)
     }
 }
 
@@ -146,8 +200,15 @@ impl CpuEngine {
     }
 }
 
-/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads; the answer is the
-/// number of batches in use.
+/// What came of drawing.
+enum Drawn {
+    /// Images, with so many batches.
+    All(usize),
+    /// Nothing yet: every so many columns and rows are to be drawn instead.
+    Thinned(u32),
+}
+
+/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads.
 fn draw_waves(
     plan: &FramePlan,
     bands: &Bands,
@@ -156,7 +217,7 @@ fn draw_waves(
     canvas: &mut [Buffer],
     images: &mut Images,
     stats: &mut Stats,
-) -> usize {
+) -> Drawn {
     let arch = pulp::Arch::new();
     let mut targets = resolve::split(images, bands);
     winners.clear();
@@ -187,12 +248,19 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
+        if waves == 0
+            && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1])
+        {
+            stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
+            return Drawn::Thinned(stride);
+        }
         let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
         parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
             let (target, clear) = (last.then_some(target), waves == 0);
             arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress });
         });
         waves += 1;
+        progress.end_wave(waves, last);
         if !last && progress.is_over() {
             let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate();
             parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
@@ -204,20 +272,25 @@ fn draw_waves(
             break;
         }
     }
+    tell_stages(times, waves, stats);
+    stats.count(CountName::PolygonsSelected, plan.polygon_count);
+    stats.count(CountName::RunsSelected, plan.runs.len());
+    stats.count(CountName::RunsHidden, hidden);
+    stats.count(CountName::Waves, waves);
+    progress.tell(stats);
+    Drawn::All(used)
+}
+
+/// Tells the times of dropping what is hidden, of setup and of drawing.
+fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
-        stats.stages_ms.push(("hidden".to_owned(), hiding));
+        stats.stages_ms.push((StageName::Hidden, hiding));
     } else {
-        stats.leave_out("hidden", "the polygons are drawn in one wave");
+        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
     }
-    stats.stages_ms.push(("setup".to_owned(), if waves > 1 { setting_up } else { hiding + setting_up }));
-    stats.stages_ms.push(("rasterization".to_owned(), drawing));
-    stats.count("polygons selected", plan.polygon_count);
-    stats.count("runs selected", plan.runs.len());
-    stats.count("runs hidden", hidden);
-    stats.count("waves", waves);
-    progress.tell(stats);
-    used
+    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push((StageName::Rasterization, drawing));
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
@@ -277,7 +350,7 @@ impl pulp::WithSimd for Cull<'_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) -> Vec<Run> {
         let bounds = Bounds::new(&self.plan.sensor);
-        hidden::visible(simd, self.plan, &bounds, self.runs, self.canvas, self.bands)
+        cull::visible(simd, self.plan, &bounds, self.runs, self.canvas, self.bands)
     }
 }
 
@@ -326,7 +399,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
         let (slots, grid) = (&winners.slots, plan.sensor.grid());
         match grid {
             PixelGrid::Lines(_) if clear => buffer.clear(bands.axis, bands.lines(band).len(), bands.samples),
-            PixelGrid::Rays(grid) if clear => rays::clear(buffer, grid, bands, band),
+            PixelGrid::Rays(grid) if clear => raster_rays::clear(buffer, grid, bands, band),
             _ => {}
         }
         progress.complete_to = beyond;
@@ -338,14 +411,14 @@ impl pulp::WithSimd for Draw<'_, '_> {
                 break;
             }
             progress.tested += match grid {
-                PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, some, slots, bands, band),
-                PixelGrid::Rays(grid) => rays::rasterize(simd, buffer, grid, some, slots, bands, band),
+                PixelGrid::Lines(grid) => raster_lines::rasterize(simd, buffer, grid, some, slots, bands, band),
+                PixelGrid::Rays(grid) => raster_rays::rasterize(simd, buffer, grid, some, slots, bands, band),
             };
         }
         if let Some(target) = target {
             Resolve { buffer, target, plan, winners, bands, band, progress }.with_simd(simd);
         } else if matches!(grid, PixelGrid::Lines(_)) {
-            hidden::measure(buffer, bands.lines(band).len(), bands.samples);
+            cull::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }
 }
@@ -377,7 +450,7 @@ impl pulp::WithSimd for Resolve<'_, '_> {
     }
 }
 
-const _: () = assert!(resolve::TOGETHER.is_multiple_of(hidden::TILE));
+const _: () = assert!(resolve::TOGETHER.is_multiple_of(cull::TILE));
 
 /// How the image is cut into bands of lines, each one task.
 pub(crate) struct Bands {
@@ -393,8 +466,8 @@ impl Bands {
             PixelGrid::Lines(g) if g.axis() == LineAxis::Columns => {
                 (g.axis(), g.lines().len(), g.weights().len(), resolve::TOGETHER)
             }
-            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), hidden::TILE),
-            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, rays::BAND_MULTIPLE),
+            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), cull::TILE),
+            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, raster_rays::BAND_MULTIPLE),
         };
         let fair = lines.div_ceil(4 * threads);
         let per_band = (BAND_PIXELS / samples).max(1).min(fair).max(8).div_ceil(multiple) * multiple;

@@ -4,9 +4,11 @@
 //! everything nearer than the first batch left out has been drawn: samples nearer than that are final. What was drawn beyond
 //! it is not final and is not shown.
 
-use super::FIRST_WAVE;
-use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Watch};
-use crate::plan::{FramePlan, Stats};
+use super::batch::Batch;
+use super::{FIRST_WAVE, thinning};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Watch, Wave};
+use crate::plan::{CountName, FramePlan, Stats};
+use crate::sensor::ImagePart;
 use std::time::Duration;
 
 /// Least size of a wave, which the time left may ask for.
@@ -38,12 +40,49 @@ pub(super) struct FrameProgress<'a> {
     /// The time was up before all runs were drawn, at this time after the call.
     stopped_at: Option<Duration>,
     pub has_stopped: bool,
+    /// The first wave, with a deadline: when its drawing began, and what is known of it.
+    wave: Option<(Duration, Wave)>,
 }
 
 impl<'a> FrameProgress<'a> {
     pub fn new(plan: &'a FramePlan, bands: usize) -> Self {
         let begun = plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
-        Self { plan, bands: vec![Band::default(); bands], begun, stopped_at: None, has_stopped: false }
+        Self { plan, bands: vec![Band::default(); bands], begun, stopped_at: None, has_stopped: false, wave: None }
+    }
+
+    /// Takes note of the first wave after its setup, which took so long. `beyond` is the nearest distance of what follows. The answer
+    /// is the stride at which most samples are to be expected in time.
+    pub fn begin_wave(&mut self, batches: &[Batch], beyond: f32, set_up: Duration) -> u32 {
+        let Some(watch) = &self.plan.watch else { return 1 };
+        let boxes = || batches.iter().flat_map(|batch| &batch.polygons).map(thinning::pixels);
+        let (polygons, samples) = (boxes().count() as u64, boxes().sum());
+        let estimate = self.plan.pace.map_or(0.0, |pace| thinning::seconds(&pace, polygons, samples, 1));
+        let now = watch.elapsed();
+        self.wave = Some((now, Wave { polygons, samples, estimate_ms: 1e3 * estimate, time_ms: 0.0 }));
+        let left = watch.left().as_secs_f64();
+        match &self.plan.pace {
+            Some(pace) if estimate > left => {
+                let grid = self.plan.sensor.grid();
+                thinning::stride(&thinning::Frame { batches, beyond, grid, pace, left, set_up: set_up.as_secs_f64() })
+            }
+            _ => 1,
+        }
+    }
+
+    /// The first wave is drawn, unless the time was up before. What is told of it is drawing alone, without images.
+    pub fn end_wave(&mut self, waves: usize, last: bool) {
+        if waves > 1 {
+            return;
+        }
+        let stopped = self.bands.iter().any(|band| band.has_stopped);
+        let (Some(watch), Some((begun, wave))) = (&self.plan.watch, &mut self.wave) else { return };
+        let threads = rayon::current_num_threads().max(1) as u32;
+        let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / threads;
+        let images = if last { resolving } else { Duration::ZERO };
+        wave.time_ms = watch.elapsed().saturating_sub(*begun).saturating_sub(images).as_secs_f64() * 1e3;
+        if stopped {
+            self.wave = None;
+        }
     }
 
     /// True when the images have to be made of what there is.
@@ -67,19 +106,40 @@ impl<'a> FrameProgress<'a> {
     /// Tells counts and, with a deadline, what was given up.
     pub fn tell(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
-        stats.count("samples tested", sum(|band| band.tested) as usize);
+        stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
         let Some(watch) = &self.plan.watch else { return };
-        stats.count("samples written", sum(|band| band.written) as usize);
+        stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);
         let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / stats.threads.max(1) as u32;
         let drawn = self.stopped_at.unwrap_or_else(|| watch.elapsed().saturating_sub(resolving));
         let drawn_ms = drawn.as_secs_f64() * 1e3;
         let complete_to = f64::from(self.bands.iter().map(|band| band.complete_to).fold(f32::INFINITY, f32::min));
         let samples = sum(|band| band.given_up);
-        let stopped = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: complete_to };
+        let stopped = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: Some(complete_to) };
         let by_clock = self.plan.radius.is_none_or(|radius| complete_to < f64::from(radius));
         let means = by_clock.then_some(stopped).into_iter().collect();
-        let given_up = (samples > 0).then_some(Degradation { complete_to, samples, means });
-        stats.deadline = Some(DeadlineOutcome { drawn_ms, given_up, ..DeadlineOutcome::default() });
+        let given_up = (samples > 0).then_some(Degradation { complete_to, samples, means, ..Degradation::default() });
+        let wave = self.wave.as_ref().map(|(_, wave)| *wave);
+        stats.deadline = Some(DeadlineOutcome { drawn_ms, given_up, wave, ..DeadlineOutcome::default() });
+    }
+}
+
+/// Tells that a part of the image was drawn since some time after the call, and that so many rays were not.
+pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration), left_out: u64, stats: &mut Stats) {
+    let kept = stats.deadline.get_or_insert_default();
+    if left_out == 0 {
+        return;
+    }
+    let given_up = kept.given_up.get_or_insert_default();
+    given_up.samples += left_out;
+    let all = plan.sensor.whole();
+    if (part.first_column, part.end_column) != (all.first_column, all.end_column) {
+        let [heading_deg, opening_deg] = plan.sensor.opening_of(part);
+        given_up.opening = Some(Opening { heading_deg, opening_deg });
+    }
+    if part.stride > 1 {
+        given_up.stride = part.stride;
+        let at_ms = since.as_secs_f64() * 1e3;
+        given_up.means.insert(0, DegradationStep { means: DegradationKind::Stride, at_ms, metres: None });
     }
 }
 

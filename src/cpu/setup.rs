@@ -3,7 +3,7 @@
 use super::Bands;
 use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES};
-use super::hidden::Occlusion;
+use super::cull::Occlusion;
 use super::lanes::PolygonLanes;
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;

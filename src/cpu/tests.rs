@@ -54,6 +54,7 @@ fn same_bits(a: &Images, b: &Images) -> bool {
         && floats(&a.depth_z, &b.depth_z)
         && floats(&a.cos_incidence, &b.cos_incidence)
         && floats(&a.echo, &b.echo)
+        && floats(a.normal.as_flattened(), b.normal.as_flattened())
         && (&a.polygon_id, &a.object_id) == (&b.polygon_id, &b.object_id)
 }
 

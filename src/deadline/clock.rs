@@ -56,6 +56,10 @@ impl Watch {
         self.stop.saturating_sub(self.elapsed())
     }
 
+    pub(crate) fn stop_later(&mut self, by: Duration) {
+        self.stop = self.stop.saturating_add(by);
+    }
+
     pub(crate) fn stop_after(&mut self, stop: Duration) {
         self.stop = stop;
     }

@@ -8,7 +8,7 @@ use crate::cpu;
 use crate::error::Result;
 use crate::features::{self, BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
 use crate::geometry::Pose;
-use crate::plan::{EDGE_ON, FramePlan, Images, Stats, Work};
+use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Work};
 use crate::reference;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
@@ -44,6 +44,25 @@ pub trait Engine: Any + Send {
     /// Those of [`Pose::check`]; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] for images or polygons that
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
+
+    /// Draws plans of one sensor and hands over each one's images, in their order. After an error those that were handed over are
+    /// right.
+    ///
+    /// # Errors
+    /// As [`Engine::render`].
+    fn render_many(
+        &mut self,
+        plans: &[FramePlan],
+        images: &mut Images,
+        each: &mut dyn FnMut(&mut Images, Stats),
+    ) -> Result<()> {
+        for plan in plans {
+            let mut stats = Stats::default();
+            self.render(plan, images, &mut stats)?;
+            each(images, stats);
+        }
+        Ok(())
+    }
 
     /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
     /// `None` for an engine that cannot be one of several.
@@ -167,10 +186,10 @@ impl Engine for Reference {
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let start = Instant::now();
         let counts = self.threads.run(|| reference::render(plan, images))??;
-        stats.engine = "reference".into();
-        stats.stage("reference", start);
-        stats.count("polygons tested", counts.polygons);
-        stats.count(EDGE_ON, counts.edge_on);
+        stats.engine = "reference";
+        stats.stage(StageName::Reference, start);
+        stats.count(CountName::PolygonsTested, counts.polygons);
+        stats.count(CountName::PolygonsEdgeOn, counts.edge_on);
         Ok(())
     }
 }

@@ -2,9 +2,11 @@
 
 use super::normal::{CommonError, Freedom, Normal};
 use crate::geometry::Pose;
-use crate::motion::{add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed};
+use crate::matrix::{
+    Matrix, add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed,
+};
+use crate::motion::turn;
 use crate::verdict::Verdicts;
-use crate::virtual_sensors::symmetric::Matrix;
 
 /// Names of the six numbers of a motion.
 const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
@@ -73,6 +75,13 @@ impl Estimate {
     /// True if the estimate may be used.
     pub fn is_determined(&self) -> bool {
         self.state == EstimateState::Determined
+    }
+
+    /// The robot's pose in the frame of an object, and its covariance along the object's axes: what a robot that docks has to know.
+    /// The object's own error is in it unless the estimate was made with [`super::EstimateOptions::only`].
+    pub fn relative_to(&self, world_from_object: &Pose) -> (Pose, Matrix) {
+        let object_from_world = world_from_object.inverse();
+        (object_from_world * self.pose, sandwich(&turn(object_from_world.rotation), &self.covariance))
     }
 }
 

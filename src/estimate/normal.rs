@@ -1,7 +1,7 @@
 //! Normal equations: what a source of residuals says about a small motion of the robot.
 
-use crate::motion::{Vector, add_to};
-use crate::virtual_sensors::symmetric::Matrix;
+use crate::matrix::{Matrix, add_to};
+use crate::motion::Vector;
 use std::collections::BTreeMap;
 
 /// Errors that many residuals share: all surfaces of one object, or the polygons that lie about in one plane.

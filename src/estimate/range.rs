@@ -8,12 +8,12 @@ use super::normal::{CommonError, GroupSum, Normal};
 use super::{Gate, Kernel, Residuals};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::motion::{add_to, apply, product, sandwich, turn};
-use crate::verdict::{ExpectedImage, body_from_image};
-use crate::virtual_sensors::symmetric::Matrix;
+use crate::matrix::{Matrix, add_to, apply, product, sandwich};
+use crate::motion::turn;
+use crate::verdict::{ExpectedImage, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Surfaces that a ray meets flatter than this say too little along the ray, cosine.
 const FLATTEST: f64 = 0.1;
@@ -30,6 +30,8 @@ const CHUNK: usize = 512;
 pub struct RangeSource<'a> {
     expected: &'a ExpectedImage,
     noise: RangeNoise,
+    /// Variance of each surface along its normal, square metres.
+    surface: f64,
     robot_from_image: Pose,
     /// Measured points that are worth looking at, image frame.
     points: &'a [MeasuredPoint],
@@ -70,7 +72,12 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
             let slope = |before: Vec3, after: Vec3| after - before;
             const N: usize = 2;
             let across = slope(at(c.saturating_sub(N), r), at((c + N).min(width - 1), r));
-            let down = slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)));
+            // One row shows surfaces as lines: they are taken to stand upright on it.
+            let down = if height == 1 && !sensor.is_camera() {
+                Vec3::Z
+            } else {
+                slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)))
+            };
             let n = across.cross(down).normalize_or_zero();
             let n = if n.is_nan() {
                 Vec3::ZERO
@@ -93,6 +100,8 @@ struct Sum {
     gradient: [f64; 6],
     cost: f64,
     explained: usize,
+    /// Points of other objects than the one that counts.
+    others: usize,
     normalized: Vec<f32>,
     groups: HashMap<CommonError, GroupSum>,
 }
@@ -106,6 +115,7 @@ impl Default for Sum {
             gradient: [0.0; 6],
             cost: 0.0,
             explained: 0,
+            others: 0,
             normalized: Vec::new(),
             groups: HashMap::new(),
         }
@@ -117,7 +127,14 @@ impl<'a> RangeSource<'a> {
     /// mount.
     pub fn new(expected: &'a ExpectedImage, points: &'a [MeasuredPoint], noise: RangeNoise) -> Self {
         let mount = expected.sensor.spec().mount;
-        Self { expected, noise, robot_from_image: mount * body_from_image(&expected.sensor), points, only: None }
+        let robot_from_image = mount * body_from_image(&expected.sensor);
+        Self { expected, noise, surface: 0.0, robot_from_image, points, only: None }
+    }
+
+    /// Surfaces may be off along their normals, at each point by its own, one standard deviation, metres.
+    #[must_use]
+    pub fn with_model_sigma(self, sigma: f64) -> Self {
+        Self { surface: sigma * sigma, ..self }
     }
 
     /// Only the surfaces of one object count: for a pose relative to it.
@@ -195,7 +212,13 @@ impl<'a> RangeSource<'a> {
         let constant = gate.kernel.most();
         let lambda = (reach) as f32;
         let m = moved.expected_from_now.transform_vector3(m.as_dvec3()).as_vec3();
-        let Some((at, _)) = self.nearest(q.as_vec3(), m, lambda * lambda, half) else {
+        let found = self.nearest(q.as_vec3(), m, lambda * lambda, half);
+        let object = found.map(|(at, _)| self.expected.pixels[at].object);
+        if self.only.is_some_and(|only| object != Some(only)) {
+            sum.others += 1;
+            return;
+        }
+        let Some((at, _)) = found else {
             sum.cost += constant;
             return;
         };
@@ -206,10 +229,9 @@ impl<'a> RangeSource<'a> {
         let cos = normal.dot(sight).abs() / sight.length();
         // A neighbour's point may be as far as the pixels are apart on the surface.
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
-        let sigma = self.noise.variance_along_normal(range, cos).max(1e-12).sqrt();
+        let sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt();
         let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
-        let counts = self.only.is_none_or(|o| o == pixel.object);
-        if !(f64::from(apart) <= within * within) || cos < FLATTEST || !counts {
+        if !(f64::from(apart) <= within * within) || cos < FLATTEST {
             sum.cost += constant;
             return;
         }
@@ -237,9 +259,22 @@ impl<'a> RangeSource<'a> {
                     sum.noise[a][b] += w * weight * j[a] * j[b];
                 }
             }
-            // An offset of the plane takes e down by as much.
-            let group = sum.groups.entry(CommonError::Offset(pixel.group)).or_default();
-            (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
+            // An offset of the plane takes e down by as much, and so does an error of its object's pose.
+            let group = match moved.origins.get(&pixel.object).filter(|_| self.only.is_none()) {
+                Some(origin) => {
+                    let group = sum.groups.entry(CommonError::Object(pixel.object)).or_default();
+                    let g = ObjectError::gradient(*origin, q, normal);
+                    for a in 0..6 {
+                        (0..6).for_each(|b| group.pull[a][b] -= w * j[a] * g[b]);
+                    }
+                    group
+                }
+                None => {
+                    let group = sum.groups.entry(CommonError::Offset(pixel.group)).or_default();
+                    (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
+                    group
+                }
+            };
             group.weight += w;
             group.residual += w * e;
             group.variance += w * weight;
@@ -252,28 +287,32 @@ struct FramePoses {
     expected_from_now: DAffine3,
     centre: DVec3,
     robot: DVec3,
+    /// Of the objects whose errors are stored; only where they are asked for.
+    origins: BTreeMap<u32, DVec3>,
 }
 
 impl Residuals for RangeSource<'_> {
     fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
         let expected_from_world = self.expected.world_from_image.inverse();
         let now = expected_from_world * *world_from_robot * self.robot_from_image;
+        let asked = self.expected.errors.iter().filter(|_| gate.finally);
         let moved = FramePoses {
+            origins: asked.map(|(object, e)| (*object, expected_from_world.transform_point(e.origin))).collect(),
             expected_from_now: now.to_affine(),
             centre: now.translation,
             robot: expected_from_world.transform_point(world_from_robot.translation),
         };
         let step = self.points.len().div_ceil(gate.points).max(1);
-        let picked: Vec<MeasuredPoint> = self.points.iter().copied().step_by(step).collect();
-        let sums: Vec<Sum> = picked
-            .par_chunks(CHUNK)
+        let sums: Vec<Sum> = self
+            .points
+            .par_chunks(CHUNK * step)
             .map(|chunk| {
                 let mut sum = Sum::default();
-                chunk.iter().for_each(|p| self.add_point(&mut sum, *p, &moved, gate));
+                chunk.iter().step_by(step).for_each(|p| self.add_point(&mut sum, *p, &moved, gate));
                 sum
             })
             .collect();
-        self.put_together(sums, picked.len())
+        self.put_together(sums, self.points.len().div_ceil(step))
     }
 }
 
@@ -288,6 +327,7 @@ impl RangeSource<'_> {
             (0..6).for_each(|i| total.gradient[i] += sum.gradient[i]);
             total.chi2 += sum.cost;
             total.explained += sum.explained;
+            total.measured -= sum.others;
             normalized.extend(sum.normalized);
             for (shared, m) in sum.groups {
                 total.groups.entry(shared).or_default().add(&m);
@@ -306,8 +346,13 @@ impl RangeSource<'_> {
             *m = sandwich(&t, m);
         }
         total.gradient = apply(&t, &total.gradient);
-        // The column of an offset is a number along the normal: it has no axes to turn.
-        total.groups.values_mut().for_each(|g| g.pull = product(&t, &g.pull));
+        for (shared, group) in &mut total.groups {
+            // The column of an offset is a number along the normal: it has no axes to turn.
+            group.pull = match shared {
+                CommonError::Offset(_) => product(&t, &group.pull),
+                CommonError::Object(_) => sandwich(&t, &group.pull),
+            };
+        }
         total
     }
 }

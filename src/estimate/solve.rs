@@ -7,11 +7,11 @@ use super::{Gate, Kernel, Residuals};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::motion::{Vector, add_to, apply, inverse, motion_between, moved, restricted, scaled};
+use crate::matrix::{Matrix, add_to, apply, eigen, inverse, restricted, scaled};
+use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
-use crate::virtual_sensors::symmetric::{Matrix, eigen};
 use crate::world::World;
 use std::sync::Arc;
 
@@ -75,6 +75,9 @@ pub struct EstimateOptions {
     pub offset_sigma: f64,
     /// A direction is weak where the measurement alone is looser, metres.
     pub loosest: f64,
+    /// Only the surfaces of this object count, by its index: the pose is then told as if the object stood where the model has it, and
+    /// [`Estimate::relative_to`] tells it in the object's own frame, for docking.
+    pub only: Option<u32>,
 }
 
 impl Default for EstimateOptions {
@@ -86,15 +89,25 @@ impl Default for EstimateOptions {
             model_sigma: 0.0,
             offset_sigma: 0.003,
             loosest: 0.5,
+            only: None,
         }
+    }
+}
+
+impl EstimateOptions {
+    /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much
+    /// that they leave out.
+    pub fn planar() -> Self {
+        let (freedom, model_sigma) = (Freedom::Planar, 0.03);
+        Self { freedom, model_sigma, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
     }
 }
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
-    predictor: Predictor,
+    pub(crate) predictor: Predictor,
     surfaces: Surfaces,
-    options: EstimateOptions,
+    pub(crate) options: EstimateOptions,
     /// Learnt standard deviation of the offsets of polygon groups, metres.
     offset_sigma: f64,
 }
@@ -106,6 +119,10 @@ const SEARCH_POINTS: usize = 2000;
 /// Starts that are drawn from the prior in one go.
 const DRAWS: usize = 16;
 
+/// Points that the first steps after a prediction look at: they need not be exact.
+const APPROACH_POINTS: usize = 5000;
+/// Steps that are smaller change nothing any more, metres and radians.
+const AT_REST: f64 = 2e-6;
 /// Points that a search from a far end looks at.
 const FAR_POINTS: usize = 500;
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
@@ -141,10 +158,13 @@ impl Minimum {
 struct Run<'a> {
     world: &'a World,
     measured: Vec<FrameMeasurement<'a>>,
+    model_sigma: f64,
     prior: Prior,
     prior_information: Matrix,
     /// Metres and radians that the pose may be off.
     extent: (f64, f64),
+    /// The object whose surfaces count.
+    only: Option<u32>,
     predictions: usize,
 }
 
@@ -156,12 +176,14 @@ struct Schedule {
     steps: usize,
     /// From this step on the kernel redescends.
     settle: usize,
-    points: usize,
+    /// Most points that steps before that look at, and those from there on.
+    points: (usize, usize),
 }
 
 const SEARCH: Schedule =
-    Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: SEARCH_POINTS };
-const SETTLE: Schedule = Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: usize::MAX };
+    Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
+const SETTLE: Schedule =
+    Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
 
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
@@ -174,26 +196,7 @@ impl Estimator {
     /// # Errors
     /// [`crate::ErrorKind::Usage`] without a frame, or for a prior that is none; those of [`Predictor::predict_images`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
-        prior.check(self.options.freedom)?;
-        if frames.is_empty() {
-            return Err(Error::usage("an estimate without a frame", "give at least one"));
-        }
-        let measured = frames.iter().map(|frame| {
-            let mut noise = RangeNoise::of(frame.sensor());
-            noise.sigma = noise.sigma.hypot(self.options.model_sigma);
-            FrameMeasurement { frame, points: measured_points(frame), noise }
-        });
-        let axes = self.options.freedom.axes();
-        let sigma =
-            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
-        let mut run = Run {
-            world,
-            measured: measured.collect(),
-            prior: *prior,
-            prior_information: inverse(&prior.covariance, axes),
-            extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
-            predictions: 0,
-        };
+        let mut run = self.start(world, frames, prior)?;
         if run.measured.iter().all(|m| m.points.is_empty()) {
             return Ok(self.blind(&run));
         }
@@ -204,7 +207,45 @@ impl Estimator {
             best = self.restart(&mut run, &expected, best)?;
         }
         let others = self.other_minima(&mut run, &best)?;
+        self.learn_offsets(&best.normal);
         self.answer(&run, best, others)
+    }
+
+    /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
+    pub(crate) fn refine(&mut self, world: &World, frame: &Frame, prior: &Prior) -> Result<Estimate> {
+        let mut run = self.start(world, &[frame], prior)?;
+        if run.measured.iter().all(|m| m.points.is_empty()) {
+            return Ok(self.blind(&run));
+        }
+        let expected = self.expected(&mut run, &prior.pose)?;
+        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let end = self.settle(&mut run, &found.pose)?;
+        self.answer(&run, end, Vec::new())
+    }
+
+    fn start<'a>(&self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {
+        prior.check(self.options.freedom)?;
+        if frames.is_empty() {
+            return Err(Error::usage("an estimate without a frame", "give at least one"));
+        }
+        let measured = frames.iter().map(|frame| FrameMeasurement {
+            frame,
+            points: measured_points(frame),
+            noise: RangeNoise::of(frame.sensor()),
+        });
+        let axes = self.options.freedom.axes();
+        let sigma =
+            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+        Ok(Run {
+            world,
+            measured: measured.collect(),
+            model_sigma: self.options.model_sigma,
+            prior: *prior,
+            prior_information: inverse(&prior.covariance, axes),
+            extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
+            only: self.options.only,
+            predictions: 0,
+        })
     }
 
     /// Looks for a second pose that explains the measurement about as well: starts from the far ends of the prior, along the
@@ -215,7 +256,7 @@ impl Estimator {
         }
         let mut others: Vec<Minimum> = Vec::new();
         for start in far_ends(run, best, self.options.freedom) {
-            let search = Schedule { points: FAR_POINTS, ..SEARCH };
+            let search = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
             let there = self.descend(run, &best.expected, start, &search);
             // Not worth a prediction unless it is elsewhere and explains something.
             let near = |m: &Minimum| self.is_same(run, m, &there);
@@ -296,12 +337,15 @@ impl Estimator {
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
         let freedom = self.options.freedom;
-        self.learn_offsets(&best.normal);
         let offset = self.offset_sigma * self.offset_sigma;
-        let shared = |_: CommonError| {
-            let mut m = [[0.0; 6]; 6];
-            m[0][0] = offset;
-            m
+        let stored = |object: u32| best.expected.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
+        let shared = |error: CommonError| match error {
+            CommonError::Object(object) => stored(object).unwrap_or_default(),
+            CommonError::Offset(_) => {
+                let mut m = [[0.0; 6]; 6];
+                m[0][0] = offset;
+                m
+            }
         };
         let reach = reach_of(&run.measured);
         let prior = Some(&run.prior_information);
@@ -341,19 +385,22 @@ impl Estimator {
         })
     }
 
-    fn verdicts(&self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
+    fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
         let polygons = self.options.model_sigma.hypot(self.offset_sigma);
         let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
             let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
             judge(m.frame, expected, &best.pose, &known)
         };
-        run.measured.iter().zip(&*best.expected).map(one).collect()
+        let all = || run.measured.iter().zip(&*best.expected).map(one).collect();
+        self.predictor.on_threads(all)?
     }
 
     /// Offsets of groups show as their mean residuals, less what noise makes of these.
     fn learn_offsets(&mut self, normal: &Normal) {
         let (mut sum, mut count) = (0.0, 0.0);
-        for group in normal.groups.values().filter(|g| g.weight > 0.0) {
+        let offsets =
+            normal.groups.iter().filter(|(error, g)| matches!(error, CommonError::Offset(_)) && g.weight > 0.0);
+        for (_, group) in offsets {
             let mean = group.residual / group.weight;
             let own = group.variance / (group.weight * group.weight);
             // A group counts as far as its mean is known better than the offsets are wide.
@@ -416,18 +463,25 @@ fn descend(
     schedule: &Schedule,
     freedom: Freedom,
 ) -> Minimum {
-    let sources: Vec<RangeSource<'_>> =
-        expected.iter().zip(&run.measured).map(|(e, m)| RangeSource::new(e, &m.points, m.noise)).collect();
+    let mut sources = Vec::with_capacity(run.measured.len());
+    for (e, m) in expected.iter().zip(&run.measured) {
+        let source = RangeSource::new(e, &m.points, m.noise).with_model_sigma(run.model_sigma);
+        sources.push(match run.only {
+            Some(object) => source.only(object),
+            None => source,
+        });
+    }
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
-    let mut factor = schedule.first;
+    let (mut factor, mut rests) = (schedule.first, false);
     for k in 0..schedule.steps {
-        let last = k + 1 == schedule.steps;
-        let kernel = if k >= schedule.settle { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
+        let settled = k >= schedule.settle;
+        let last = k + 1 == schedule.steps || rests;
+        let kernel = if settled { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
         let gate = Gate {
             translation: factor * run.extent.0,
             rotation: factor * run.extent.1,
             kernel,
-            points: schedule.points,
+            points: if settled { schedule.points.1 } else { schedule.points.0 },
             finally: last && schedule.settle < schedule.steps,
         };
         let mut normal = Normal::default();
@@ -439,6 +493,8 @@ fn descend(
         }
         let step = step(&end.normal, run, &end.pose, freedom);
         end.pose = moved(&end.pose, &step);
+        // With the least gate every further step is like this one.
+        rests = settled && factor <= schedule.least && step.iter().all(|x| x.abs() < AT_REST);
         factor = (factor * schedule.shrink).max(schedule.least);
     }
     end
@@ -476,7 +532,7 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
 }
 
 /// A pose drawn from the prior.
-fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+pub(crate) fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
     let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
     let mut motion = [0.0; 6];
     for (k, value) in values.iter().enumerate() {

@@ -22,13 +22,14 @@ impl RangeNoise {
     pub fn of(sensor: &Sensor) -> Self {
         let spec = sensor.spec();
         let noise = spec.noise;
+        let is_stated = noise.range_sigma > 0.0 || noise.range_sigma_quadratic > 0.0;
         let of_pixels = match &spec.geometry {
             crate::Geometry::Camera(camera) => noise.pixel_sigma / camera.fx.min(camera.fy),
             _ => 0.0,
         };
         Self {
-            sigma: if noise.range_sigma > 0.0 { noise.range_sigma } else { UNSTATED_SIGMA },
-            quadratic: 0.0,
+            sigma: if is_stated { noise.range_sigma } else { UNSTATED_SIGMA },
+            quadratic: noise.range_sigma_quadratic,
             angle: if noise.angle_sigma > 0.0 { noise.angle_sigma } else { of_pixels },
         }
     }

@@ -61,3 +61,15 @@ fn thinned_pixels_keep_their_rays() {
         assert!(frame.thinned(0).is_err());
     }
 }
+
+/// As stated, 1 mm and 2 mm a square metre: 9 mm at 2 m; a camera that states nothing has 1 cm everywhere.
+#[test]
+fn noise_grows_as_stated() {
+    let mut spec = camera().spec().clone();
+    let sigma = |spec: &SensorSpec, range: f64| RangeNoise::of(&Sensor::new(spec.clone()).unwrap()).range_sigma(range);
+    assert_eq!([sigma(&spec, 1.0), sigma(&spec, 4.0)], [0.01, 0.01]);
+    (spec.noise.range_sigma, spec.noise.range_sigma_quadratic) = (0.001, 0.002);
+    assert!((sigma(&spec, 2.0) - 0.009).abs() < 1e-15);
+    spec.noise.range_sigma = 0.0;
+    assert!((sigma(&spec, 2.0) - 0.008).abs() < 1e-15, "stated, if only in part");
+}

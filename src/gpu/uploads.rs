@@ -2,10 +2,10 @@
 
 use super::geometry::Arena;
 use super::grid::Tables;
-use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS};
+use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS, WorkRun};
 use super::near::{NearList, is_near};
 use super::stages::{NAMES, RESOLVE};
-use crate::plan::{FramePlan, IdScheme, Output, Outputs};
+use crate::plan::{FramePlan, IdScheme, Output, Outputs, StageName};
 use glam::{DMat3, DVec3, Vec3};
 
 /// Most slots that are read back to resolve images on the CPU.
@@ -29,6 +29,8 @@ pub(super) struct FrameUploads {
     pub slots: u32,
     /// The images are resolved on the CPU.
     pub on_host: bool,
+    /// Drawn in one submission with others, which tells no times.
+    pub in_company: bool,
 }
 
 impl FrameUploads {
@@ -38,7 +40,7 @@ impl FrameUploads {
     }
 
     /// Names of the stages that run on the device.
-    pub fn stages(&self) -> &'static [&'static str] {
+    pub fn stages(&self) -> &'static [StageName] {
         if self.on_host { &NAMES[..RESOLVE] } else { &NAMES }
     }
 
@@ -104,11 +106,11 @@ impl FrameUploads {
             if near {
                 self.near.add(plan, tables, instance, run);
             }
-            let words: [u32; RUN_WORDS] = [start, run.instance, run.first, u32::from(near)];
-            self.work.extend(words);
+            let words = WorkRun { start, instance: run.instance, polygon: run.first, near: u32::from(near) };
+            self.work.extend_from_slice(bytemuck::cast_slice(&[words]));
             start += run.count;
         }
-        self.work.extend([start, 0, 0, 0]);
+        self.work.extend_from_slice(bytemuck::cast_slice(&[WorkRun { start, ..WorkRun::default() }]));
         debug_assert_eq!(self.work.len(), (plan.runs.len() + 1) * RUN_WORDS);
         self.params.polygon_count = start;
         self.params.stamp = self.near.stamp;
@@ -138,8 +140,8 @@ impl FrameUploads {
                 Output::PolygonId => self.params.polygon_at = at,
                 Output::ObjectId => self.params.object_at = at,
                 Output::CosIncidence => self.params.cos_at = at,
-                // The plan leaves them out: made of other images.
-                Output::Echo | Output::FeatureId => {}
+                // The plan draws none of those that engines do not make.
+                _ => debug_assert!(false, "{} is made of other images", output.name()),
             }
         }
         self.output_words = u64::from(pixels) * self.outputs.iter().count() as u64;

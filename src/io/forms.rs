@@ -6,12 +6,12 @@
 //! | [`SensorSpec`], [`Sensor`] | the keys of a sensor file ([`super::sensor_toml`]); an infinite `range_max` is left out, a ray that is not there is three nulls |
 //! | [`Outputs`] | a list of names |
 //! | [`IdScheme`] | `"model"` or `"source"` |
-//! | [`Request`] | `outputs`, `ids`, `features` (`time`, `step`, `visibility`) and `regions` (`pose_covariance`: 36 numbers, `objects`, `confidence`, `method`); each may be left out |
+//! | [`Request`] | `outputs`, `ids`, `features` (`time`, `step`, `visibility`), `regions` (`pose_covariance`: 36 numbers, `objects`, `confidence`, `method`) and `deadline_ms`; each may be left out |
 //!
 //! What predictions say of features is in [`super::prediction_json`].
 
 use super::sensor_toml;
-use crate::features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, STEP, Visibility};
+use crate::features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, Hidden, STEP, Visibility};
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Outputs};
 use crate::request::Request;
@@ -21,6 +21,7 @@ use serde::de::Error as _;
 use serde::ser::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
+use std::time::Duration;
 
 impl Serialize for Pose {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -132,6 +133,14 @@ enum IdsForm {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(remote = "Hidden", rename_all = "snake_case")]
+enum HiddenForm {
+    Full,
+    Reason,
+    Count,
+}
+
+#[derive(Serialize, Deserialize)]
 #[serde(remote = "Visibility", rename_all = "snake_case")]
 enum VisibilityForm {
     Image,
@@ -157,13 +166,21 @@ struct RequestForm {
     features: Option<FeaturesForm>,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     regions: Option<RegionsForm>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    deadline_ms: Option<f64>,
 }
+
+const NANOSECONDS_IN_MS: f64 = 1e6;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FeaturesForm {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     time: Option<f64>,
+    #[serde(with = "HiddenForm", default)]
+    hidden: Hidden,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    max_features: Option<usize>,
     #[serde(with = "VisibilityForm", default)]
     visibility: Visibility,
     #[serde(default = "default_step")]
@@ -204,7 +221,13 @@ impl Serialize for Request {
             Some(FeatureOptions { source: FeatureSource::Placed(_), .. }) => {
                 return Err(S::Error::custom("placed features are of one world in memory and are not written"));
             }
-            Some(f) => Some(FeaturesForm { time: f.time, visibility: f.visibility, step: f.step }),
+            Some(f) => Some(FeaturesForm {
+                time: f.time,
+                hidden: f.hidden,
+                max_features: f.max_features,
+                visibility: f.visibility,
+                step: f.step,
+            }),
             None => None,
         };
         let regions = self.regions.as_ref().map(|r| RegionsForm {
@@ -213,7 +236,8 @@ impl Serialize for Request {
             confidence: r.confidence,
             method: r.method,
         });
-        RequestForm { outputs: self.outputs, ids: self.ids, features, regions }.serialize(serializer)
+        let deadline_ms = self.deadline.map(|deadline| deadline.as_nanos() as f64 / NANOSECONDS_IN_MS);
+        RequestForm { outputs: self.outputs, ids: self.ids, features, regions, deadline_ms }.serialize(serializer)
     }
 }
 
@@ -221,9 +245,9 @@ impl<'de> Deserialize<'de> for Request {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let form = RequestForm::deserialize(deserializer)?;
         let mut request = Self::of(form.outputs).with_ids(form.ids);
-        if let Some(FeaturesForm { time, visibility, step }) = form.features {
-            let options = FeatureOptions::default().with_visibility(visibility).with_step(step);
-            request = request.with_features(FeatureOptions { time, ..options });
+        if let Some(FeaturesForm { time, hidden, max_features, visibility, step }) = form.features {
+            let options = FeatureOptions::default().with_hidden(hidden).with_visibility(visibility).with_step(step);
+            request = request.with_features(FeatureOptions { time, max_features, ..options });
         }
         if let Some(regions) = form.regions {
             let sensor = matrix(&regions.pose_covariance).map_err(D::Error::custom)?;
@@ -231,6 +255,13 @@ impl<'de> Deserialize<'de> for Request {
             let objects = regions.objects.iter().map(object).collect::<Result<_, _>>()?;
             let options = BoxOptions::default().with_sensor(sensor).with_objects(objects);
             request = request.with_regions(options.with_confidence(regions.confidence).with_method(regions.method));
+        }
+        if let Some(ms) = form.deadline_ms {
+            let nanoseconds = (ms * NANOSECONDS_IN_MS).round();
+            if !(0.0..u64::MAX as f64).contains(&nanoseconds) {
+                return Err(D::Error::custom(format!("a deadline of {ms} ms; give 0 or more")));
+            }
+            request = request.with_deadline(Duration::from_nanos(nanoseconds as u64));
         }
         Ok(request)
     }
@@ -240,7 +271,7 @@ impl<'de> Deserialize<'de> for Request {
 mod tests {
     use super::*;
     use crate::plan::Output;
-    use crate::sensor::{Geometry, PRESETS, RayTable};
+    use crate::sensor::{Geometry, Noise, PRESETS, RayTable};
     use serde::de::DeserializeOwned;
 
     fn through_json<T: Serialize + DeserializeOwned>(value: &T) -> T {
@@ -267,6 +298,17 @@ mod tests {
             let toml = toml::to_string(sensor.spec()).unwrap();
             assert_eq!(toml::from_str::<SensorSpec>(&toml).unwrap(), *sensor.spec(), "{toml}");
         }
+        let full = crate::preset("vlp-16").unwrap().spec().clone();
+        let noise =
+            Noise { range_sigma: 0.1, range_sigma_quadratic: 0.2, angle_sigma: 20f64.to_radians(), ..full.noise };
+        let mount = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.0 / 3.0), 0.0, 0.1, 3.0);
+        let full = full
+            .with_name("a \"b\"")
+            .with_class("sonar")
+            .with_limits(0.1, 1.0 / 3.0)
+            .with_max_incidence(63f64.to_radians());
+        let full = full.with_mount(mount).with_noise(Noise { pixel_sigma: 0.5, ..noise });
+        assert_eq!(through_json(&full), full);
         let rays = RayTable::new(2, 1, vec![DVec3::X, DVec3::NAN]).unwrap();
         let spec = SensorSpec::new("two", "laser", Geometry::Rays(rays));
         assert_eq!(spec.range_max, f64::INFINITY);
@@ -284,7 +326,15 @@ mod tests {
     fn requests_read_back_equal_and_say_what_they_cannot_hold() {
         let full = Request::of(Outputs::of(&[Output::Range, Output::FeatureId]))
             .with_ids(IdScheme::Source)
-            .with_features(FeatureOptions::default().with_time(1.79e9).with_visibility(Visibility::Rays).with_step(0.1))
+            .with_features(
+                FeatureOptions::default()
+                    .with_time(1.79e9)
+                    .with_hidden(Hidden::Reason)
+                    .with_max_features(20)
+                    .with_visibility(Visibility::Rays)
+                    .with_step(0.1),
+            )
+            .with_deadline(Duration::from_nanos(16_666_667))
             .with_regions(
                 BoxOptions::default()
                     .with_sensor_sigmas([0.1, 0.2, 0.0, 0.0, 0.0, 1.0 / 3.0])
@@ -300,7 +350,10 @@ mod tests {
         assert_eq!((&json["ids"], &json["regions"]["method"]), (&"source".into(), &"linear".into()));
         assert_eq!(serde_json::from_str::<Request>("{}").unwrap(), Request::default());
         assert!(serde_json::from_str::<Request>(r#"{"outputs": ["walls"]}"#).is_err());
-        assert!(serde_json::from_str::<Request>(r#"{"deadlines": 1}"#).is_err());
+        assert_eq!(json["deadline_ms"], 16.666667);
+        for bad in [r#"{"deadlines": 1}"#, r#"{"deadline_ms": -1}"#, r#"{"deadline_ms": 1e300}"#] {
+            assert!(serde_json::from_str::<Request>(bad).is_err(), "{bad}");
+        }
         let placed = Request::default().with_features(FeatureOptions::default().with_placed(Vec::new()));
         assert!(serde_json::to_string(&placed).unwrap_err().to_string().contains("placed"));
     }

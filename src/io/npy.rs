@@ -7,7 +7,7 @@ use super::access;
 use super::atomic::{open_to_replace, refused, target_of, write_atomically};
 use crate::error::{Error, Result};
 use crate::memory;
-use crate::plan::{Images, Output};
+use crate::plan::{Images, Output, Samples};
 use crate::sensor::Sensor;
 use glam::DVec3;
 use std::fs::File;
@@ -27,9 +27,13 @@ pub enum Values<'a> {
 }
 
 impl<'a> Values<'a> {
-    /// An image; `None` if it is not among these.
+    /// An image; `None` if it is not among these. Of an image of vectors, the components of a pixel follow each other.
     pub fn of(images: &'a Images, output: Output) -> Option<Self> {
-        images.floats(output).map(Self::F32).or(images.ids(output).map(Self::U32))
+        Some(match images.samples(output)? {
+            Samples::Floats(image) => Self::F32(image),
+            Samples::Ids(image) => Self::U32(image),
+            Samples::Vectors(image) => Self::F32(image.as_flattened()),
+        })
     }
 
     /// NumPy's name of the type.
@@ -108,14 +112,20 @@ pub fn write(path: &Path, shape: &[usize], values: Values<'_>) -> Result<()> {
     })
 }
 
-/// Writes an image as `<f4` or `<u4` of shape (rows, columns).
+/// The shape of an image: (rows, columns), and 3 for vectors.
+pub fn image_shape(width: u32, height: u32, output: Output) -> Vec<usize> {
+    let numbers = output.info().kind.numbers();
+    [height as usize, width as usize].into_iter().chain((numbers > 1).then_some(numbers)).collect()
+}
+
+/// Writes an image as `<f4` or `<u4` of shape (rows, columns), vectors as `<f4` of shape (rows, columns, 3).
 ///
 /// # Errors
 /// As [`write()`]; [`crate::ErrorKind::Invalid`] if the image is not there.
 pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
     let missing = || Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path);
     let values = Values::of(images, output).ok_or_else(missing)?;
-    write(path, &[images.height as usize, images.width as usize], values)
+    write(path, &image_shape(images.width, images.height, output), values)
 }
 
 /// Writes the unit rays of a sensor as `<f8` of shape (rows, columns, 3): in its body axes (x forward, y left, z up) for
@@ -134,7 +144,8 @@ pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
     write(path, &[height as usize, width as usize, 3], Values::F64(&rays))
 }
 
-/// One array of the images of many poses, of shape (poses, rows, columns), written pose by pose. Until all are there it is kept
+/// One array of the images of many poses, of shape (poses, rows, columns) or, of vectors, (poses, rows, columns, 3), written pose
+/// by pose. Until all are there it is kept
 /// as `NAME.npy.unfinished`, which outlives the process: a series can go on with it.
 #[derive(Debug)]
 pub struct Stack {
@@ -153,12 +164,7 @@ impl Stack {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the file cannot be written; [`crate::ErrorKind::Usage`] for a device or pipe.
-    pub fn open(
-        path: &Path,
-        shape: [usize; 3],
-        descr: &'static str,
-        until: Option<SystemTime>,
-    ) -> Result<(Self, bool)> {
+    pub fn open(path: &Path, shape: &[usize], descr: &'static str, until: Option<SystemTime>) -> Result<(Self, bool)> {
         if path.metadata().is_ok_and(|m| !m.is_file()) {
             let what = "an array of all poses is written piece by piece, into a file";
             return Err(Error::usage(what, "name a file, or put {i} into the name").in_file(path));
@@ -169,10 +175,10 @@ impl Stack {
         let mut name = target.clone().into_os_string();
         name.push(".unfinished");
         let unfinished = PathBuf::from(name);
-        let header = header(descr, &shape);
+        let header = header(descr, shape);
         // Each side is limited; so is the number of poses.
-        let bytes_per_pose = 4 * shape[1] as u64 * shape[2] as u64;
-        let length = header.len() as u64 + shape[0] as u64 * bytes_per_pose;
+        let bytes_per_pose = shape.iter().skip(1).fold(4, |bytes, side| bytes * *side as u64);
+        let length = header.len() as u64 + shape.first().map_or(1, |poses| *poses as u64) * bytes_per_pose;
         let mut file =
             File::options().read(true).write(true).create(true).truncate(false).open(&unfinished).map_err(refused)?;
         let was = file.metadata().map_err(refused)?;
@@ -249,7 +255,7 @@ mod tests {
     fn a_stack_goes_on_where_it_was_left_and_appears_whole() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.npy");
-        let open = |until| Stack::open(&path, [3, 1, 2], "<f4", until).unwrap();
+        let open = |until| Stack::open(&path, &[3, 1, 2], "<f4", until).unwrap();
         let now = || Some(SystemTime::now());
         let (mut stack, goes_on) = open(now());
         assert!(!goes_on);
@@ -269,7 +275,7 @@ mod tests {
         drop(open(now()));
         assert!(!open(None).1, "of another job");
         assert!(!open(Some(SystemTime::UNIX_EPOCH)).1, "written by another");
-        assert!(!Stack::open(&path, [4, 1, 2], "<f4", now()).unwrap().1, "of another size");
+        assert!(!Stack::open(&path, &[4, 1, 2], "<f4", now()).unwrap().1, "of another size");
         assert_eq!(std::fs::read(&path).unwrap(), whole);
     }
 

@@ -22,7 +22,7 @@ pub enum PointsFrame {
 /// The points of a range image, one per pixel, row-major, with what other images say of them.
 ///
 /// Files get a field for each image of range, echo (`intensity`), object_id and polygon_id that is there, `ring` (the row of the
-/// image) if the sensor is no camera, and normals after [`PointCloud::with_normals`].
+/// image) if the sensor is no camera, and normals if there is an image of them or after [`PointCloud::with_normals`].
 #[derive(Clone, Debug)]
 pub struct PointCloud<'a> {
     images: &'a Images,
@@ -43,10 +43,7 @@ impl<'a> PointCloud<'a> {
     pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
-        let fits = |output| {
-            let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len));
-            len.is_none_or(|len| len == pixels)
-        };
+        let fits = |output| images.samples(output).is_none_or(|samples| samples.len() == pixels);
         let of_size = (images.width, images.height) == (sensor.width(), sensor.height());
         if images.range.len() != pixels || !of_size || !Output::WITH_FEATURES.into_iter().all(fits) {
             return Err(Error::invalid(
@@ -70,7 +67,12 @@ impl<'a> PointCloud<'a> {
         }
         let (rings, world_from_sensor) = (!matches!(sensor.spec().geometry, Geometry::Camera(_)), *world_from_sensor);
         let outputs = images.outputs();
-        Ok(Self { images, outputs, rings, frame, world_from_sensor, positions, normals: Vec::new() })
+        let mut normals = memory::reserved(images.normal.len())?;
+        normals.extend(images.normal.iter().map(|n| match frame {
+            PointsFrame::Sensor => Vec3::from(*n),
+            PointsFrame::World => (world_from_sensor.rotation * DVec3::from(n.map(f64::from))).as_vec3(),
+        }));
+        Ok(Self { images, outputs, rings, frame, world_from_sensor, positions, normals })
     }
 
     /// Keeps only the fields of these images.
@@ -78,6 +80,9 @@ impl<'a> PointCloud<'a> {
     pub fn only(mut self, outputs: Outputs) -> Self {
         let there = self.images.outputs();
         self.outputs = Outputs::of(&there.iter().filter(|o| outputs.has(*o)).collect::<Vec<_>>());
+        if there.has(Output::Normal) && !outputs.has(Output::Normal) {
+            self.normals.clear();
+        }
         self
     }
 

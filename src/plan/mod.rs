@@ -1,27 +1,33 @@
 //! The frame plan: what one prediction has to do. It is made before any engine starts and knows no engine.
 
-mod echo;
+mod derived;
 mod images;
+mod names;
+mod output;
 mod polygons;
 mod request;
 mod stats;
 mod view;
 
-pub use images::Images;
+pub use images::{Images, Samples, SamplesMut};
+pub use names::{CountName, Part, StageName};
+pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
-pub use request::{IdScheme, ImageRequest, Output, Outputs};
-pub use stats::{EDGE_ON, StageRow, StageVariant, Stats, Work};
+pub use request::{IdScheme, ImageRequest};
+pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
 
 use crate::deadline::Watch;
 use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::index::{ObjectRun, QueryResult};
-use crate::sensor::{PixelGrid, Sensor};
+use crate::index::{ObjectRun, QueryResult, Region};
+use crate::sensor::{ImagePart, PixelGrid, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
+use std::borrow::Cow;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
 /// frame. Subtracting first keeps the precision of near points, also in f32.
@@ -96,15 +102,6 @@ impl Run {
 /// Why engines have nothing to do.
 pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
-/// A stage or image that this prediction does not need, and why.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Omission {
-    /// What is left out.
-    pub what: String,
-    /// Why it is not needed.
-    pub why: String,
-}
-
 /// What a material is to the sensor's class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facing {
@@ -143,9 +140,31 @@ pub struct FramePlan {
     pub(crate) watch: Option<Watch>,
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
     pub(crate) radius: Option<f32>,
+    /// The part of the image that is drawn, if it is not all of it.
+    pub(crate) part: Option<ImagePart>,
+    /// What drawing takes, if that is known: the image may be thinned by it.
+    pub(crate) pace: Option<Pace>,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
+}
+
+/// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pace {
+    pub wave: f64,
+    pub polygon: f64,
+    /// For each pixel of the boxes around the images of polygons.
+    pub sample: f64,
+    /// What is kept free for making images when drawing has ended.
+    pub images: f64,
+}
+
+impl Pace {
+    /// Seconds of those kept for images that a thinned image does not need: half of its share, for all of it is still written once.
+    pub fn saved(&self, stride: u32) -> f64 {
+        0.5 * self.images * (1.0 - 1.0 / f64::from(stride * stride))
+    }
 }
 
 /// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
@@ -195,10 +214,12 @@ impl FramePlan {
             objects_not_opaque: 0,
             watch: None,
             radius: None,
+            part: None,
+            pace: None,
             found,
             selected,
         };
-        plan.fill()?;
+        plan.fill(&region_of(sensor, world_from_sensor)?);
         Ok(plan)
     }
 
@@ -214,6 +235,62 @@ impl FramePlan {
         self.radius = Some(first_out.nearest_below());
         self.runs.truncate(runs);
         self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
+    }
+
+    /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
+    pub(crate) fn narrow(&mut self, part: ImagePart) -> Result<()> {
+        let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
+        let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
+        self.fill(&region);
+        if let Some(radius) = radius {
+            let within = self.runs.partition_point(|run| run.nearest_below() < radius);
+            self.cut(within);
+        }
+        // What is left out stays left out, also where nothing that was selected now lies beyond.
+        (self.watch, self.radius, self.pace, self.part) = (watch, radius, pace, Some(part));
+        Ok(())
+    }
+
+    /// The same of a part of the image.
+    pub(crate) fn of_part(&self, part: ImagePart) -> Result<Self> {
+        let mut watch = self.watch.clone();
+        if let (Some(watch), Some(pace)) = (&mut watch, &self.pace) {
+            watch.stop_later(Duration::from_secs_f64(pace.saved(part.stride)));
+        }
+        Ok(Self {
+            world: self.world.clone(),
+            sensor: self.sensor.part(part)?,
+            world_from_sensor: self.world_from_sensor,
+            request: self.request,
+            instances: self.instances.clone(),
+            runs: self.runs.clone(),
+            facings: self.facings.clone(),
+            polygon_count: self.polygon_count,
+            objects_out_of_view: self.objects_out_of_view,
+            polygons_out_of_view: self.polygons_out_of_view,
+            objects_not_opaque: self.objects_not_opaque,
+            watch,
+            radius: self.radius,
+            part: None,
+            pace: self.pace.filter(|_| part.stride == 1),
+            found: QueryResult::default(),
+            selected: Vec::new(),
+        })
+    }
+
+    /// Draws only every k-th column and row (2, 4 or 8), of columns around a heading (radians, counter-clockwise) if so many are
+    /// given: for tests.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
+    #[doc(hidden)]
+    pub fn set_part(&mut self, stride: u32, around: Option<(f64, u32)>) -> Result<()> {
+        let narrow = around.and_then(|(heading, columns)| self.sensor.columns_around(heading, columns));
+        if let Some(part) = narrow {
+            self.narrow(part)?;
+        }
+        self.part = Some(ImagePart { stride, ..self.part.unwrap_or(self.sensor.whole()) });
+        Ok(())
     }
 
     /// Gives up the plan for its memory.
@@ -238,7 +315,9 @@ impl FramePlan {
         self.sensor = sensor.clone();
         self.world_from_sensor = *world_from_sensor;
         self.request = request.into();
-        self.fill()
+        let region = region_of(sensor, world_from_sensor)?;
+        self.fill(&region);
+        Ok(())
     }
 
     /// The environment that it reads.
@@ -256,8 +335,7 @@ impl FramePlan {
         self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    fn fill(&mut self) -> Result<()> {
-        let region = region_of(&self.sensor, &self.world_from_sensor)?;
+    fn fill(&mut self, region: &Region) {
         // Made of features afterwards.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
@@ -267,7 +345,7 @@ impl FramePlan {
         self.instances.clear();
         self.runs.clear();
         self.facings.clear();
-        (self.watch, self.radius) = (None, None);
+        (self.watch, self.radius, self.part, self.pace) = (None, None, None, None);
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
         let world = self.world.clone();
@@ -276,7 +354,7 @@ impl FramePlan {
         self.facings.extend(facings(environment, &class));
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();
-        world.index().select(environment, &region, &mut self.found, &mut selected);
+        world.index().select(environment, region, &mut self.found, &mut selected);
         for runs in selected.chunk_by(|a, b| a.object == b.object) {
             self.take(runs);
         }
@@ -284,7 +362,6 @@ impl FramePlan {
         let live = environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0).count();
         self.objects_out_of_view = live - self.instances.len() - self.objects_not_opaque;
         self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
-        Ok(())
     }
 
     /// Adds the runs of one object.
@@ -308,19 +385,16 @@ impl FramePlan {
     /// What this prediction does not need, and why.
     pub fn left_out(&self) -> Vec<Omission> {
         let mut all = Vec::new();
-        let mut add = |what: String, why: String| all.push(Omission { what, why });
+        let mut add = |what: Part, why: Cow<'static, str>| all.push(Omission { what, why });
         if self.objects_out_of_view > 0 {
-            add(format!("{} objects", self.objects_out_of_view), "out of view or reach".into());
+            add(Part::Objects(self.objects_out_of_view), "out of view or reach".into());
         }
         if self.polygons_out_of_view > 0 {
-            add(
-                format!("{} polygons of objects in view", self.polygons_out_of_view),
-                "their run is out of view or reach".into(),
-            );
+            add(Part::Polygons(self.polygons_out_of_view), "their run is out of view or reach".into());
         }
         if self.objects_not_opaque > 0 {
             let why = format!("not opaque to class {:?}", self.sensor.spec().class);
-            add(format!("{} objects", self.objects_not_opaque), why);
+            add(Part::Objects(self.objects_not_opaque), why.into());
         }
         for (what, taken, why) in self.variants() {
             if !taken {
@@ -330,21 +404,21 @@ impl FramePlan {
         let drawn = self.drawn();
         for output in Output::ALL {
             if !self.request.outputs.has(output) && !drawn.has(output) {
-                add(format!("{} image", output.name()), "not asked for".into());
+                add(Part::Image(output), "not asked for".into());
             }
         }
         all
     }
 
     /// Variants of stages that cost extra: the name, whether this prediction uses it, and why.
-    pub fn variants(&self) -> [(&'static str, bool, &'static str); 3] {
+    pub fn variants(&self) -> [(StageName, bool, &'static str); 3] {
         let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
         let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
         let mixed = !self.instances.iter().all(|i| i.plain);
         let by_material = self.reflects_by_material();
         [
             choose(
-                "ray table",
+                StageName::RayTable,
                 by_rays,
                 [
                     "no lens distortion and no listed rays: spans are in closed form",
@@ -352,7 +426,7 @@ impl FramePlan {
                 ],
             ),
             choose(
-                "material test per polygon",
+                StageName::MaterialTest,
                 mixed,
                 [
                     "everything selected is opaque to this class and two-sided",
@@ -360,7 +434,7 @@ impl FramePlan {
                 ],
             ),
             choose(
-                "reflection factor per pixel",
+                StageName::ReflectionFactor,
                 by_material,
                 ["no echo is asked for, or all materials have one factor", "an echo is asked for, and factors differ"],
             ),

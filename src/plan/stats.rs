@@ -1,29 +1,26 @@
 //! Statistics: what a prediction did and what it cost.
 
-use super::Omission;
+use super::names::{CountName, Part, StageName};
 use crate::deadline::{DeadlineOutcome, Degradation};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::time::Instant;
-
-/// Name of the count of edge-on polygons: those that an engine left out because it could not prove on which side of them the
-/// sensor is.
-pub const EDGE_ON: &str = "polygons edge-on";
 
 /// Statistics of one prediction.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Stats {
-    /// `cpu`, `gpu` or `reference`.
-    pub engine: String,
+    /// `cpu`, `gpu`, `reference`, or `row` for a cut of the world.
+    pub engine: &'static str,
     /// Adapter and driver, for the GPU engine.
     pub adapter: Option<String>,
     /// CPU threads.
     pub threads: usize,
     /// Name of the index that selected the polygons.
-    pub index: String,
+    pub index: &'static str,
     /// Milliseconds by stage, in order. Only stages that ran are listed.
-    pub stages_ms: Vec<(String, f64)>,
-    /// Counts by name (polygons selected, set up, edge-on, ...), in order.
-    pub counts: Vec<(String, u64)>,
+    pub stages_ms: Vec<(StageName, f64)>,
+    /// Counts by name, in order.
+    pub counts: Vec<(CountName, u64)>,
     /// The work done, in counts that do not depend on other work on the machine.
     pub work: Work,
     /// Variants of stages that this prediction needed, and why. Their times are part of those stages' times.
@@ -94,9 +91,18 @@ impl Work {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct StageVariant {
     /// Its name.
-    pub what: String,
+    pub what: StageName,
     /// Why it could not be left out.
-    pub why: String,
+    pub why: &'static str,
+}
+
+/// A stage or image that this prediction does not need, and why.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Omission {
+    /// What is left out.
+    pub what: Part,
+    /// Why it is not needed.
+    pub why: Cow<'static, str>,
 }
 
 /// One row of [`Stats::stages`]: a stage, a variant of one, an image, or a group of objects.
@@ -113,7 +119,7 @@ pub struct StageRow {
 }
 
 /// Stages that follow a prediction only on request.
-const AFTER: [&str; 2] = ["features", "regions of interest"];
+const AFTER: [StageName; 2] = [StageName::Features, StageName::RegionsOfInterest];
 
 impl Stats {
     /// What was given up for the deadline; `None` if everything is there.
@@ -121,23 +127,43 @@ impl Stats {
         self.deadline.as_ref()?.given_up.as_ref()
     }
 
+    /// Milliseconds of a stage, of all its runs; `None` if it did not run.
+    ///
+    /// ```
+    /// use presight::plan::{StageName, Stats};
+    /// let mut stats = Stats::default();
+    /// stats.stages_ms.extend([(StageName::Setup, 0.25), (StageName::Setup, 0.5)]);
+    /// assert_eq!(stats.stage_ms(StageName::Setup), Some(0.75));
+    /// assert_eq!(stats.stage_ms(StageName::Echo), None);
+    /// ```
+    pub fn stage_ms(&self, name: StageName) -> Option<f64> {
+        let mut runs = self.stages_ms.iter().filter(|(stage, _)| *stage == name).map(|(_, ms)| *ms);
+        let first = runs.next()?;
+        Some(runs.fold(first, |sum, ms| sum + ms))
+    }
+
+    /// The first count of a name; `None` if it was not counted.
+    pub fn count_of(&self, name: CountName) -> Option<u64> {
+        self.counts.iter().find(|(count, _)| *count == name).map(|(_, n)| *n)
+    }
+
     /// Records the time since `start` under a stage name.
-    pub fn stage(&mut self, name: &str, start: Instant) {
-        self.stages_ms.push((name.to_owned(), start.elapsed().as_secs_f64() * 1e3));
+    pub fn stage(&mut self, name: StageName, start: Instant) {
+        self.stages_ms.push((name, start.elapsed().as_secs_f64() * 1e3));
     }
 
     /// Records a count.
-    pub fn count(&mut self, name: &str, n: usize) {
-        self.counts.push((name.to_owned(), n as u64));
+    pub fn count(&mut self, name: CountName, n: usize) {
+        self.counts.push((name, n as u64));
     }
 
     /// Records a variant that was needed.
-    pub fn take(&mut self, what: impl Into<String>, why: impl Into<String>) {
-        self.taken.push(StageVariant { what: what.into(), why: why.into() });
+    pub fn take(&mut self, what: StageName, why: &'static str) {
+        self.taken.push(StageVariant { what, why });
     }
 
     /// Records a stage or image that was not needed.
-    pub fn leave_out(&mut self, what: impl Into<String>, why: impl Into<String>) {
+    pub fn leave_out(&mut self, what: impl Into<Part>, why: impl Into<Cow<'static, str>>) {
         self.left_out.push(Omission { what: what.into(), why: why.into() });
     }
 
@@ -146,22 +172,24 @@ impl Stats {
     ///
     /// ```
     /// use presight::Stats;
+    /// use presight::plan::StageName;
     /// let mut stats = Stats::default();
-    /// stats.stages_ms.push(("setup".into(), 0.25));
-    /// stats.leave_out("ray table", "no lens distortion");
+    /// stats.stages_ms.push((StageName::Setup, 0.25));
+    /// stats.leave_out(StageName::RayTable, "no lens distortion");
     /// let rows = stats.stages();
     /// assert_eq!((rows[0].name.as_str(), rows[0].ran, rows[0].ms), ("setup", true, Some(0.25)));
     /// assert_eq!((rows[1].name.as_str(), rows[1].ran, rows[1].ms), ("ray table", false, None));
     /// assert_eq!(rows[2].why, "not asked for", "features, and after them regions of interest");
     /// ```
     pub fn stages(&self) -> Vec<StageRow> {
-        let row = |name: &str, ran, why: &str, ms| StageRow { name: name.to_owned(), ran, why: why.to_owned(), ms };
-        let mut rows: Vec<StageRow> = self.stages_ms.iter().map(|(name, ms)| row(name, true, "", Some(*ms))).collect();
-        rows.extend(self.taken.iter().map(|t| row(&t.what, true, &t.why, None)));
-        rows.extend(self.left_out.iter().map(|l| row(&l.what, false, &l.why, None)));
+        let row = |name: String, ran, why: &str, ms| StageRow { name, ran, why: why.to_owned(), ms };
+        let ran = self.stages_ms.iter().map(|(name, ms)| row(name.to_string(), true, "", Some(*ms)));
+        let mut rows: Vec<StageRow> = ran.collect();
+        rows.extend(self.taken.iter().map(|t| row(t.what.to_string(), true, t.why, None)));
+        rows.extend(self.left_out.iter().map(|l| row(l.what.to_string(), false, &l.why, None)));
         for name in AFTER {
-            if !rows.iter().any(|r| r.name == name) {
-                rows.push(row(name, false, "not asked for", None));
+            if !rows.iter().any(|r| r.name == name.name()) {
+                rows.push(row(name.to_string(), false, "not asked for", None));
             }
         }
         rows

@@ -24,8 +24,8 @@ pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Result<Region> {
             // Line-frame positions are -tan(elevation), rising.
             let t = grid.positions();
             let elevations = ((-t[t.len() - 1]).atan(), (-t[0]).atan());
-            let n = scanner.azimuth.len();
-            let angles = || (0..n).map(|i| scanner.azimuth.degrees(i).to_radians());
+            let columns = || (0..sensor.width()).map(|column| sensor.whole_column(column) as usize);
+            let angles = || columns().map(|i| scanner.azimuth.degrees(i).to_radians());
             let least = angles().fold(f64::INFINITY, f64::min);
             let greatest = angles().fold(f64::NEG_INFINITY, f64::max);
             Region::segment(world_from_sensor, 0.5 * (least + greatest), greatest - least, elevations, radius)?

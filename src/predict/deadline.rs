@@ -13,7 +13,7 @@ impl Prediction {
 
     /// [`Prediction::is_not_predicted`] of all pixels, row-major; empty if nothing was given up.
     pub fn not_predicted(&self) -> Vec<bool> {
-        if self.degradation().is_none() {
+        if !self.misses_samples() {
             return Vec::new();
         }
         let rows = (0..self.images.height).flat_map(|row| (0..self.images.width).map(move |column| (column, row)));
@@ -24,7 +24,12 @@ impl Prediction {
     /// said of pixels that see nothing, too.
     pub fn is_not_predicted(&self, column: u32, row: u32) -> bool {
         let at = row as usize * self.images.width as usize + column as usize;
-        self.degradation().is_some() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
+        self.misses_samples() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
+    }
+
+    /// True if samples were given up, not only features.
+    fn misses_samples(&self) -> bool {
+        self.degradation().is_some_and(|given_up| given_up.samples > 0)
     }
 }
 

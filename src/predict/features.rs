@@ -2,21 +2,26 @@
 
 use super::{Prediction, Predictor, faulty};
 use crate::Backend;
+use crate::cost::DeadlineFrame;
 use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, OcclusionHint,
-    PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, predict_features,
-    sides_seen_in_part,
+    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, FeatureTree, Hidden,
+    OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, check_placed,
+    choose, predict_features, sides_seen_in_part,
 };
 use crate::geometry::Pose;
 use crate::placement;
-use crate::plan::{Images, Output, Stats};
+use crate::plan::{CountName, Images, Output, StageName, Stats};
 use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
+use std::sync::Arc;
 use std::time::Instant;
+
+/// A world, a sensor and its pose.
+pub(super) type SeenFrom<'a> = (&'a World, &'a Sensor, &'a Pose);
 
 /// The features of a world's own layer, placed in one version of it.
 pub(super) struct WorldFeatures {
@@ -24,6 +29,14 @@ pub(super) struct WorldFeatures {
     world: u64,
     class: String,
     placed: PlacedFeatures,
+}
+
+/// The tree of the features that were predicted last.
+pub(super) struct KnownTree {
+    features: Arc<[PlacedFeature]>,
+    /// [`World::stamp`] of the version in which they were checked.
+    world: u64,
+    tree: FeatureTree,
 }
 
 impl Predictor {
@@ -48,32 +61,44 @@ impl Predictor {
     }
 
     /// Features and their regions from images just made, with `feature_id` among the images.
-    #[expect(clippy::too_many_arguments, reason = "the parts of one prediction, borrowed apart")]
     pub(super) fn features(
         &mut self,
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
+        (world, sensor, world_from_sensor): SeenFrom<'_>,
         request: &Request,
         placed: &PlacedFeatures,
         images: &mut Images,
         stats: &mut Stats,
+        timed: Option<&mut DeadlineFrame>,
     ) -> Result<FeaturePrediction> {
         let seen_from = (world, sensor, world_from_sensor);
-        let settings = FeatureSettings { is_partial: stats.degradation().is_some(), ..settings(request) };
-        let mut features = self.see(seen_from, images, &placed.features, &settings, stats)?;
-        images.feature_id = std::mem::take(&mut features.feature_id);
+        let regions = request.regions.as_ref().map(|options| {
+            let mut options = options.clone();
+            options.objects.extend(placed.objects.iter().copied());
+            options
+        });
+        let features = match timed {
+            Some(timed) => {
+                self.features_in_time(seen_from, request, (placed, regions.as_ref()), images, stats, timed)?
+            }
+            None => {
+                let mut features = self.see(seen_from, images, &placed.features, &settings(request), stats)?;
+                images.feature_id = std::mem::take(&mut features.feature_id);
+                if let Some(most) = request.features.as_ref().and_then(|options| options.max_features) {
+                    let start = Instant::now();
+                    let known = regions.as_ref().map(|regions| &regions.sensor);
+                    let dropped = choose(&mut features, &placed.features, seen_from, known, most);
+                    stats.count(CountName::FeaturesNotChosen, dropped);
+                    stats.stage(StageName::FeatureChoice, start);
+                }
+                if let Some(options) = &regions {
+                    self.add_regions(&mut features, &placed.features, seen_from, options, stats)?;
+                }
+                features
+            }
+        };
         tell_lost(&placed.lost, &sensor.spec().class, stats);
-        match &request.regions {
-            Some(options) if placed.objects.is_empty() => {
-                self.add_regions(&mut features, &placed.features, seen_from, options, stats)?;
-            }
-            Some(options) => {
-                let mut options = options.clone();
-                options.objects.extend(placed.objects.iter().copied());
-                self.add_regions(&mut features, &placed.features, seen_from, &options, stats)?;
-            }
-            None => stats.leave_out("regions of interest", "nothing that is asked for shows them"),
+        if regions.is_none() {
+            stats.leave_out(StageName::RegionsOfInterest, "nothing that is asked for shows them");
         }
         Ok(features)
     }
@@ -83,33 +108,55 @@ impl Predictor {
         &mut self,
         seen_from @ (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
         images: &Images,
-        placed: &[PlacedFeature],
+        placed: &Arc<[PlacedFeature]>,
         settings: &FeatureSettings,
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
         if placed.is_empty() {
-            stats.leave_out("features", "there is none for this class");
+            stats.leave_out(StageName::Features, "there is none for this class");
         }
         let mut start = Instant::now();
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, settings)?;
+        let tree = self.take_tree(world, placed, settings)?;
+        let of_tree = tree.as_ref().map(|known| &known.tree);
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, of_tree), settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
         let hints = match settings.visibility {
             Visibility::Rays => None,
-            Visibility::Image => self.query_occlusion(&prepared, seen_from.1, placed, stats)?,
+            Visibility::Image => self.query_occlusion(&prepared, seen_from.1, stats)?,
         };
         if hints.is_some() {
-            stats.stage("features on the device", start);
+            stats.stage(StageName::FeaturesOnDevice, start);
             start = Instant::now();
         }
-        self.tell_of_software("features on the device", stats);
+        self.tell_of_software(StageName::FeaturesOnDevice, stats);
         let prediction = self.on_threads(|| prepared.finish(hints.as_deref()))?;
-        stats.stage("features", start);
+        drop(prepared);
+        self.tree = tree.or(self.tree.take());
+        stats.stage(StageName::Features, start);
         for (name, n) in prediction.stats.counts() {
             stats.count(name, n);
         }
         Ok(prediction)
+    }
+
+    /// The tree of features that were checked in the world, where hidden ones are only counted.
+    fn take_tree(
+        &mut self,
+        world: &World,
+        placed: &Arc<[PlacedFeature]>,
+        settings: &FeatureSettings,
+    ) -> Result<Option<KnownTree>> {
+        if settings.hidden != Hidden::Count {
+            return Ok(None);
+        }
+        let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed));
+        if known.as_ref().is_none_or(|known| known.world != world.stamp()) {
+            check_placed(world.environment(), placed)?;
+        }
+        let tree = known.map_or_else(|| FeatureTree::new(placed), |known| known.tree);
+        Ok(Some(KnownTree { features: placed.clone(), world: world.stamp(), tree }))
     }
 
     /// Adds regions of interest.
@@ -122,15 +169,15 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<()> {
         if prediction.features.is_empty() {
-            stats.leave_out("regions of interest", "there is no feature");
+            stats.leave_out(StageName::RegionsOfInterest, "there is no feature");
             return Ok(());
         }
         let start = Instant::now();
         match self.boxes(prediction, placed, seen_from, options, stats)? {
-            Some(made) => stats.count("regions of interest made on the device", made),
-            None => self.tell_of_software("regions of interest on the device", stats),
+            Some(made) => stats.count(CountName::RegionsOnDevice, made),
+            None => self.tell_of_software(StageName::RegionsOnDevice, stats),
         }
-        stats.stage("regions of interest", start);
+        stats.stage(StageName::RegionsOfInterest, start);
         Ok(())
     }
 
@@ -165,7 +212,7 @@ impl Predictor {
     }
 
     /// Records that a stage stays on the CPU because the adapter is software.
-    fn tell_of_software(&mut self, stage: &str, stats: &mut Stats) {
+    fn tell_of_software(&mut self, stage: StageName, stats: &mut Stats) {
         if self.engine.device().is_some_and(|device| !device.takes_features()) {
             stats.leave_out(stage, "done on the CPU: the adapter is a program on its own cores");
         }
@@ -177,7 +224,6 @@ impl Predictor {
         &mut self,
         prepared: &PreparedFeatures<'_>,
         sensor: &Sensor,
-        placed: &[PlacedFeature],
         stats: &mut Stats,
     ) -> Result<Option<Vec<Vec<Option<u32>>>>> {
         if !self.engine.device().is_some_and(|device| device.takes_features() && device.holds_images()) {
@@ -185,12 +231,13 @@ impl Predictor {
         }
         let samples = self.on_threads(|| prepared.query_samples())?;
         if samples.iter().all(Vec::is_empty) {
-            stats.leave_out("features on the device", "no sample is where only what is in between decides");
+            stats.leave_out(StageName::FeaturesOnDevice, "no sample is where only what is in between decides");
             return Ok(None);
         }
         let Some(device) = self.engine.device() else { return Ok(None) };
         let before = device.work();
-        let hints = match device.query_occlusion(&FeatureSamples { samples: &samples, placed, sensor }) {
+        let placed: Vec<&PlacedFeature> = prepared.asked().collect();
+        let hints = match device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor }) {
             Ok(hints) => hints,
             // The images at hand say the same; the next prediction opens the device again.
             Err(_) if self.backend == Backend::Auto => return Ok(None),
@@ -198,7 +245,7 @@ impl Predictor {
         };
         stats.work.add(device.work().since(before));
         let doubtful = hints.iter().filter(|hint| **hint == OcclusionHint::Doubt).count();
-        stats.count("feature samples in doubt on the device", doubtful);
+        stats.count(CountName::FeatureSamplesInDoubt, doubtful);
         let mut slots = hints.iter().map(|hint| match hint {
             OcclusionHint::Hidden(slot) => Some(*slot),
             _ => None,
@@ -241,16 +288,16 @@ impl Predictor {
         }
         let placed = self.place(world, sensor, options)?;
         let sides = sides_seen_in_part(&placed.features, seen);
-        let settings = FeatureSettings { feature_id: false, ..settings(request) };
+        let settings = FeatureSettings { feature_id: false, hidden: Hidden::Full, ..settings(request) };
         let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &settings);
         Ok(self.on_threads(predict)??.features)
     }
 }
 
-fn settings(request: &Request) -> FeatureSettings {
-    let FeatureOptions { time, visibility, step, .. } = request.features.clone().unwrap_or_default();
+pub(super) fn settings(request: &Request) -> FeatureSettings {
+    let FeatureOptions { time, hidden, visibility, step, .. } = request.features.clone().unwrap_or_default();
     let feature_id = request.outputs.has(Output::FeatureId);
-    FeatureSettings { time, ids: request.ids, feature_id, visibility, step, is_partial: false }
+    FeatureSettings { time, ids: request.ids, feature_id, hidden, visibility, step, is_partial: false }
 }
 
 /// What is to be known of features that are left out because nothing is under them.
@@ -259,7 +306,7 @@ fn tell_lost(lost: &[u32], class: &str, stats: &mut Stats) {
     if lost.is_empty() {
         return;
     }
-    stats.count("features off their polygons", lost.len());
+    stats.count(CountName::FeaturesOffPolygons, lost.len());
     let mut ids: Vec<String> = lost.iter().take(LISTED).map(u32::to_string).collect();
     ids.extend((lost.len() > LISTED).then(|| "..".to_owned()));
     let (count, ids) = (lost.len(), ids.join(", "));

@@ -2,22 +2,24 @@
 
 mod deadline;
 mod features;
+mod features_in_time;
 mod view;
 
-use crate::cost::Controller;
+use crate::cost::{Controller, DeadlineFrame};
 use crate::cpu;
 use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, Stats};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, StageName, Stats};
 use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use crate::row::RowCuts;
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::world::World;
-use std::time::{Duration, Instant};
+use features::SeenFrom;
+use std::time::Instant;
 
 /// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -103,12 +105,15 @@ pub struct Predictor {
     /// Work that no engine does runs here.
     threads: Threads,
     engine: Box<dyn Engine>,
+    /// Keeps deadlines where that one cannot.
+    stand_in: Option<Box<dyn Engine>>,
     /// What the engine's device was found able to do.
     proven: ProbeResults,
     /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
     buffers: PlanBuffers,
     /// The world's own features that were placed last.
     own: Option<features::WorldFeatures>,
+    tree: Option<features::KnownTree>,
     /// Keeps deadlines.
     controller: Controller,
     /// What happened to the GPU, if something did.
@@ -142,9 +147,11 @@ impl Predictor {
             backend: options.backend,
             threads: options.threads,
             engine,
+            stand_in: None,
             proven: ProbeResults::default(),
             buffers: PlanBuffers::default(),
             own: None,
+            tree: None,
             controller: Controller::default(),
             notice: None,
             row_cuts: RowCuts::default(),
@@ -217,7 +224,8 @@ impl Predictor {
     /// none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not in the world;
     /// [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
     /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if nothing can be made within
-    /// [`Request::deadline`], and [`ErrorKind::Usage`] for a deadline of 0 or of an engine that cannot stop.
+    /// [`Request::deadline`], and [`ErrorKind::Usage`] for a deadline of 0 or, with another backend than [`Backend::Auto`], of an
+    /// engine that cannot stop.
     pub fn predict(
         &mut self,
         world: &World,
@@ -270,17 +278,44 @@ impl Predictor {
         let Prediction { request, sensor, world_from_sensor, images, features, stats, .. } = prediction;
         request.check(sensor)?;
         world_from_sensor.check()?;
+        if request.deadline.is_some() && self.backend == Backend::Auto && self.engine.threads_with_deadline().is_none()
+        {
+            return self.fill_on_stand_in(world, prediction);
+        }
+        let deadline = request.deadline.map(|limit| (limit, &request.priority));
+        let asked = (&*sensor, request.drawn().outputs);
+        let mut timed = self.controller.begin(deadline, self.engine.threads_with_deadline(), asked)?;
         let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
-        let drawn = request.drawn();
-        *stats = self.predict_within(world, sensor, world_from_sensor, (drawn, request.deadline), images)?;
+        if let (Some(timed), Some(placed)) = (&mut timed, &placed) {
+            timed.expect_features(placed.features.len(), request.regions.is_some());
+        }
+        let seen_from = (&*world, &*sensor, &*world_from_sensor);
+        *stats = self.predict_within(seen_from, request.drawn(), images, timed.as_mut())?;
         *features = match &placed {
-            Some(placed) => Some(self.features(world, sensor, world_from_sensor, request, placed, images, stats)?),
+            Some(placed) => Some(self.features(seen_from, request, placed, images, stats, timed.as_mut())?),
             None => None,
         };
         if !request.outputs.has(Output::PolygonId) {
             images.polygon_id.clear();
         }
+        if let Some(timed) = &timed {
+            self.controller.end(timed, stats);
+        }
         Ok(())
+    }
+
+    /// Answers a request with a deadline on the CPU engine, where the engine was ours to choose and cannot stop.
+    fn fill_on_stand_in(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
+        let engine = match self.stand_in.take() {
+            Some(engine) => engine,
+            None => Box::new(cpu::CpuEngine::new(self.threads.clone())?),
+        };
+        let chosen = std::mem::replace(&mut self.engine, engine);
+        let filled = self.fill(world, prediction);
+        let why = format!("the CPU engine kept the deadline: {} cannot stop", chosen.name());
+        self.stand_in = Some(std::mem::replace(&mut self.engine, chosen));
+        prediction.stats.notices.push(why);
+        filled
     }
 
     /// Predicts images alone into the caller's: for studies, which draw for many sensors into the same memory.
@@ -293,37 +328,31 @@ impl Predictor {
         request: impl Into<ImageRequest>,
         images: &mut Images,
     ) -> Result<Stats> {
-        self.predict_within(world, sensor, world_from_sensor, (request.into(), None), images)
+        self.predict_within((world, sensor, world_from_sensor), request.into(), images, None)
     }
 
     /// Predicts images, by a deadline if there is one.
     fn predict_within(
         &mut self,
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
-        (request, deadline): (ImageRequest, Option<Duration>),
+        (world, sensor, world_from_sensor): SeenFrom<'_>,
+        request: ImageRequest,
         images: &mut Images,
+        mut timed: Option<&mut DeadlineFrame>,
     ) -> Result<Stats> {
-        let threads = self.engine.threads_with_deadline();
-        let mut timed = self.controller.begin(deadline, threads, (sensor, request.outputs))?;
         let start = Instant::now();
         let buffers = std::mem::take(&mut self.buffers);
         let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
-        let mut stats = Stats { index: world.index().scheme().name().to_owned(), ..Stats::default() };
-        stats.stage("selection", start);
+        let mut stats = Stats { index: world.index().scheme().name(), ..Stats::default() };
+        stats.stage(StageName::Selection, start);
         if let Some(timed) = &mut timed {
             self.controller.plan(timed, &mut plan)?;
         }
         let rendered = self.render(&plan, images, &mut stats);
-        let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
-        stats.left_out.extend(by_engine);
-        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, *why));
-        stats.notices.extend(self.notice.clone());
+        tell(&plan, self.notice.as_ref(), &mut stats);
         self.buffers = plan.into_buffers();
         rendered?;
-        if let Some(timed) = &timed {
-            self.controller.end(timed, &mut stats);
+        if let Some(timed) = &mut timed {
+            timed.images_are_made();
         }
         Ok(stats)
     }
@@ -335,6 +364,33 @@ impl Predictor {
     pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
         self.threads = self.threads.started()?;
         self.threads.run(work)
+    }
+
+    /// Draws plans of one sensor together, where the engine can, and hands over each one's images in their order. What a fault
+    /// leaves over is drawn one by one, as single predictions are.
+    pub(crate) fn render_many(
+        &mut self,
+        plans: &[FramePlan],
+        images: &mut Images,
+        mut each: impl FnMut(&mut Images, Stats),
+    ) -> Result<()> {
+        let mut done = 0;
+        let first = plans.iter().find(|plan| plan.polygon_count > 0);
+        if first.is_none_or(|plan| self.prove(plan).is_ok()) {
+            // Its fault comes up again with the first plan that is left.
+            let _ = self.engine.render_many(plans, images, &mut |images, mut stats| {
+                tell(&plans[done], self.notice.as_ref(), &mut stats);
+                done += 1;
+                each(images, stats);
+            });
+        }
+        for plan in &plans[done..] {
+            let mut stats = Stats::default();
+            self.render(plan, images, &mut stats)?;
+            tell(plan, self.notice.as_ref(), &mut stats);
+            each(images, stats);
+        }
+        Ok(())
     }
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
@@ -387,6 +443,14 @@ impl Predictor {
         self.proven.images.push(task);
         Ok(())
     }
+}
+
+/// Adds to an engine's statistics what the plan and the predictor know.
+fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
+    let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
+    stats.left_out.extend(by_engine);
+    plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
+    stats.notices.extend(notice.cloned());
 }
 
 /// A device does something wrong.

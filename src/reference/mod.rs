@@ -69,7 +69,7 @@ pub fn render_pixels(
     for beam in &hits {
         write(plan, images, beam);
     }
-    plan.finish(images);
+    plan.finish(images)?;
     Ok(counts)
 }
 

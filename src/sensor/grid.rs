@@ -1,8 +1,10 @@
 //! The rays of a sensor as engines use them: straight lines of samples where the geometry allows, a table with tiles otherwise.
 
+use super::part::ImagePart;
 use super::ray_grid::RayGrid;
 use glam::{DMat3, DVec3};
 use pulp::Simd;
+use std::ops::Range;
 
 /// All rays of a sensor, in the image frame.
 #[derive(Clone, Debug)]
@@ -49,6 +51,8 @@ pub struct LineGrid {
     lines: Vec<[f64; 2]>,
     weights: Vec<[f64; 2]>,
     positions: Vec<f64>,
+    /// Pixels of a camera from line to line and from sample to sample.
+    stride: f64,
     finder: PositionFinder,
     /// The same numbers apart, for vector loops; those of the lines are followed by eight zeros.
     c: [Vec<f64>; 2],
@@ -87,7 +91,25 @@ impl LineGrid {
         let octets =
             weights.chunks(Octet::LEN).zip(positions.chunks(Octet::LEN)).map(|(w, t)| Octet::of(w, t)).collect();
         let image_from_line = line_from_image.inverse();
-        Self { axis, line_from_image, image_from_line, lines, weights, positions, finder, c, octets }
+        Self { axis, line_from_image, image_from_line, lines, weights, positions, stride: 1.0, finder, c, octets }
+    }
+
+    /// Some of its lines and samples, with their numbers.
+    pub(super) fn part(&self, part: &ImagePart) -> Self {
+        let step = part.stride as usize;
+        let columns = part.first_column as usize..part.end_column as usize;
+        let (lines, samples) = match self.axis {
+            LineAxis::Rows => (0..self.lines.len(), columns),
+            LineAxis::Columns => (columns, 0..self.weights.len()),
+        };
+        let pick = |all: &[[f64; 2]], which: Range<usize>| all[which].iter().step_by(step).copied().collect();
+        let (lines, weights) = (pick(&self.lines, lines), pick(&self.weights, samples));
+        Self { stride: f64::from(part.stride), ..Self::new(self.axis, self.line_from_image, lines, weights) }
+    }
+
+    /// Pixels of a camera from line to line and from sample to sample: 1 unless this is a part of a grid.
+    pub(crate) fn stride(&self) -> f64 {
+        self.stride
     }
 
     /// Number of samples at positions below `t`: the first one at or above it.

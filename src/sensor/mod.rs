@@ -5,6 +5,7 @@ mod cone_tree;
 mod distortion;
 mod grid;
 mod noise;
+mod part;
 mod polynomial;
 mod presets;
 mod project;
@@ -19,6 +20,7 @@ pub use distortion::Distortion;
 pub(crate) use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use noise::{Mixture, Noise};
+pub(crate) use part::{ImagePart, STRIDES};
 pub use presets::{PRESETS, Preset};
 pub(crate) use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
@@ -31,6 +33,8 @@ use crate::geometry::Pose;
 use crate::limits;
 use crate::memory;
 use glam::{DMat3, DQuat, DVec3};
+use part::Thinned;
+use project::Projector;
 use std::sync::Arc;
 
 /// The image geometry of a sensor.
@@ -45,7 +49,18 @@ pub enum Geometry {
 }
 
 /// The specification of a [`Sensor`].
+///
+/// ```
+/// use presight::{Camera, Geometry, Noise, Pose, SensorSpec};
+/// let camera = Geometry::Camera(Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5));
+/// let spec = SensorSpec::new("kinect", "video", camera)
+///     .with_limits(0.5, 4.5)
+///     .with_mount(Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.0, 0.9), 0.0, 0.2, 0.0))
+///     .with_noise(Noise { range_sigma: 0.01, ..Noise::default() });
+/// assert_eq!((spec.range_min, spec.range_max), (0.5, 4.5));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SensorSpec {
     /// A free name, for messages and files.
     pub name: String,
@@ -79,6 +94,48 @@ impl SensorSpec {
             noise: Noise::default(),
         }
     }
+
+    /// With another name.
+    #[must_use]
+    pub fn with_name(self, name: impl Into<String>) -> Self {
+        Self { name: name.into(), ..self }
+    }
+
+    /// With another sensor class.
+    #[must_use]
+    pub fn with_class(self, class: impl Into<String>) -> Self {
+        Self { class: class.into(), ..self }
+    }
+
+    /// With another image geometry.
+    #[must_use]
+    pub fn with_geometry(self, geometry: Geometry) -> Self {
+        Self { geometry, ..self }
+    }
+
+    /// With other limits of the range, metres, inclusive; the second may be infinite.
+    #[must_use]
+    pub fn with_limits(self, range_min: f64, range_max: f64) -> Self {
+        Self { range_min, range_max, ..self }
+    }
+
+    /// With a largest angle of incidence at which features are extracted, radians from the normal.
+    #[must_use]
+    pub fn with_max_incidence(self, max_incidence: f64) -> Self {
+        Self { max_incidence: Some(max_incidence), ..self }
+    }
+
+    /// With another mount: robot_from_sensor, body axes.
+    #[must_use]
+    pub fn with_mount(self, mount: Pose) -> Self {
+        Self { mount, ..self }
+    }
+
+    /// With other noise.
+    #[must_use]
+    pub fn with_noise(self, noise: Noise) -> Self {
+        Self { noise, ..self }
+    }
 }
 
 /// A checked sensor with its ray tables, cheap to clone.
@@ -97,9 +154,12 @@ pub struct Sensor(Arc<SensorData>);
 struct SensorData {
     spec: SensorSpec,
     grid: PixelGrid,
-    projector: project::Projector,
+    projector: Projector,
     width: u32,
     height: u32,
+    /// The part of another sensor that this is.
+    part: Option<ImagePart>,
+    thinned: Thinned,
 }
 
 impl Sensor {
@@ -120,8 +180,9 @@ impl Sensor {
         });
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
         let (width, height) = spec.geometry.size();
-        let projector = project::Projector::new(&spec);
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height })))
+        let projector = Projector::new(&spec);
+        let (part, thinned) = (None, Thinned::default());
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned })))
     }
 
     /// The specification from which the sensor was made.
@@ -129,7 +190,7 @@ impl Sensor {
         &self.0.spec
     }
 
-    pub(self) fn projector(&self) -> &project::Projector {
+    pub(self) fn projector(&self) -> &Projector {
         &self.0.projector
     }
 

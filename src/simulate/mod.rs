@@ -1,7 +1,12 @@
-//! Simulated logs: what a sensor with noise, drop-outs and mixed pixels would measure, and odometry that slips.
+//! Simulated logs: what a sensor with noise, drop-outs and mixed pixels would measure, odometry that slips, and a scene that is not
+//! quite its model.
 //!
 //! The same seed gives the same log. The generator is its own: nothing here is shared with the estimator's model of noise but the
 //! sensor's stated deviations.
+
+mod surroundings;
+
+pub use surroundings::{Walkers, displace};
 
 use crate::error::{Error, Result};
 use crate::estimate::moved;

@@ -1,6 +1,7 @@
 //! What is expected of each pixel: the predicted point and the exact plane of its polygon.
 
 use super::Surfaces;
+use super::surfaces::ObjectErrors;
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{Images, Output, Outputs};
@@ -45,6 +46,8 @@ pub struct ExpectedImage {
     pub(crate) pixels: Vec<ExpectedPixel>,
     /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
     pub(crate) spacing: (f64, f64),
+    /// Of the objects whose poses' covariances are stored.
+    pub(crate) errors: ObjectErrors,
 }
 
 /// The frame in which rays and points of an image are told, in body axes.
@@ -69,6 +72,7 @@ impl ExpectedImage {
         let mut images = Images::default();
         predictor.predict_images(world, sensor, world_from_sensor, outputs, &mut images)?;
         surfaces.follow(world);
+        let errors = surfaces.object_errors(world, &sensor.spec().class);
         let world_from_image = *world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
@@ -95,7 +99,7 @@ impl ExpectedImage {
                 });
             }
         }
-        Ok(Self { sensor: sensor.clone(), world_from_image, width, height, pixels, spacing: spacing(sensor) })
+        Ok(Self { sensor: sensor.clone(), world_from_image, width, height, pixels, spacing: spacing(sensor), errors })
     }
 
     /// The pixels, row by row.

@@ -1,12 +1,16 @@
 //! The verdict of each pixel.
 
 use super::ExpectedImage;
-use super::expected::body_from_image;
+use super::expected::{ExpectedPixel, body_from_image};
+use super::surfaces::ObjectError;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::virtual_sensors::symmetric::Matrix;
+use crate::matrix::{Matrix, quadratic, sandwich};
+use crate::motion::turn;
+use crate::threads::parallel_or_here;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// What one measured pixel says of the prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -60,7 +64,7 @@ pub struct Uncertainty {
     pub noise: RangeNoise,
     /// Of the robot's pose: x y z, then rotation about fixed x y z, world axes, row by row; metres and radians.
     pub pose: Matrix,
-    /// Of the polygons along their normals, one standard deviation, metres.
+    /// Of the polygons along their normals, one standard deviation, metres; beside what is stored of their objects' poses.
     pub polygons: f64,
 }
 
@@ -95,13 +99,15 @@ impl Verdicts {
 const BOUND: f64 = 3.3;
 /// Widest window on either side of a pixel.
 const WIDEST: i64 = 16;
+/// Fewest pixels of one task.
+const TASK: usize = 512;
 
 /// Compares a frame with what was expected of it, for a robot at a pose with a covariance. The pose may differ a little from the
 /// one that was predicted at: ranges are taken on the predicted planes.
 ///
 /// A pixel is compared with all that is predicted within its uncertainty: the standard deviation of a range is
 /// `s^2 = s_z^2 + (z s_a tan i)^2 + (J C J' + P) / cos^2 i`, with i the angle of incidence, C the pose's covariance, P the
-/// polygon's. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than the farthest [`Verdict::Farther`].
+/// polygon's: stated, and by the stored covariance of its object's pose. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than the farthest [`Verdict::Farther`].
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] if frame and prediction have not the same size.
@@ -123,18 +129,16 @@ pub fn judge(
         ));
     }
     let judge = PixelJudge::new(expected, sensor.spec().mount, world_from_robot, known);
-    let mut pixels = Vec::with_capacity(width * height);
-    let mut difference = Vec::with_capacity(width * height);
-    for row in 0..height {
-        for column in 0..width {
-            let z = f64::from(frame.ranges()[row * width + column]);
-            let limits = (sensor.spec().range_min, sensor.spec().range_max);
-            let (verdict, predicted) = judge.pixel(column, row, as_measured(z, limits), limits);
-            pixels.push(verdict);
-            difference.push((z - predicted) as f32);
-        }
-    }
-    let difference = difference.into_iter().map(|d: f32| if d.is_finite() { d } else { f32::NAN }).collect();
+    let limits = (sensor.spec().range_min, sensor.spec().range_max);
+    let one = |i: usize| {
+        let z = f64::from(frame.ranges()[i]);
+        let (verdict, predicted) = judge.pixel(i % width, i / width, as_measured(z, limits), limits);
+        let difference = (z - predicted) as f32;
+        (verdict, if difference.is_finite() { difference } else { f32::NAN })
+    };
+    let (mut pixels, mut difference) = (Vec::new(), Vec::new());
+    let all = (0..width * height).into_par_iter().with_min_len(TASK);
+    parallel_or_here(|| all.map(one).unzip_into_vecs(&mut pixels, &mut difference));
     Ok(Verdicts { width: width as u32, height: height as u32, pixels, difference })
 }
 
@@ -154,8 +158,8 @@ struct PixelJudge<'a> {
     known: &'a Uncertainty,
     /// Rotation of rays and place of the sensor, in the expected image's frame.
     expected_from_now: Pose,
-    robot: DVec3,
-    covariance: Matrix,
+    /// Variance of each pixel's polygon along its normal, by the robot's pose and by its own; square metres.
+    off: Vec<f64>,
     /// Root of the largest variance, metres and radians.
     translation: f64,
     rotation: f64,
@@ -173,14 +177,24 @@ impl<'a> PixelJudge<'a> {
     fn new(expected: &'a ExpectedImage, mount: Pose, world_from_robot: &Pose, known: &'a Uncertainty) -> Self {
         let expected_from_world = expected.world_from_image.inverse();
         let expected_from_now = expected_from_world * *world_from_robot * mount * body_from_image(&expected.sensor);
-        let turn = crate::motion::turn(expected_from_world.rotation);
+        let covariance = sandwich(&turn(expected_from_world.rotation), &known.pose);
+        let robot = expected_from_world.transform_point(world_from_robot.translation);
+        let off = |pixel: &ExpectedPixel| {
+            let (point, normal) = (pixel.point.as_dvec3(), pixel.normal.as_dvec3());
+            let by_pose = quadratic(&covariance, &ObjectError::gradient(robot, point, normal)).max(0.0);
+            let by_object = expected.errors.get(&pixel.object).map_or(0.0, |error| {
+                let world = &expected.world_from_image;
+                let (point, normal) = (world.transform_point(point), world.rotation * normal);
+                quadratic(&error.covariance, &ObjectError::gradient(error.origin, point, normal)).max(0.0)
+            });
+            by_pose + by_object + known.polygons.powi(2)
+        };
         let largest = |from: usize| (from..from + 3).map(|i| known.pose[i][i]).sum::<f64>().max(0.0).sqrt();
         Self {
             expected,
             known,
             expected_from_now,
-            robot: expected_from_world.transform_point(world_from_robot.translation),
-            covariance: crate::motion::sandwich(&turn, &known.pose),
+            off: expected.pixels.iter().map(off).collect(),
             translation: largest(0),
             rotation: largest(3),
         }
@@ -199,10 +213,7 @@ impl<'a> PixelJudge<'a> {
         // Edge-on, or the pixel's plane is behind the ray: the pixel's own range is what there is.
         let range = if range > 0.0 && slope.abs() > 1e-3 { range } else { f64::from(pixel.range) };
         let cos = slope.abs().max(1e-3);
-        let x = centre + range * ray;
-        let turned = (x - self.robot).cross(normal);
-        let j = [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z];
-        let off = crate::motion::quadratic(&self.covariance, &j).max(0.0) + self.known.polygons.powi(2);
+        let off = self.off[at];
         let z = if measured.is_finite() { measured } else { range };
         let along = self.known.noise.range_sigma(z);
         let across = z * self.known.noise.angle * (1.0 - cos * cos).max(0.0).sqrt() / cos;

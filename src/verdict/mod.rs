@@ -41,4 +41,4 @@ mod surfaces;
 pub(crate) use expected::body_from_image;
 pub use expected::{ExpectedImage, ExpectedPixel};
 pub use judge::{Uncertainty, Verdict, Verdicts, judge};
-pub use surfaces::{Surface, Surfaces};
+pub use surfaces::{ObjectError, Surface, Surfaces};

@@ -1,8 +1,12 @@
 //! The planes of polygons by slot, worked out when first seen.
 
 use crate::geometry::{Plane, plane_of_polygon};
+use crate::matrix::{Matrix, sandwich};
+use crate::motion::turn;
 use crate::world::World;
-use std::collections::HashMap;
+use glam::DVec3;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 /// A polygon as estimates use it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,6 +19,27 @@ pub struct Surface {
     pub group: u32,
 }
 
+/// What is stored of how far off an object may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectError {
+    /// Where the object's frame is, world frame, metres.
+    pub origin: DVec3,
+    /// Covariance of the object's pose: x y z, then rotation about its origin and fixed x y z, world axes; metres and radians.
+    pub covariance: Matrix,
+}
+
+impl ObjectError {
+    /// How a plane's offset changes with the object's pose, at a point x of it with normal n: `[n, (x - origin) cross n]`; all of it
+    /// along the same axes.
+    pub(crate) fn gradient(origin: DVec3, point: DVec3, normal: DVec3) -> [f64; 6] {
+        let turned = (point - origin).cross(normal);
+        [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z]
+    }
+}
+
+/// Errors of objects, by index of the object.
+pub(crate) type ObjectErrors = Arc<BTreeMap<u32, ObjectError>>;
+
 /// Normals that differ by less than about 15 degrees are of one group.
 const NORMAL_STEPS: f64 = 4.0;
 /// Planes of one direction whose offsets differ by less are of one group, metres.
@@ -26,6 +51,8 @@ pub struct Surfaces {
     stamp: Option<u64>,
     of_slot: Vec<Option<Surface>>,
     groups: HashMap<(u32, [i32; 4]), u32>,
+    /// By class of sensors.
+    errors: HashMap<String, ObjectErrors>,
 }
 
 impl Surfaces {
@@ -35,6 +62,25 @@ impl Surfaces {
             *self = Self { stamp: Some(world.stamp()), ..Self::default() };
             self.of_slot.resize(world.environment().slot_count() as usize, None);
         }
+    }
+
+    /// The stored errors of objects' poses, as the feature layer of a class of sensors has them.
+    pub(crate) fn object_errors(&mut self, world: &World, class: &str) -> ObjectErrors {
+        if let Some(known) = self.errors.get(class) {
+            return known.clone();
+        }
+        let environment = world.environment();
+        let listed = environment.layer(class).map_or(&[][..], |layer| &layer.pose_covariances);
+        let error = |(name, own): &(String, Matrix)| {
+            // Of an object that is gone nothing is seen.
+            let index = environment.index_of(name).ok()?;
+            let pose = &environment.objects()[index as usize].world_from_object;
+            let covariance = sandwich(&turn(pose.rotation), own);
+            Some((index, ObjectError { origin: pose.translation, covariance }))
+        };
+        let errors: ObjectErrors = Arc::new(listed.iter().filter_map(error).collect());
+        self.errors.insert(class.to_owned(), errors.clone());
+        errors
     }
 
     /// The surface of a slot; `None` if nothing has it, or if its polygon has no plane.

@@ -30,7 +30,7 @@ pub struct Candidate {
     pub reflection: f64,
     /// depth_z over range.
     pub depth_per_range: f64,
-    /// Unit normal in the image frame, either way round.
+    /// Unit normal in the image frame, on the side that the ray comes from.
     pub(super) normal: DVec3,
 }
 
@@ -151,7 +151,7 @@ impl Candidate {
             cos_error: bound.shown_cosine,
             reflection,
             depth_per_range: ray.z,
-            normal: face.normal,
+            normal: if face.normal.dot(ray) > 0.0 { -face.normal } else { face.normal },
         }
     }
 

@@ -266,8 +266,7 @@ fn check_shape(reference: &Images, other: &Images) -> Result<()> {
     }
     for image in [reference, other] {
         for output in Output::ALL {
-            let len = image.floats(output).map(<[f32]>::len).or(image.ids(output).map(<[u32]>::len));
-            if len.is_some_and(|len| len != image.pixels()) {
+            if image.samples(output).is_some_and(|samples| samples.len() != image.pixels()) {
                 return Err(Error::invalid(format!("{} lacks pixels", output.name()), "the image is truncated"));
             }
         }

@@ -3,7 +3,7 @@
 use super::bound::Precision;
 use super::candidates::Candidate;
 use crate::plan::{FramePlan, Images};
-use crate::sensor::SensorSpec;
+use crate::sensor::{Geometry, SensorSpec, body_from_optical};
 use serde::Serialize;
 
 /// The values of one pixel; `None` for images that are not there.
@@ -21,6 +21,9 @@ pub struct PixelValues {
     pub cos_incidence: Option<f32>,
     /// 0..=1 or NaN.
     pub echo: Option<f32>,
+    /// A unit vector or NaN.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal: Option<[f32; 3]>,
 }
 
 /// The share of its error bound that each output of a pixel is off by; 1 is the bound itself.
@@ -34,11 +37,13 @@ pub struct BoundShares {
     pub cos_incidence: f64,
     /// Of the echo bound.
     pub echo: f64,
+    /// Of the bound of each component of the normal; the most.
+    pub normal: f64,
 }
 
 impl BoundShares {
     pub(super) fn most(&self) -> f64 {
-        self.range.max(self.depth_z).max(self.cos_incidence).max(self.echo)
+        self.range.max(self.depth_z).max(self.cos_incidence).max(self.echo).max(self.normal)
     }
 
     pub(super) fn max(self, other: Self) -> Self {
@@ -47,7 +52,16 @@ impl BoundShares {
             depth_z: self.depth_z.max(other.depth_z),
             cos_incidence: self.cos_incidence.max(other.cos_incidence),
             echo: self.echo.max(other.echo),
+            normal: self.normal.max(other.normal),
         }
+    }
+}
+
+impl std::fmt::Display for BoundShares {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { range, depth_z, cos_incidence, echo, normal } = self;
+        write!(f, "range {range:.3}, depth_z {depth_z:.3}, cos_incidence {cos_incidence:.3}, echo {echo:.3}, ")?;
+        write!(f, "normal {normal:.3}")
     }
 }
 
@@ -61,14 +75,19 @@ impl PixelValues {
             object_id: images.object_id.get(at).copied(),
             cos_incidence: images.cos_incidence.get(at).copied(),
             echo: images.echo.get(at).copied(),
+            normal: images.normal.get(at).copied(),
         }
     }
 
     /// Equal to the bit, NaN of any kind being one value.
     pub(super) fn identical(&self, other: &Self) -> bool {
-        let bits = |v: Option<f32>| v.map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() });
-        let floats = |v: &Self| [bits(v.range), bits(v.depth_z), bits(v.cos_incidence), bits(v.echo)];
-        floats(self) == floats(other) && self.polygon_id == other.polygon_id && self.object_id == other.object_id
+        let to_bits = |x: f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
+        let floats = |v: &Self| [v.range, v.depth_z, v.cos_incidence, v.echo].map(|x| x.map(to_bits));
+        let vector = |v: &Self| v.normal.map(|n| n.map(to_bits));
+        floats(self) == floats(other)
+            && vector(self) == vector(other)
+            && self.polygon_id == other.polygon_id
+            && self.object_id == other.object_id
     }
 
     /// True if the pixel shows nothing: `+inf`, ids 0, no angle.
@@ -86,7 +105,8 @@ impl PixelValues {
     fn has_no_ids(&self) -> bool {
         let zero = |v: Option<u32>| v.is_none_or(|id| id == 0);
         let no_share = self.cos_incidence.is_none_or(f32::is_nan) && self.echo.is_none_or(f32::is_nan);
-        zero(self.polygon_id) && zero(self.object_id) && no_share
+        let no_normal = self.normal.is_none_or(|n| n.iter().all(|x| x.is_nan()));
+        zero(self.polygon_id) && zero(self.object_id) && no_share && no_normal
     }
 
     /// How far the values are off what a polygon shows, in shares of the bounds; `None` if they do not fit it at all
@@ -108,10 +128,11 @@ impl PixelValues {
         let cos_incidence = share(self.cos_incidence, cos, [c.cos_error, c.cos_error], p);
         let echo_off = echo_error(c, cos as f32, p);
         let echo = share(self.echo, based(base.echo, c.reflection * cos), [echo_off, echo_off], p);
+        let normal = self.normal_off(c, base.normal, spec, p);
         let slack = p.limit_slack();
         let too_near = |v: Option<f32>| v.is_none_or(|x| x == f32::NEG_INFINITY);
         if c.nearest < spec.range_min * slack && too_near(self.range) && too_near(self.depth_z) {
-            return Some(BoundShares { cos_incidence, echo, ..BoundShares::default() });
+            return Some(BoundShares { cos_incidence, echo, normal, ..BoundShares::default() });
         }
         if c.farthest * slack < spec.range_min || c.nearest > spec.range_max * slack {
             return None;
@@ -125,7 +146,23 @@ impl PixelValues {
             depth_z: share(self.depth_z, based(base.depth_z, c.range * z), depth_off, p),
             cos_incidence,
             echo,
+            normal,
         })
+    }
+
+    /// How far the normal is off. Each component is the normal times an axis of the body, a unit vector as a ray is: the bound is
+    /// that of cos_incidence. Where the side of the plane that the sensor is on is not proven, either normal fits.
+    fn normal_off(&self, c: &Candidate, base: Option<[f32; 3]>, spec: &SensorSpec, p: Precision) -> f64 {
+        let Some(normal) = self.normal else { return 0.0 };
+        let is_camera = matches!(spec.geometry, Geometry::Camera(_));
+        let exact = if is_camera { body_from_optical() * c.normal } else { c.normal };
+        let based = base.filter(|n| n.iter().all(|x| x.is_finite())).map(|n| n.map(f64::from));
+        let off = |side: f64| {
+            let exact = based.unwrap_or_else(|| exact.to_array()).map(|x| side * x);
+            let shares = normal.into_iter().zip(exact).map(|(x, e)| share(Some(x), e, [c.cos_error; 2], p));
+            shares.fold(0.0, f64::max)
+        };
+        if c.farthest.is_finite() { off(1.0) } else { off(1.0).min(off(-1.0)) }
     }
 }
 
@@ -169,6 +206,8 @@ pub struct Tolerances {
     pub cos_incidence: f64,
     /// Of echo.
     pub echo: f64,
+    /// Of each component of the normal.
+    pub normal: [f64; 3],
 }
 
 impl Tolerances {
@@ -181,6 +220,7 @@ impl Tolerances {
             depth_z: range * c.depth_per_range + out(reference.depth_z),
             cos_incidence: c.cos_error + out(reference.cos_incidence),
             echo: echo_error(c, reference.cos_incidence.unwrap_or(c.cos_incidence as f32), p) + out(reference.echo),
+            normal: reference.normal.unwrap_or([0.0; 3]).map(|x| c.cos_error + out(Some(x))),
         }
     }
 }
@@ -225,6 +265,7 @@ impl std::fmt::Display for PixelValues {
         parts.extend(self.depth_z.map(|v| format!("depth_z {v}")));
         parts.extend(self.cos_incidence.map(|v| format!("cos_incidence {v}")));
         parts.extend(self.echo.map(|v| format!("echo {v}")));
+        parts.extend(self.normal.map(|[x, y, z]| format!("normal {x} {y} {z}")));
         f.write_str(&parts.join(", "))
     }
 }

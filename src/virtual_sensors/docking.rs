@@ -17,9 +17,9 @@
 
 use super::View;
 use super::landmarks::{self, Landmark};
-use super::symmetric::{Matrix, eigen};
 use crate::error::{Error, Result};
 use crate::features::FeaturePrediction;
+use crate::matrix::{Matrix, eigen};
 use crate::sensor::{Geometry, Sensor};
 use glam::DVec3;
 use serde::Serialize;

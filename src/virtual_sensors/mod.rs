@@ -27,7 +27,6 @@ mod mask;
 mod pixels;
 mod radar_lines;
 mod radar_nearest;
-pub(crate) mod symmetric;
 mod vertical_planes;
 mod view;
 

@@ -5,6 +5,7 @@
 
 use super::pixels::Pixels;
 use super::{Corridor, View};
+use crate::deadline::Degradation;
 use crate::error::Result;
 use glam::DVec3;
 use serde::Serialize;
@@ -104,7 +105,7 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
     let (width, height) = (pixels.sensor.width(), pixels.sensor.height());
     let mut directions = Directions::default();
     let (mut nearest, mut first, mut beams) = (None, None, 0);
-    let complete_to = view.given_up.map(|given_up| given_up.complete_to);
+    let complete_to = view.given_up.map(Degradation::complete_everywhere_to).filter(|to| to.is_finite());
     for column in 0..width {
         let azimuth = (0..height).find_map(|row| pixels.ray(column, row)).map_or(f64::NAN, |ray| ray.y.atan2(ray.x));
         let (mut least, mut object_id) = (f64::INFINITY, 0);

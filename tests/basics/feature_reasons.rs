@@ -6,6 +6,7 @@ use common::scenes;
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{FeaturePrediction, FeatureSettings, PlacedFeature, Reason, SeenFeature, predict_features};
+use presight::plan::{CountName, StageName};
 use presight::{
     Angles, Appearance, Environment, ErrorKind, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
     RayTable, Scanner, Sensor, SensorSpec, World,
@@ -252,21 +253,22 @@ fn what_cannot_be_placed_is_refused() {
 /// On as many threads as it was given, to the same answers.
 #[test]
 fn a_predictor_predicts_features_on_its_own_threads() {
-    use presight::features::FeatureOptions;
+    use presight::features::{FeatureOptions, Hidden};
     use presight::{Backend, Options, Predictor, Request};
     let (world, camera) = (wall(Appearance::Opaque, false), scenes::camera(101, 81));
     let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(3)).unwrap();
     assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
     let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
-    assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")), "none were asked for");
-    let request = Request::default().with_features(FeatureOptions::default().with_placed(features.to_vec()));
+    assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")), "none were asked for");
+    let request = Request::default()
+        .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(features.to_vec()));
     let found = predictor.predict(&world, &camera, &Pose::IDENTITY, &request).unwrap();
     let options = FeatureSettings::default();
     let again = predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options).unwrap();
     assert_eq!(found.features, Some(again));
-    assert!(found.stats.stages_ms.iter().any(|(stage, _)| stage == "features"));
-    assert!(found.stats.counts.contains(&("feature samples".into(), 2)), "{:?}", found.stats.counts);
+    assert!(found.stats.stages_ms.iter().any(|(stage, _)| *stage == StageName::Features));
+    assert!(found.stats.counts.contains(&(CountName::FeatureSamples, 2)), "{:?}", found.stats.counts);
 }
 
 /// Finer sampling is nearer to the truth; what is no step, or coarser than half a pixel, is refused.

@@ -3,6 +3,8 @@
 mod architecture;
 mod feature_reasons;
 mod lens_opencv;
+mod outputs;
+mod pictures;
 mod poses;
 mod skipped;
 mod verify;

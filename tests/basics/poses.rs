@@ -162,7 +162,7 @@ fn engines_and_virtual_sensors_look_again() {
 #[test]
 fn a_mount_is_a_pose_too() {
     for (what, mount, _) in bad() {
-        let spec = presight::SensorSpec { mount, ..scenes::camera(4, 3).spec().clone() };
+        let spec = scenes::camera(4, 3).spec().clone().with_mount(mount);
         let e = Sensor::new(spec).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("mount: the pose ["), "{what}: {e}");
     }

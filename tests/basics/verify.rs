@@ -60,7 +60,7 @@ fn one_pixel_is_caught() {
         assert_eq!(caught(&plan, &images, &wrong).fault, 1);
         let mut wrong = images.clone();
         (wrong.range[at], wrong.polygon_id[at], wrong.object_id[at]) = (f32::INFINITY, 0, 0);
-        (wrong.cos_incidence[at], wrong.echo[at]) = (f32::NAN, f32::NAN);
+        (wrong.cos_incidence[at], wrong.echo[at], wrong.normal[at]) = (f32::NAN, f32::NAN, [f32::NAN; 3]);
         if let Some(z) = wrong.depth_z.get_mut(at) {
             *z = f32::INFINITY;
         }
@@ -101,6 +101,12 @@ fn one_ulp_within_the_bound_passes_and_one_beyond_is_caught() {
                 let within = last_within(images.echo[at], most.echo);
                 assert_eq!(judge(&|i| i.echo[at] = within).fault, 0);
                 assert_eq!(judge(&|i| i.echo[at] = within.next_up()).fault, 1);
+                for axis in 0..3 {
+                    let within = last_within(images.normal[at][axis], most.normal[axis]);
+                    let report = judge(&|i| i.normal[at][axis] = within);
+                    assert!(report.fault == 0 && report.worst.normal > 0.1 && report.worst.normal <= 1.0);
+                    assert_eq!(judge(&|i| i.normal[at][axis] = within.next_up()).fault, 1);
+                }
                 if plan.sensor.is_camera() {
                     let within = last_within(images.depth_z[at], most.depth_z);
                     assert_eq!(judge(&|i| i.depth_z[at] = within).fault, 0);
@@ -157,6 +163,7 @@ fn an_image_shifted_by_one_pixel_is_caught() {
             object_id: shifted(&images.object_id, w),
             cos_incidence: shifted(&images.cos_incidence, w),
             echo: shifted(&images.echo, w),
+            normal: shifted(&images.normal, w),
             ..images.clone()
         };
         caught(&plan, &images, &wrong);
@@ -197,6 +204,10 @@ fn nan_and_infinity_are_caught() {
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);
             let mut wrong = images.clone();
             wrong.echo[13] = bad;
+            assert_eq!(caught(&plan, &images, &wrong).fault, 1);
+            // In place of what may be a component, the normal on the other side.
+            let mut wrong = images.clone();
+            wrong.normal[14] = if bad.abs() <= 1.0 { wrong.normal[14].map(|x| -x) } else { [bad, 0.0, 0.0] };
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);
         }
     }

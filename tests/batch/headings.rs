@@ -19,7 +19,7 @@ fn scanner(start_deg: f64, step_deg: f64, count: u32, rows: &[f64], limits: (f64
     let azimuth = Angles::Uniform { start_deg, step_deg, count };
     let elevation = Angles::Listed(rows.to_vec());
     let spec = SensorSpec::new("s", "laser", Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None }));
-    Sensor::new(SensorSpec { range_min: limits.0, range_max: limits.1, noise: NOISE, ..spec }).unwrap()
+    Sensor::new(spec.with_limits(limits.0, limits.1).with_noise(NOISE)).unwrap()
 }
 
 /// Weighs one place by the batch, and each heading by the oracle on the panorama's images shifted one by one.

@@ -36,7 +36,7 @@ pub fn disturbed(random: &mut Random, spec: &SensorSpec, range: &[f32]) -> Vec<f
 /// A fault that the comparison has to find: a wider Gauss.
 fn wide(spec: &SensorSpec) -> SensorSpec {
     let noise = Noise { range_sigma: spec.noise.range_sigma + 0.03, ..spec.noise };
-    SensorSpec { noise, ..spec.clone() }
+    spec.clone().with_noise(noise)
 }
 
 fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
@@ -74,7 +74,7 @@ fn every_preset_is_weighed_as_the_formula_says() {
     };
     let poses: Vec<Pose> = (0..6).map(|_| pose()).collect();
     let mut sensors = data::presets();
-    let near = SensorSpec { range_min: 1.5, range_max: 3.0, ..sensors[0].spec().clone() };
+    let near = sensors[0].spec().clone().with_limits(1.5, 3.0);
     sensors.push(Sensor::new(near).unwrap());
     check(&world, &poses, &sensors, 1e-9);
 }
@@ -142,7 +142,7 @@ fn what_cannot_be_weighed_is_refused() {
     assert!(refused(&sensor, vec![f32::NEG_INFINITY; 361], cell).contains("range 0"));
     assert!(refused(&plain, vec![1.0; 361], cell).contains("noise of ranges"));
     assert!(refused(&sensor, vec![1.0; 361], PoseCell { side: f64::NAN, turn: 0.0 }).contains("pose cell"));
-    let endless = Sensor::new(SensorSpec { range_max: f64::INFINITY, ..sensor.spec().clone() }).unwrap();
+    let endless = Sensor::new(sensor.spec().clone().with_limits(sensor.spec().range_min, f64::INFINITY)).unwrap();
     assert!(refused(&endless, vec![1.0; 361], cell).contains("finite range_max"));
 
     let sensed = RangeLikelihood::new(&sensor, vec![1.0; 361], cell).unwrap();
@@ -157,7 +157,7 @@ fn what_cannot_be_weighed_is_refused() {
         Mixture { beam_dependence: 0.5, ..Mixture::default() },
     ] {
         let noise = Noise { mixture, ..Noise::default() };
-        let e = Sensor::new(SensorSpec { noise, ..sensor.spec().clone() }).unwrap_err();
+        let e = Sensor::new(sensor.spec().clone().with_noise(noise)).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::Invalid, "{e}");
     }
 }

@@ -9,7 +9,7 @@ mod row;
 
 use presight_testkit as common;
 
-use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
+use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World};
 
 /// A predictor on the CPU engine.
 fn predictor(threads: usize) -> Predictor {
@@ -20,7 +20,7 @@ fn predictor(threads: usize) -> Predictor {
 fn noisy(sensor: &Sensor, noise: Noise) -> Sensor {
     let spec = sensor.spec().clone();
     let range_max = if spec.range_max.is_finite() { spec.range_max } else { 100.0 };
-    Sensor::new(SensorSpec { noise, range_max, ..spec }).expect("a sound sensor")
+    Sensor::new(spec.clone().with_limits(spec.range_min, range_max).with_noise(noise)).expect("a sound sensor")
 }
 
 /// Range and cos_incidence of a single prediction.

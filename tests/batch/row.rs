@@ -8,7 +8,7 @@ fn scanner(azimuth: Angles, limits: (f64, f64)) -> Sensor {
     let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
     let geometry = Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None });
     let spec = SensorSpec::new("row", "laser", geometry);
-    Sensor::new(SensorSpec { range_min: limits.0, range_max: limits.1, ..spec }).unwrap()
+    Sensor::new(spec.with_limits(limits.0, limits.1)).unwrap()
 }
 
 fn scanners() -> Vec<Sensor> {

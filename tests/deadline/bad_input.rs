@@ -1,11 +1,12 @@
 //! Deadlines that cannot be, clocks that jump, and engines that cannot stop.
 
 use crate::common::scenes::{camera, room_world};
-use crate::ticks::{Jumping, Untouchable};
+use crate::ticks::{Jumping, Ticks, Untouchable};
+use presight::deadline::Priority;
 use presight::engine::EngineKind;
 use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 fn predictor() -> Predictor {
     Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap()
@@ -20,9 +21,11 @@ fn no_time_is_wrong_usage_and_too_little_is_an_error_in_time() {
     let (world, sensor, mut predictor) = (room_world(1, 50), camera(640, 480), predictor());
     let none = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::ZERO)).unwrap_err();
     assert_eq!((none.kind(), none.kind().exit_status()), (ErrorKind::Usage, 2));
-    let start = Instant::now();
+    // It is refused before any work is done: selection looks at the clock again when it has ended.
+    let clock = Arc::new(Ticks::default());
+    predictor.set_clock(clock.clone());
     let too_little = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1))).unwrap_err();
-    assert!(start.elapsed() < Duration::from_millis(20), "{:?}", start.elapsed());
+    assert_eq!(clock.looks(), 1);
     assert_eq!((too_little.kind(), too_little.kind().exit_status()), (ErrorKind::Deadline, 4));
     let said = too_little.to_string();
     assert!(said.starts_with("nothing can be predicted within 0.000 ms; give ") && !said.contains('\n'), "{said}");
@@ -80,4 +83,26 @@ fn an_engine_that_cannot_stop_says_so() {
     let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1))).unwrap_err();
     assert_eq!(refused.kind(), ErrorKind::Usage);
     assert!(refused.to_string().contains("--backend cpu"), "{refused}");
+    // Where the engine was not named the CPU engine takes over, and says so.
+    let engine = EngineKind::Reference.open(&1.into()).unwrap();
+    let mut predictor = Predictor::with_engine(Options::new(Backend::Auto).with_threads(1), engine);
+    for _ in 0..2 {
+        let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10))).unwrap();
+        assert_eq!((seen.stats.engine, seen.degradation()), ("cpu", None));
+        assert_eq!(seen.stats.notices, ["the CPU engine kept the deadline: reference cannot stop"]);
+    }
+    let without = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
+    assert_eq!((without.stats.engine, without.stats.notices.len()), ("reference", 0));
+}
+
+#[test]
+fn priorities_without_sense_are_wrong_usage() {
+    let (world, sensor, mut predictor) = (room_world(1, 10), camera(32, 24), predictor());
+    let radii = [0.0, -1.0, f64::NAN, f64::INFINITY].map(|metres| Priority::default().with_least_radius(metres));
+    let headings = [f64::NAN, f64::NEG_INFINITY].map(|heading| Priority::default().with_heading(heading));
+    for priority in radii.into_iter().chain(headings) {
+        let request = within(Duration::from_secs(1)).with_priority(priority);
+        let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &request).unwrap_err();
+        assert_eq!(refused.kind(), ErrorKind::Usage, "{refused}");
+    }
 }

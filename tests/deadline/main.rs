@@ -5,6 +5,7 @@
 use presight_testkit as common;
 
 mod bad_input;
+mod features;
 mod partial;
 mod readers;
 mod ticks;

@@ -24,6 +24,11 @@ struct Verdict {
 
 /// Holds a partial prediction to the full one.
 fn judge(full: &Images, partial: &Images, complete_to: f64) -> Verdict {
+    judge_part(full, partial, complete_to, |_, _| true)
+}
+
+/// The same where only some columns and rows were asked for: no others may show anything.
+fn judge_part(full: &Images, partial: &Images, complete_to: f64, asked: impl Fn(u32, u32) -> bool) -> Verdict {
     let mut verdict = Verdict::default();
     let floats = |images: &Images, at: usize| {
         [Output::Range, Output::DepthZ, Output::CosIncidence, Output::Echo].map(|o| {
@@ -33,15 +38,17 @@ fn judge(full: &Images, partial: &Images, complete_to: f64) -> Verdict {
     let ids = |images: &Images, at: usize| [images.polygon_id[at], images.object_id[at]];
     for at in 0..full.pixels() {
         let same = floats(full, at) == floats(partial, at) && ids(full, at) == ids(partial, at);
+        let asked_for = asked(at as u32 % full.width, at as u32 / full.width);
         let is_open = floats(partial, at).iter().flatten().all(|bits| f32::from_bits(*bits).is_nan())
             && ids(partial, at) == [0; 2];
         verdict.shown += usize::from(partial.range[at].is_finite());
+        verdict.wrong += usize::from(!asked_for && !is_open);
         if same {
             continue;
         }
         verdict.open += usize::from(is_open);
-        verdict.wrong += usize::from(!is_open);
-        verdict.missing += usize::from(is_open && f64::from(full.range[at]) < complete_to);
+        verdict.wrong += usize::from(!is_open && asked_for);
+        verdict.missing += usize::from(is_open && asked_for && f64::from(full.range[at]) < complete_to);
     }
     verdict
 }
@@ -65,6 +72,16 @@ impl Subject<'_> {
         let (mut images, mut stats) = (Images::default(), Stats::default());
         engine.render(&plan, &mut images, &mut stats).unwrap();
         (images, stats, clock.looks())
+    }
+
+    /// A part of the images, stopped after so many looks at the clock.
+    fn render_part(&self, engine: &mut CpuEngine, looks: u64, part: (u32, Option<(f64, u32)>)) -> (Images, Stats) {
+        let mut plan = plan(self.world, self.sensor, &self.pose);
+        plan.set_watch(Watch::start(Arc::new(Ticks::default()), Duration::from_micros(looks)));
+        plan.set_part(part.0, part.1).unwrap();
+        let (mut images, mut stats) = (Images::default(), Stats::default());
+        engine.render(&plan, &mut images, &mut stats).unwrap();
+        (images, stats)
     }
 
     fn full(&self, engine: &mut CpuEngine) -> Images {
@@ -129,6 +146,77 @@ fn what_is_final_is_the_full_predictions_to_the_bit() {
     assert!(tally.with_something * 4 > tally.partial, "hardly any stopped frame shows anything");
 }
 
+/// A part of the image: every k-th column and row, of all columns or of some around a heading. Each sample of it is the full image's,
+/// to the bit, whole or stopped anywhere; no other one shows anything.
+#[test]
+fn a_thinned_or_narrowed_image_has_the_full_ones_samples() {
+    let mut random = Random(13);
+    let (mut parts, mut kept) = (0, 0);
+    for (seed, threads) in [(0, 1), (1, 2)] {
+        let world = room_world(seed, 700);
+        let mut engine = CpuEngine::new(threads).unwrap();
+        for sensor in sensors() {
+            let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+            let full = subject.full(&mut engine);
+            for (stride, around) in
+                [(2, None), (4, None), (8, None), (1, Some((0.7, 17))), (4, Some((-0.2, 40))), (2, Some((9.0, 11)))]
+            {
+                let all = subject.render_part(&mut engine, u64::MAX / 2000, (stride, around));
+                let stopped = subject.render_part(&mut engine, random.below(60) as u64, (stride, around));
+                for (images, stats) in [all, stopped] {
+                    let (given_up, name) = (stats.degradation(), &sensor.spec().name);
+                    let asked = |column: u32, row: u32| {
+                        let in_part = given_up.is_none_or(|g| g.opening.is_none()) || around.is_some();
+                        in_part && column.is_multiple_of(stride) && row.is_multiple_of(stride)
+                    };
+                    let complete_to = if around.is_some() { 0.0 } else { given_up.map_or(0.0, |g| g.complete_to) };
+                    let verdict = judge_part(&full, &images, complete_to, asked);
+                    assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, every {stride}, {around:?}");
+                    assert_eq!(
+                        given_up.map_or(0, |g| g.samples as usize),
+                        verdict.open,
+                        "{name}, {stride}, {around:?}"
+                    );
+                    assert_eq!(given_up.map_or(1, |g| g.stride), stride, "{name}");
+                    kept += verdict.shown;
+                    parts += 1;
+                }
+            }
+            // Every second column and row of a whole frame show all that the full image has there.
+            let (images, _) = subject.render_part(&mut engine, u64::MAX / 2000, (2, None));
+            let shown = |images: &Images, every: usize| {
+                let rows = images.range.chunks(images.width as usize).step_by(every);
+                rows.flat_map(|row| row.iter().step_by(every)).filter(|range| range.is_finite()).count()
+            };
+            assert_eq!(shown(&images, 1), shown(&full, 2), "{}", sensor.spec().name);
+        }
+    }
+    println!("{parts} parts of images show {kept} samples");
+    assert!(kept > 10_000);
+}
+
+/// By hand: a scanner of 180 columns has one each degree from -90 on. Nine around 45 degrees to the left are 131 to 139; the first is
+/// taken from a multiple of 8 on.
+#[test]
+fn an_image_is_narrowed_to_columns_around_a_heading() {
+    let (world, sensor) = (room_world(1, 50), scanner(181, 3));
+    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+    let mut engine = CpuEngine::new(1).unwrap();
+    let degrees = |column: u32| {
+        let ray = sensor.ray(column, 1).unwrap();
+        ray.y.atan2(ray.x).to_degrees()
+    };
+    let middle = (0..181).min_by(|a, b| (degrees(*a) - 45.0).abs().total_cmp(&(degrees(*b) - 45.0).abs())).unwrap();
+    let first = (middle - 4) / 8 * 8;
+    let (images, stats) = subject.render_part(&mut engine, u64::MAX / 2000, (1, Some((45f64.to_radians(), 9))));
+    let there: Vec<u32> = (0..181).filter(|column| !images.range[181 + *column as usize].is_nan()).collect();
+    assert_eq!(there, (first..middle + 5).collect::<Vec<_>>());
+    let opening = stats.degradation().unwrap().opening.unwrap();
+    let ends = [degrees(first), degrees(middle + 4)];
+    assert!((opening.opening_deg - (ends[1] - ends[0]).abs()).abs() < 1e-9, "{opening:?}");
+    assert!((opening.heading_deg - 0.5 * (ends[0] + ends[1])).abs() < 1e-9, "{opening:?}");
+}
+
 /// The same in buildings: `SCENE_FRAMES=60 cargo test --release --test deadline buildings -- --nocapture` for many.
 #[test]
 fn what_is_final_in_buildings_is_the_full_predictions_to_the_bit() {
@@ -175,4 +263,25 @@ fn infinity_for_what_was_left_out_is_caught() {
     let nearest_open = (0..full.pixels()).filter(|at| partial.range[*at].is_nan()).map(|at| full.range[at]);
     let beyond = f64::from(nearest_open.fold(f32::INFINITY, f32::min)) + 0.01;
     assert!(judge(&full, &partial, beyond).missing > 0);
+}
+
+/// A thinned image that fills gaps from beside, or is a pixel off, is found out.
+#[test]
+fn samples_in_wrong_places_are_caught() {
+    let (world, sensor) = (room_world(3, 700), camera(96, 64));
+    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+    let mut engine = CpuEngine::new(1).unwrap();
+    let full = subject.full(&mut engine);
+    let every_second = |column: u32, row: u32| column.is_multiple_of(2) && row.is_multiple_of(2);
+    let (thinned, _) = subject.render_part(&mut engine, u64::MAX / 2000, (2, None));
+    assert_eq!(judge_part(&full, &thinned, 1e9, every_second).wrong, 0);
+    let mut filled = thinned.clone();
+    for at in (1..filled.range.len()).filter(|at| filled.range[*at].is_nan()).collect::<Vec<_>>() {
+        filled.range[at] = filled.range[at - 1];
+    }
+    assert!(judge_part(&full, &filled, 1e9, every_second).wrong > 100);
+    let mut shifted = thinned;
+    shifted.range.rotate_right(2);
+    shifted.polygon_id.rotate_right(2);
+    assert!(judge_part(&full, &shifted, 1e9, every_second).wrong > 100);
 }

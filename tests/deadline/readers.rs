@@ -47,7 +47,7 @@ fn given_up_beyond(mut prediction: Prediction, complete_to: f64) -> Prediction {
             samples += 1;
         }
     }
-    let given_up = Some(Degradation { complete_to, samples, means: Vec::new() });
+    let given_up = Some(Degradation { complete_to, samples, ..Degradation::default() });
     prediction.stats.deadline = Some(DeadlineOutcome { given_up, ..DeadlineOutcome::default() });
     prediction
 }

@@ -41,3 +41,23 @@ impl Clock for Jumping {
         Duration::from_micros(if n.is_multiple_of(3) { 5_000_000 - n } else { n * n })
     }
 }
+
+/// Every look at it takes a microsecond; from some look on an hour has passed.
+#[derive(Debug)]
+pub struct Sudden {
+    looks: AtomicU64,
+    at: u64,
+}
+
+impl Sudden {
+    pub fn at(look: u64) -> Self {
+        Self { looks: AtomicU64::new(0), at: look }
+    }
+}
+
+impl Clock for Sudden {
+    fn now(&self) -> Duration {
+        let n = self.looks.fetch_add(1, Ordering::Relaxed);
+        Duration::from_micros(if n < self.at { n } else { 3_600_000_000 + n })
+    }
+}

@@ -1,6 +1,7 @@
 //! Real depth images in a real map (../shared/data/rgbd/livingroom). Figures beside each bound are those reached.
 
 use super::*;
+use presight::environment::{Polygon, PolygonOrder};
 use presight::estimate::Prior;
 use presight::io::gltf::import;
 use presight::localize::{LocalizeOptions, Localizer, Phase};
@@ -26,16 +27,83 @@ fn poses(name: &str) -> Vec<Pose> {
     text.lines().filter(|l| !l.starts_with('#')).map(pose).collect()
 }
 
-/// Every fourth column and row of a depth image.
-fn frame(folder: &str, k: usize, range_sigma: f64) -> Frame {
+/// A camera whose noise is the same at every range.
+fn camera_of(range_sigma: f64) -> Sensor {
     let camera = Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5);
     let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
     spec.noise.range_sigma = range_sigma;
+    Sensor::new(spec).unwrap()
+}
+
+/// The camera of the noisy frames: its noise grows with the square of the range.
+fn noisy_camera() -> Sensor {
+    presight::io::load_sensor(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/estimate/noisy_camera.toml")).unwrap().0
+}
+
+/// Every fourth column and row of a depth image.
+fn frame(folder: &str, k: usize, range_sigma: f64) -> Frame {
+    whole_frame(folder, k, camera_of(range_sigma)).thinned(4).unwrap()
+}
+
+fn whole_frame(folder: &str, k: usize, camera: Sensor) -> Frame {
     let path = presight_testkit::data::file(&format!("rgbd/livingroom/{folder}/{k:05}.png")).unwrap();
     let depth = image::open(Path::new(&path)).unwrap().into_luma16();
     let metres = |mm: &u16| if *mm == 0 { f32::NAN } else { f32::from(*mm) * 1e-3 };
     let sensed = Measurement::DepthZ(depth.as_raw().iter().map(metres).collect());
-    Frame::new(0.0, Sensor::new(spec).unwrap(), sensed).unwrap().thinned(4).unwrap()
+    Frame::new(0.0, camera, sensed).unwrap()
+}
+
+/// The surface that a frame sees, every other column and row: two triangles between four neighbours, unless one of them is behind an edge.
+fn surface_of(frame: &Frame, pose: &Pose) -> World {
+    let thin = frame.thinned(2).unwrap();
+    let (sensor, ranges) = (thin.sensor(), thin.ranges());
+    let (width, height) = (sensor.width(), sensor.height());
+    let body = sensor.body_from_image();
+    let corners: Vec<Vec3> = (0..width * height)
+        .map(|i| {
+            let (ray, range) = (sensor.ray(i % width, i / width).unwrap(), f64::from(ranges[i as usize]));
+            // A pixel without a measurement is no corner of a polygon.
+            let range = if range.is_finite() { range } else { 0.0 };
+            pose.transform_point(body * (range * ray)).as_vec3()
+        })
+        .collect();
+    let mut polygons = Vec::new();
+    for (r, c) in (0..height - 1).flat_map(|r| (0..width - 1).map(move |c| (r, c))) {
+        let i = r * width + c;
+        let four = [i, i + 1, i + width, i + width + 1].map(|k| ranges[k as usize]);
+        let (near, far) = four.iter().fold((f32::MAX, 0.0f32), |(a, b), z| (a.min(*z), b.max(*z)));
+        if four.iter().all(|z| z.is_finite()) && far < 1.03 * near {
+            polygons.push(Polygon::new(vec![i, i + width, i + 1], 0));
+            polygons.push(Polygon::new(vec![i + 1, i + width, i + width + 1], 0));
+        }
+    }
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("surface")).unwrap();
+    let mesh = Mesh::new("surface", corners, polygons, PolygonOrder::Given).unwrap();
+    environment.insert(NewObject::new("surface", Pose::IDENTITY, Arc::new(mesh))).unwrap();
+    World::new(environment)
+}
+
+/// The surface of the first frame as the map of the next four, whose poses relative to it are known exactly.
+#[test]
+fn against_the_first_frame() {
+    if map().is_none() {
+        return;
+    }
+    let truth = poses("poses_noisy.txt");
+    let cases = [("depth", camera_of(0.001), 0.0003, 0.01), ("depth_noisy", noisy_camera(), 0.005, 0.13)];
+    for (folder, camera, most_metres, most_degrees) in cases {
+        let surface = surface_of(&whole_frame(folder, 0, camera.clone()), &truth[0]);
+        let mut found = estimator(EstimateOptions::default());
+        for k in 1..5 {
+            let frame = whole_frame(folder, k, camera.clone()).thinned(4).unwrap();
+            // From where the frame before was.
+            let answer = found.estimate(&surface, &[&frame], &Prior::of_sigmas(truth[k - 1], 0.03, 0.02)).unwrap();
+            let (metres, degrees) = apart(&answer.pose, &truth[k]);
+            assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
+            assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
+        }
+    }
 }
 
 /// The first five frames, whose poses are known exactly. The map itself was made with poses that are off by millimetres.
@@ -44,9 +112,11 @@ fn against_exact_poses() {
     let Some(map) = map() else { return };
     let truth = poses("poses_noisy.txt");
     let mut found = estimator(EstimateOptions::default());
-    for (folder, most_metres, most_degrees) in [("depth", 0.009, 0.29), ("depth_noisy", 0.012, 0.45)] {
+    for (folder, camera, most_metres, most_degrees) in
+        [("depth", camera_of(0.005), 0.009, 0.29), ("depth_noisy", noisy_camera(), 0.012, 0.45)]
+    {
         for (k, truth) in truth.iter().enumerate() {
-            let frame = frame(folder, k, 0.005);
+            let frame = whole_frame(folder, k, camera.clone()).thinned(4).unwrap();
             let answer = found.estimate(&map, &[&frame], &Prior::of_sigmas(*truth, 0.03, 0.02)).unwrap();
             let (metres, degrees) = apart(&answer.pose, truth);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");

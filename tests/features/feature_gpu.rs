@@ -10,11 +10,13 @@ use common::{Random, data, hard, scenes};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, PlacedFeature, SeenFeature, predict_features,
+    FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, Hidden, PlacedFeature, SeenFeature,
+    predict_features,
 };
 
 use presight::gpu::DeviceOptions;
 use presight::gpu::testing::{self, Setup};
+use presight::plan::StageName;
 use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
@@ -102,7 +104,8 @@ fn on_device(
     placed: &[PlacedFeature],
 ) -> (FeaturePrediction, Images, Stats) {
     let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
-    let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.to_vec()));
+    let request = Request::of(outputs)
+        .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(placed.to_vec()));
     let mut seen = predictor.predict(world, sensor, pose, &request).unwrap();
     let mut found = seen.features.unwrap();
     found.feature_id = std::mem::take(&mut seen.images.feature_id);
@@ -118,9 +121,9 @@ fn check(
     placed: &[PlacedFeature],
 ) -> [FeatureStats; 2] {
     let (device, images, stats) = on_device(predictor, world, sensor, pose, placed);
-    let asked = stats.stages_ms.iter().any(|(stage, _)| stage == "features on the device");
+    let asked = stats.stages_ms.iter().any(|(stage, _)| *stage == StageName::FeaturesOnDevice);
     // Left out only where nothing is in view or no sample is in question.
-    let needless = stats.left_out.iter().any(|l| l.what.ends_with("on the device"));
+    let needless = stats.left_out.iter().any(|l| l.what.to_string().ends_with("on the device"));
     assert!(asked != needless, "{name}: {:?}", stats.left_out);
     let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     let host = predict_features(world, sensor, pose, &images, placed, &options).unwrap();
@@ -192,7 +195,7 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
     let pose = |i: usize| Pose::from_xyz_rpy(DVec3::new(0.1 * i as f64, 0.0, 1.4), 0.0, 0.0, i as f64);
     let plain = |predictor: &mut Predictor| {
         let seen = predictor.predict(&world, &sensors[0], &pose(0), &request()).unwrap();
-        assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.contains("feature")));
+        assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")));
     };
     plain(&mut predictor);
     let before = testing::allocations(predictor.engine()).unwrap();
@@ -226,9 +229,10 @@ fn what_stays_on_the_cpu_is_said() {
     let request =
         request().with_features(FeatureOptions::default().with_placed(placed)).with_regions(BoxOptions::default());
     let stats = predictor.predict(&world, &sensor, &pose, &request).unwrap().stats;
-    let software = stats.left_out.iter().any(|l| l.what == "resolve on the device");
+    let software = stats.left_out.iter().any(|l| l.what == StageName::ResolveOnDevice.into());
     for stage in ["features on the device", "regions of interest on the device"] {
-        let said = stats.left_out.iter().find(|l| l.what == stage).map(|l| l.why.contains("done on the CPU"));
+        let said =
+            stats.left_out.iter().find(|l| l.what.to_string() == stage).map(|l| l.why.contains("done on the CPU"));
         assert_eq!(said == Some(true), software, "{stage}: {:?}", stats.left_out);
     }
 }

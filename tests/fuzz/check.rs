@@ -60,6 +60,9 @@ fn check_numbers(images: &Images, sensor: &Sensor) {
         assert_eq!(range.is_nan(), !ray, "range {range} at ({column}, {row})");
         assert_eq!(cos.is_nan(), *id == 0, "cos_incidence {cos} at ({column}, {row})");
         assert!(cos.is_nan() || (0.0..=1.0).contains(&cos), "cos_incidence {cos} at ({column}, {row})");
+        let normal = Vec3::from(images.normal[i]);
+        assert_eq!(normal.is_nan(), *id == 0, "normal {normal} at ({column}, {row})");
+        assert!(normal.is_nan() || normal.is_normalized(), "normal {normal} at ({column}, {row})");
         assert!(*id == 0 || (range.is_finite() && range >= 0.0) || range == f32::NEG_INFINITY, "range {range}");
         if sensor.is_camera() {
             let depth = images.floats(Output::DepthZ).expect("asked for")[i];

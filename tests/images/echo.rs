@@ -94,7 +94,7 @@ fn engines_agree_and_a_planted_fault_is_caught() {
                 for ids in [IdScheme::Model, IdScheme::Source] {
                     let plan = plan(&world, &sensor, outputs, ids);
                     let (right, got) = (reference(&plan), render(&plan));
-                    let report = compare(&right, &got, &plan, *precision).unwrap();
+                    let report = common::compare_or_show(&right, &got, &plan, *precision);
                     eprintln!("{precision:?} {}: {}", sensor.spec().name, summary(&report));
                     report.check(0.01).unwrap();
                     // The neighbouring material's factor, at one pixel.

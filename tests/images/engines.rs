@@ -8,9 +8,9 @@
 
 use presight_testkit as common;
 
-use common::{data, engines, env_number, plan, reference, scenes, summary};
+use common::{compare_or_show, data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
-use presight::verify::{Precision, Report, compare};
+use presight::verify::{Precision, Report};
 use presight::{FramePlan, Images, Pose};
 use std::time::Instant;
 
@@ -30,7 +30,7 @@ fn check_room(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision
         let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.1 * turn, 0.05, 0.7 * turn);
         for sensor in [scenes::camera(197, 161), scenes::scanner(360, 91), scenes::scanner(3600, 1)] {
             let plan = plan(&world, &sensor, &pose);
-            report.add(compare(&reference(&plan), &render(&plan), &plan, precision).unwrap());
+            report.add(compare_or_show(&reference(&plan), &render(&plan), &plan, precision));
         }
     }
     eprintln!("rooms: {}", summary(&report));
@@ -50,7 +50,7 @@ fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precisi
         for (i, pose) in data::poses(&world, poses, seed).iter().enumerate() {
             for sensor in data::presets_at(seed as usize + s, i, share) {
                 let plan = plan(&world, &sensor, pose);
-                let one = compare(&reference(&plan), &render(&plan), &plan, precision).unwrap();
+                let one = compare_or_show(&reference(&plan), &render(&plan), &plan, precision);
                 if one.fault > 0 {
                     let shown: Vec<_> = one.faults.iter().take(3).collect();
                     let name = &sensor.spec().name;

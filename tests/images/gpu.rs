@@ -9,7 +9,9 @@ use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::verify::{Precision, Report, compare};
+use presight::internal::{CUBOID_FACES, cuboid_corners};
+use presight::plan::StageName;
+use presight::verify::{Precision, Report};
 use presight::{
     Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
     Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
@@ -37,7 +39,7 @@ fn engines() -> Vec<(&'static str, GpuEngine)> {
 }
 
 fn count(stats: &Stats, name: &str) -> u64 {
-    stats.counts.iter().find(|(n, _)| n.contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
+    stats.counts.iter().find(|(n, _)| n.name().contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
 }
 
 /// Images of values that no prediction gives.
@@ -47,6 +49,7 @@ fn poisoned(sensor: &Sensor) -> Images {
     for image in [&mut images.range, &mut images.depth_z, &mut images.cos_incidence, &mut images.echo] {
         image.fill(-12345.0);
     }
+    images.normal.fill([-12345.0; 3]);
     images.polygon_id.fill(u32::MAX);
     images.object_id.fill(u32::MAX);
     images
@@ -57,7 +60,7 @@ fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pos
     let plan = plan(world, sensor, pose);
     let (mut images, mut stats) = (poisoned(sensor), Stats::default());
     engine.render(&plan, &mut images, &mut stats).unwrap();
-    let report: Report = compare(&reference(&plan), &images, &plan, Precision::F32).unwrap();
+    let report: Report = common::compare_or_show(&reference(&plan), &images, &plan, Precision::F32);
     let what =
         format!("{name} {}: {} of {} edge, worst {:?}", sensor.spec().name, report.edge, report.pixels, report.worst);
     eprintln!("{what}");
@@ -65,7 +68,7 @@ fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pos
         panic!("{what}: {e}; {:#?}; {:?}", &report.faults[..report.faults.len().min(5)], stats.counts);
     }
     if plan.polygon_count == 0 {
-        assert!(stats.left_out.iter().any(|l| l.what == "drawing on the device"), "{:?}", stats.left_out);
+        assert!(stats.left_out.iter().any(|l| l.what == StageName::DrawingOnDevice.into()), "{:?}", stats.left_out);
     } else {
         assert_eq!(count(&stats, "internal"), 0);
     }
@@ -73,7 +76,7 @@ fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pos
 }
 
 fn sensor(name: &str, geometry: Geometry, range_max: f64) -> Sensor {
-    Sensor::new(SensorSpec { range_min: 0.3, range_max, ..SensorSpec::new(name, "laser", geometry) }).unwrap()
+    Sensor::new(SensorSpec::new(name, "laser", geometry).with_limits(0.3, range_max)).unwrap()
 }
 
 fn uniform(start_deg: f64, step_deg: f64, count: u32) -> Angles {
@@ -108,10 +111,8 @@ fn sensors() -> Vec<Sensor> {
     ]
 }
 
-const FACES: [[u32; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-
 fn cube_vertices() -> Vec<Vec3> {
-    (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) - 0.5).collect()
+    cuboid_corners(Vec3::splat(-0.5), Vec3::splat(0.5)).to_vec()
 }
 
 fn mesh(polygons: Vec<Polygon>) -> Arc<Mesh> {
@@ -130,12 +131,12 @@ fn scene(seed: u64, boxes: usize, offset: DVec3) -> World {
     environment.add_material(Material { one_sided: true, ..Material::named("inside") }).unwrap();
     let appearance = [("laser".to_owned(), presight::Appearance::Invisible)].into();
     environment.add_material(Material { appearance, ..Material::named("glass") }).unwrap();
-    let cube = mesh(FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
+    let cube = mesh(CUBOID_FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
     let halves = |(i, f): (usize, &[u32; 4])| {
         let material = if i == 4 { 2 } else { 1 };
         [[f[0], f[1], f[2]], [f[0], f[2], f[3]]].map(|c| Polygon::new(c.to_vec(), material))
     };
-    let shell = mesh(FACES.iter().enumerate().flat_map(halves).collect());
+    let shell = mesh(CUBOID_FACES.iter().enumerate().flat_map(halves).collect());
     let middle = offset + DVec3::new(0.3, -0.2, 2.0);
     let turn = DQuat::from_rotation_z(0.3);
     insert(
@@ -241,7 +242,7 @@ fn a_sensor_just_off_it_knows_its_side(world: &World, up: f64) {
 fn ties_go_to_the_lower_id() {
     let mut environment = Environment::new();
     environment.add_material(Material::named("wall")).unwrap();
-    let cube = mesh(FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
+    let cube = mesh(CUBOID_FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
     for _ in 0..3 {
         insert(&mut environment, DAffine3::from_scale(DVec3::splat(8.0)), &cube);
     }
@@ -270,9 +271,7 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
             let mut images = poisoned(sensor);
             engine.render(&plan, &mut images, &mut Stats::default()).unwrap();
             assert_eq!(images.outputs(), request.outputs);
-            let bits = |i: &Images| i.floats(output).map(|f| f.iter().map(|x| x.to_bits()).collect::<Vec<_>>());
-            assert_eq!(bits(&images), bits(&all), "{output:?}");
-            assert_eq!(images.ids(output), all.ids(output), "{output:?}");
+            assert_eq!(common::bits(&images, output), common::bits(&all, output), "{output:?}");
         }
     }
 }

@@ -9,7 +9,7 @@ use presight_testkit as common;
 use common::hard::{Case, case, grazing};
 use common::oracle::Oracle;
 use common::{engines, plan, reference};
-use presight::verify::{PixelValues, Precision, compare, compare_values};
+use presight::verify::{PixelValues, Precision, compare_values};
 use presight::{FramePlan, Images};
 use proptest::prelude::*;
 use proptest::test_runner::{RngSeed, TestRunner};
@@ -30,7 +30,7 @@ fn check_engine(
     let (world, pose, sensors) = case.build();
     for sensor in sensors {
         let plan = plan(&world, &sensor, &pose);
-        let report = compare(&reference(&plan), &render(&plan), &plan, precision).expect("images of one shape");
+        let report = common::compare_or_show(&reference(&plan), &render(&plan), &plan, precision);
         let first = report.faults.first();
         prop_assert!(report.fault == 0, "{}: {} faults, first {first:#?}", sensor.spec().name, report.fault);
     }

@@ -9,26 +9,16 @@ use presight_testkit as common;
 use common::{data, engines, env_number, plan, scenes};
 use glam::DVec3;
 use presight::index::{Params, Scheme};
-use presight::{Change, FramePlan, Images, Pose, Sensor, World};
+use presight::{Change, FramePlan, Images, Output, Pose, Sensor, World};
 
 /// The first channel and pixel in which two predictions differ in any bit.
 fn difference(a: &Images, b: &Images) -> Option<String> {
-    let floats = [("range", &a.range, &b.range), ("depth_z", &a.depth_z, &b.depth_z)];
-    let floats =
-        floats.into_iter().chain([("cos_incidence", &a.cos_incidence, &b.cos_incidence), ("echo", &a.echo, &b.echo)]);
-    for (name, a, b) in floats {
-        assert_eq!(a.len(), b.len(), "{name}");
-        if let Some(i) = (0..a.len()).find(|i| a[*i].to_bits() != b[*i].to_bits()) {
-            return Some(format!("{name} {i}: {} and {}", a[i], b[i]));
-        }
-    }
-    for (name, a, b) in [("polygon_id", &a.polygon_id, &b.polygon_id), ("object_id", &a.object_id, &b.object_id)] {
-        assert_eq!(a.len(), b.len(), "{name}");
-        if let Some(i) = (0..a.len()).find(|i| a[*i] != b[*i]) {
-            return Some(format!("{name} {i}: {} and {}", a[i], b[i]));
-        }
-    }
-    None
+    Output::ALL.into_iter().find_map(|output| {
+        let (a, b) = (common::bits(a, output), common::bits(b, output));
+        assert_eq!(a.len(), b.len(), "{}", output.name());
+        let i = (0..a.len()).find(|i| a[*i] != b[*i])?;
+        Some(format!("{} {i}: bits {:x} and {:x}", output.name(), a[i], b[i]))
+    })
 }
 
 /// The schemes with what they are tuned to: as they come, and in very small cells.

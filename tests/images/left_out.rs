@@ -11,6 +11,7 @@ use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
 use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
 use presight::index::{Params, Scheme};
+use presight::plan::{Part, SamplesMut, StageName};
 use presight::{
     Backend, Camera, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Options, Output,
     Outputs, Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, Work, World,
@@ -53,19 +54,22 @@ struct Case<'a> {
 struct Did {
     stats: Stats,
     /// Bytes that each image has room for, in the order of [`Output::WITH_FEATURES`].
-    room: [usize; 7],
+    room: [usize; Output::WITH_FEATURES.len()],
     pixels: usize,
     polygons: u64,
 }
 
-fn room(images: &Images) -> [usize; 7] {
-    let floats = [&images.range, &images.depth_z, &images.cos_incidence, &images.echo].map(|i| 4 * i.capacity());
-    let ids = [images.polygon_id.capacity(), images.object_id.capacity(), images.feature_id.len()].map(|n| 4 * n);
-    [floats[0], floats[1], ids[0], ids[1], floats[2], floats[3], ids[2]]
+fn room(images: &mut Images) -> [usize; Output::WITH_FEATURES.len()] {
+    Output::WITH_FEATURES.map(|output| match images.samples_mut(output) {
+        SamplesMut::Floats(image) => 4 * image.capacity(),
+        SamplesMut::Ids(image) if output == Output::FeatureId => 4 * image.len(),
+        SamplesMut::Ids(image) => 4 * image.capacity(),
+        SamplesMut::Vectors(image) => 12 * image.capacity(),
+    })
 }
 
 fn count(stats: &Stats, name: &str) -> u64 {
-    stats.counts.iter().find(|(n, _)| n == name).map_or(0, |(_, n)| *n)
+    stats.counts.iter().find(|(n, _)| n.name() == name).map_or(0, |(_, n)| *n)
 }
 
 impl Case<'_> {
@@ -94,15 +98,19 @@ impl Case<'_> {
             request = request.with_regions(BoxOptions::default());
         }
         let prediction = predictor.predict(world, sensor, &pose, &request).unwrap();
-        let (images, stats) = (prediction.images, prediction.stats);
+        let (mut images, stats) = (prediction.images, prediction.stats);
         let polygons = count(&stats, "polygons selected");
-        Did { stats, room: room(&images), pixels: images.pixels(), polygons }
+        Did { stats, room: room(&mut images), pixels: images.pixels(), polygons }
     }
 
-    /// Images that engines must fill: those asked for, and what an echo is made of.
+    /// Images that engines must fill: those asked for, and what an echo and normals are made of.
     fn drawn(&self) -> Outputs {
         let asked = self.outputs.without(Output::FeatureId);
         let factors: Vec<f64> = self.world.environment().materials().iter().map(|m| m.reflection).collect();
+        let asked = match asked.has(Output::Normal) {
+            true => asked.with(Output::PolygonId).with(Output::ObjectId),
+            false => asked,
+        };
         match asked.has(Output::Echo) {
             false => asked,
             true if factors.windows(2).all(|w| w[0] == w[1]) => asked.with(Output::CosIncidence),
@@ -136,6 +144,9 @@ impl Case<'_> {
         if self.outputs.has(Output::Echo) {
             expected.push("echo");
         }
+        if self.outputs.has(Output::Normal) {
+            expected.push("normal");
+        }
         if self.asks_device() && some {
             expected.push("features on the device");
         }
@@ -145,7 +156,7 @@ impl Case<'_> {
         if self.features == Features::WithBoxes {
             expected.push("regions of interest");
         }
-        let ran: Vec<&str> = did.stats.stages_ms.iter().map(|(name, _)| name.as_str()).collect();
+        let ran: Vec<&str> = did.stats.stages_ms.iter().map(|(name, _)| name.name()).collect();
         same("stages", &ran, &expected)
     }
 
@@ -179,9 +190,10 @@ impl Case<'_> {
     fn check_images(&self, did: &Did) -> Result<(), String> {
         let wanted =
             if self.features == Features::WithId { self.drawn().with(Output::FeatureId) } else { self.drawn() };
-        let room = Output::WITH_FEATURES.map(|o| if wanted.has(o) { 4 * did.pixels } else { 0 });
+        let room =
+            Output::WITH_FEATURES.map(|o| if wanted.has(o) { 4 * o.info().kind.numbers() * did.pixels } else { 0 });
         same("bytes of images", did.room, room)?;
-        same("image_bytes", did.stats.work.image_bytes, room[..6].iter().sum::<usize>() as u64)
+        same("image_bytes", did.stats.work.image_bytes, room[..Output::ALL.len()].iter().sum::<usize>() as u64)
     }
 
     fn check_device(&self, did: &Did) -> Result<(), String> {
@@ -201,7 +213,7 @@ impl Case<'_> {
         if self.on == On::Device && some {
             passes += 1;
             workgroups += groups(pixels);
-            read += 16 + 4 * pixels * self.drawn().without(Output::Echo).iter().count() as u64;
+            read += 16 + 4 * pixels * self.drawn().without(Output::Echo).without(Output::Normal).iter().count() as u64;
         }
         if self.on == On::Software && some {
             read += 8 * pixels + 16 * u64::from(self.world.environment().slot_count());
@@ -392,11 +404,11 @@ fn one_stage_pass_group_byte_or_image_too_many_is_found() {
     let did = case.run(&mut cpu(), &[]);
     assert_eq!(case.check(&did), Ok(()));
     let faults: [fn(&mut Did); 10] = [
-        |did| did.stats.stages_ms.push(("features".into(), 0.0)),
+        |did| did.stats.stages_ms.push((StageName::Features, 0.0)),
         |did| did.stats.stages_ms.swap(0, 1),
-        |did| did.stats.left_out.retain(|l| l.what != "ray table"),
-        |did| did.stats.take("material test per polygon", ""),
-        |did| did.stats.left_out.retain(|l| l.what != "echo image"),
+        |did| did.stats.left_out.retain(|l| l.what != StageName::RayTable.into()),
+        |did| did.stats.take(StageName::MaterialTest, ""),
+        |did| did.stats.left_out.retain(|l| l.what != Part::Image(Output::Echo)),
         |did| did.room[6] = 4,
         |did| did.stats.work.image_bytes += 4,
         |did| did.stats.work.gpu_passes += 1,

@@ -8,6 +8,7 @@ mod hard_scenes;
 mod indexes;
 mod left_out;
 mod merged;
+mod normal;
 mod oracle;
 mod ray_tables;
 mod recovery;

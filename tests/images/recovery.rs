@@ -8,9 +8,10 @@ use common::faulty::{Faulty, Switches};
 use common::scenes;
 use common::skip::no_adapter;
 use glam::DVec3;
+use presight::batch::BatchRequest;
 use presight::gpu::testing::Setup;
 use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::verify::{Precision, compare};
+use presight::verify::Precision;
 use presight::{
     Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Sensor,
     World,
@@ -45,16 +46,14 @@ impl Task {
     /// Holds images to the reference.
     fn check(&self, prediction: &Prediction) {
         let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request).unwrap();
-        let report = compare(&common::reference(&plan), &prediction.images, &plan, Precision::F32).unwrap();
+        let report = common::compare_or_show(&common::reference(&plan), &prediction.images, &plan, Precision::F32);
         assert_eq!(report.fault, 0, "{:?}", report.faults.first());
     }
 }
 
 /// Every image, bit by bit.
 fn bits(images: &Images) -> Vec<u32> {
-    let floats = Output::ALL.into_iter().filter_map(|o| images.floats(o)).flatten().map(|x| x.to_bits());
-    let ids = Output::ALL.into_iter().filter_map(|o| images.ids(o)).flatten().copied();
-    floats.chain(ids).collect()
+    Output::ALL.into_iter().flat_map(|output| common::bits(images, output)).collect()
 }
 
 fn options(backend: Backend) -> Options {
@@ -86,7 +85,7 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
             assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
             let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
             assert!(notice.starts_with("the GPU was opened again after this: "), "{notice}");
-            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| *name).collect::<Vec<_>>();
             assert_eq!(stages(&after), stages(&before), "nothing of the failed attempt is counted");
         }
     }
@@ -105,7 +104,7 @@ fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
     for gone in [true, false] {
         switches.set_gone(gone);
         let after = task.predict(&mut predictor).unwrap();
-        assert_eq!((after.stats.engine.as_str(), predictor.engine_name().as_str()), ("cpu", "cpu"));
+        assert_eq!((after.stats.engine, predictor.engine_name().as_str()), ("cpu", "cpu"));
         assert!(after.stats.adapter.is_none());
         assert_eq!(bits(&after.images), bits(&expected.images));
         let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
@@ -195,4 +194,42 @@ fn lost_in_the_midst_of_predictions_every_answer_is_right_or_an_error() {
     eprintln!("{recovered} of 40 answers came after a recovery");
     assert!(recovered > 0);
     assert_eq!(bits(&task.predict(&mut predictor).unwrap().images), bits(&before.images));
+}
+
+#[test]
+fn a_gpu_lost_in_the_midst_of_a_batch_costs_no_pose() {
+    let Some(task) = Task::new() else { return };
+    let pose = |i: usize| task.pose * Pose::from_xyz_rpy(DVec3::X * 0.01 * i as f64, 0.0, 0.0, 0.02 * i as f64);
+    let images = Some((&task.request).into());
+    let request = BatchRequest { images, chunk: Some(3), statistics: true, ..BatchRequest::default() };
+    let (mut whole, _) = on(Backend::Gpu);
+    let mut single = |i| bits(&whole.predict(&task.world, &task.sensor, &pose(i), &task.request).unwrap().images);
+    let singles: Vec<_> = (0..10).map(&mut single).collect();
+    // The comparison can fail.
+    assert!(singles[0] != singles[1]);
+    for (backend, gone) in [(Backend::Gpu, false), (Backend::Gpu, true), (Backend::Auto, true)] {
+        let (mut predictor, switches) = on(backend);
+        switches.set_gone(gone);
+        let lossy = (0..10).map(|i| {
+            if i == 4 {
+                switches.lose();
+            }
+            pose(i)
+        });
+        let batch = predictor.batch(&task.world, &task.sensor, lossy, &request).unwrap();
+        let mut items: Vec<_> = batch.collect();
+        if backend == Backend::Gpu && gone {
+            // The second chunk begins with pose 3.
+            let e = items.pop().unwrap().unwrap_err();
+            assert_eq!((items.len(), e.kind(), e.place()), (3, ErrorKind::DeviceLost, Some("pose 3")), "{e}");
+        } else {
+            assert_eq!(items.len(), 10);
+        }
+        for (i, item) in items.into_iter().enumerate() {
+            let item = item.unwrap();
+            let by_cpu = item.stats.is_some_and(|stats| stats.engine == "cpu");
+            assert_eq!(by_cpu, backend == Backend::Auto && i >= 3);
+            assert!(by_cpu || bits(&item.images) == singles[i], "pose {i}");
+        }
+    }
 }

@@ -6,16 +6,13 @@ use presight_testkit as common;
 use common::hall::{hall_poses, open_hall};
 use common::{plan, reference, scenes};
 use presight::cpu::CpuEngine;
+use presight::plan::CountName;
 use presight::verify::{Precision, compare};
 use presight::{Images, Sensor, Stats, World};
 
 fn sensors() -> Vec<Sensor> {
     let [camera, scanner] = [scenes::camera(161, 121), scenes::scanner(360, 61)];
     vec![camera, scanner, scenes::scanner(3600, 1), scenes::lens(121, 91), scenes::fisheye(91, 91)]
-}
-
-fn count(stats: &Stats, name: &str) -> u64 {
-    stats.counts.iter().find(|(of, _)| of == name).map_or(0, |(_, n)| *n)
 }
 
 #[test]
@@ -34,8 +31,8 @@ fn images_of_small_polygons_are_the_references() {
             let name = &sensor.spec().name;
             assert_eq!(report.fault, 0, "{name}: first {:#?}", report.faults.first());
             assert!(report.pixels > 0, "{name}");
-            hidden += count(&stats, "polygons hidden");
-            left_out += count(&stats, "polygons between samples");
+            hidden += stats.count_of(CountName::PolygonsHidden).unwrap_or(0);
+            left_out += stats.count_of(CountName::PolygonsBetweenSamples).unwrap_or(0);
         }
     }
     assert!(hidden > 1000 && left_out > 1000, "{hidden} polygons hidden, {left_out} between samples");

@@ -75,7 +75,7 @@ pub struct Args {
     #[arg(long, value_name = "X", requires = "likelihood")]
     cell_deg: Option<f64>,
 
-    /// Images to write, of range, depth_z, polygon_id, object_id, cos_incidence, echo [default: without --likelihood
+    /// Images to write, of range, depth_z, polygon_id, object_id, cos_incidence, echo, normal [default: without --likelihood
     /// range,polygon_id,object_id,cos_incidence]
     #[arg(long, value_name = "LIST")]
     outputs: Option<Outputs>,

@@ -148,26 +148,12 @@ fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
         }
     }
     for images in [&mut reference.images, &mut other.images] {
-        keep(images, Outputs::of(&common));
+        images.keep(Outputs::of(&common));
     }
     if differ(&reference.attributes, &other.attributes) {
         print::message("note: the two files say that they were made by different sensors, poses or scenes");
     }
     Ok(())
-}
-
-fn keep(images: &mut Images, outputs: Outputs) {
-    for output in Output::WITH_FEATURES.into_iter().filter(|o| !outputs.has(*o)) {
-        match output {
-            Output::Range => images.range.clear(),
-            Output::DepthZ => images.depth_z.clear(),
-            Output::PolygonId => images.polygon_id.clear(),
-            Output::ObjectId => images.object_id.clear(),
-            Output::CosIncidence => images.cos_incidence.clear(),
-            Output::Echo => images.echo.clear(),
-            Output::FeatureId => images.feature_id.clear(),
-        }
-    }
 }
 
 /// True if both files say something and not the same.
@@ -222,11 +208,7 @@ fn in_words(report: &Report) -> Vec<String> {
         lines.push(format!("{} more were given up for a deadline and not compared", report.not_predicted));
     }
     if let Some((column, row)) = report.worst_pixel {
-        let w = &report.worst;
-        lines.push(format!(
-            "largest share of the error bound: range {:.3}, depth_z {:.3}, cos_incidence {:.3}, echo {:.3}; at pixel ({column}, {row})",
-            w.range, w.depth_z, w.cos_incidence, w.echo
-        ));
+        lines.push(format!("largest share of the error bound: {}; at pixel ({column}, {row})", report.worst));
     }
     let fault = |f: &presight::verify::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
     lines.extend(report.faults.iter().map(fault));

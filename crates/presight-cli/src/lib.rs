@@ -22,6 +22,8 @@ mod predict;
 mod predict_poses;
 mod print;
 #[cfg(feature = "report")]
+mod replay;
+#[cfg(feature = "report")]
 mod report;
 mod sensors;
 mod signals;
@@ -76,6 +78,15 @@ enum Command {
     Features(Box<features::Args>),
     Doctor(doctor::Args),
     Localize(Box<localize::Args>),
+    #[cfg(feature = "report")]
+    Replay(Box<replay::Args>),
+    /// Show a drive: not in this build
+    #[cfg(not(feature = "report"))]
+    #[command(disable_help_flag = true)]
+    Replay {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
     Simulate(simulate::Args),
     #[cfg(feature = "report")]
     Report(report::Args),
@@ -126,6 +137,10 @@ pub fn main() -> ExitCode {
         Command::Features(args) => features::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Localize(args) => localize::run(&args),
+        #[cfg(feature = "report")]
+        Command::Replay(args) => replay::run(&args),
+        #[cfg(not(feature = "report"))]
+        Command::Replay { .. } => Err(io::not_built("pages", "report")),
         Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),

@@ -90,7 +90,7 @@ pub struct Args {
     #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
     index: Scheme,
 
-    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence, echo, feature_id
+    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence, echo, normal, feature_id
     #[arg(long, value_name = "LIST", default_value = "range,polygon_id,object_id,cos_incidence")]
     outputs: Outputs,
 
@@ -98,7 +98,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.exr")]
     out: Option<PathBuf>,
 
-    /// Write each image as a NumPy array of (rows, columns), <f4 or <u4, such as 'run/{i:06}.{output}.npy'
+    /// Write each image as a NumPy array of (rows, columns), <f4 or <u4, normals of (rows, columns, 3), such as 'run/{i:06}.{output}.npy'
     ///
     /// {output} is the image; of one image it may be left out. With --poses and neither {i} nor {t} in the name, the array is of
     /// (poses, rows, columns).
@@ -114,7 +114,7 @@ pub struct Args {
     png: Option<PathBuf>,
 
     /// What the preview shows
-    #[arg(long, value_name = "OUTPUT", default_value = "range", value_parser = parse_output, requires = "png")]
+    #[arg(long, value_name = "OUTPUT", default_value = "range", requires = "png")]
     png_of: Output,
 
     #[command(flatten)]
@@ -129,8 +129,8 @@ pub struct Args {
 
     /// Write the seen points as a point cloud; to a device or pipe without an ending as PLY
     ///
-    /// Each has a field for every asked image of range, echo (as intensity), object_id and polygon_id, the normal where both ids
-    /// are asked, and the row of a scanner as ring.
+    /// Each has a field for every asked image of range, echo (as intensity), object_id and polygon_id, the normal where it or both
+    /// ids are asked, and the row of a scanner as ring.
     #[arg(long, value_name = "FILE.ply|FILE.pcd")]
     points: Option<PathBuf>,
 
@@ -199,12 +199,6 @@ enum PointsFrameArg {
     World,
 }
 
-fn parse_output(name: &str) -> Result<Output> {
-    let names = Output::WITH_FEATURES.map(Output::name).join(", ");
-    let found = Output::WITH_FEATURES.into_iter().find(|o| o.name() == name);
-    found.ok_or_else(|| Error::usage("unknown output", format!("choose from {names}")))
-}
-
 /// The arguments, checked as far as they go without touching the world.
 pub struct Job {
     /// With their time stamps as written; without --poses one, with none.
@@ -251,12 +245,8 @@ impl Args {
     }
 
     fn check_series(&self) -> Result<()> {
-        let of_one = [
-            ("--repeat", self.repeat.is_some()),
-            ("--stats", self.stats.is_some()),
-            ("--explain", self.explain),
-            ("--costs", self.deadline.costs.is_some()),
-        ];
+        let of_one =
+            [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
         match of_one.iter().find(|(_, given)| *given && self.is_series()) {
             None => Ok(()),
             Some((flag, _)) => {
@@ -315,6 +305,11 @@ impl Args {
     /// The virtual sensor, its reading included.
     pub fn virtual_sensor(&self) -> &VirtualArgs {
         &self.virtual_sensor
+    }
+
+    /// The deadline.
+    pub fn deadline(&self) -> &DeadlineArgs {
+        &self.deadline
     }
 
     /// Which features are asked for.
@@ -382,7 +377,7 @@ impl Args {
             wanted.push(png::depth_output(sensor));
         }
         let request = Request::of(Outputs::of(&wanted)).with_ids(self.scheme());
-        Ok(self.deadline.limit().into_iter().fold(request, Request::with_deadline))
+        Ok(self.deadline.add_to(request))
     }
 
     /// What the prediction and its files take of memory.
@@ -393,14 +388,16 @@ impl Args {
         if images.has(Output::Echo) {
             images = images.with(Output::CosIncidence);
         }
+        if images.has(Output::Normal) {
+            images = images.with(Output::PolygonId).with(Output::ObjectId);
+        }
         let picture = self.png.as_ref().map(|_| presight::internal::preview_size(sensor)).unwrap_or_default();
-        let written = self.out.as_ref().map_or(0, |_| self.outputs.iter().count());
         FrameMemory {
             pixels: u64::from(sensor.width()) * u64::from(sensor.height()),
             scanner: matches!(sensor.spec().geometry, Geometry::Scanner(_)),
             on_device: predictor.engine_name() != "cpu",
-            images: images.iter().count() as u64,
-            exr: written as u64,
+            images: images.numbers() as u64,
+            exr: self.out.as_ref().map_or(0, |_| self.outputs.numbers() as u64),
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
             // Positions in f64, and normals.
@@ -409,9 +406,9 @@ impl Args {
         }
     }
 
-    /// Points get normals where it is asked which polygons they are on.
+    /// Points get normals where they are asked for, or which polygons they are on.
     fn normals(&self) -> bool {
-        self.outputs.has(Output::PolygonId) && self.outputs.has(Output::ObjectId)
+        self.outputs.has(Output::Normal) || self.outputs.has(Output::PolygonId) && self.outputs.has(Output::ObjectId)
     }
 
     pub fn scheme(&self) -> IdScheme {
@@ -556,8 +553,10 @@ pub fn write_files(
         };
         let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?.only(args.outputs);
         let cloud = match args.normals() {
-            true => cloud.with_normals(scene.world.environment(), args.scheme())?,
-            false => cloud,
+            true if !args.outputs.has(Output::Normal) => {
+                cloud.with_normals(scene.world.environment(), args.scheme())?
+            }
+            _ => cloud,
         };
         print::notices(&match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
             true => pcd::write(path, &cloud)?,

@@ -11,7 +11,7 @@ use presight::io::series::SeriesProgress;
 use presight::io::templates::Names;
 use presight::io::{exr, sensor_toml};
 use presight::memory;
-use presight::plan::Output;
+use presight::plan::{Output, SampleKind};
 use presight::sensor::Sensor;
 use presight::{Error, Result};
 use presight::{Prediction, Predictor, Request, Scene, blake3_of};
@@ -26,6 +26,7 @@ use std::time::Instant;
 pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;
+    args.deadline().read_costs(&mut predictor)?;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor).bytes());
     let largest = frames.max().unwrap_or(0);
     memory::require(largest)?;
@@ -51,12 +52,16 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         Ok(())
     };
     match progress {
-        None => (0..job.poses.len()).try_for_each(work)?,
+        None => {
+            (0..job.poses.len()).try_for_each(work)?;
+            args.deadline().write_costs(&predictor)?;
+        }
         Some(mut progress) => {
             for index in progress.next()..job.poses.len() {
                 work(index)?;
                 progress.append(index, &format!("{index}\n"))?;
             }
+            args.deadline().write_costs(&predictor)?;
             setups.into_iter().flat_map(|setup| setup.stacks).try_for_each(|(_, stack)| stack.finish())?;
             progress.remove()?;
         }
@@ -115,11 +120,11 @@ impl Series<'_> {
         let until = progress.written().filter(|_| progress.finished() > 0);
         let mut kept = true;
         for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {
-            let (rows, columns) = (setup.sensor.height() as usize, setup.sensor.width() as usize);
             for (output, path) in self.paths(&setup.sensor, 0)?.npy {
-                let descr = if is_id(output) { "<u4" } else { "<f4" };
-                let shape = [self.poses.len(), rows, columns];
-                let (stack, goes_on) = Stack::open(&path, shape, descr, until)?;
+                let descr = if output.info().kind == SampleKind::Id { "<u4" } else { "<f4" };
+                let image = npy::image_shape(setup.sensor.width(), setup.sensor.height(), output);
+                let shape = [vec![self.poses.len()], image].concat();
+                let (stack, goes_on) = Stack::open(&path, &shape, descr, until)?;
                 kept &= goes_on;
                 setup.stacks.push((output, stack));
             }
@@ -227,8 +232,4 @@ impl Series<'_> {
         let summary = Summary::of(self.scene, prediction);
         print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
     }
-}
-
-fn is_id(output: Output) -> bool {
-    matches!(output, Output::PolygonId | Output::ObjectId | Output::FeatureId)
 }

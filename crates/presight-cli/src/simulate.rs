@@ -7,8 +7,8 @@ use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::{depth_folder, load_sensor, png, sensor_toml, tum};
-use presight::simulate::{Disturbances, Simulator};
-use presight::{Backend, Error, Images, Options, Predictor, Result, Threads};
+use presight::simulate::{Disturbances, Simulator, Walkers, displace};
+use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Threads};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -50,6 +50,18 @@ pub struct Args {
     #[arg(long, value_name = "SHARE", default_value_t = Disturbances::default().mixed_pixels)]
     mixed_pixels: f64,
 
+    /// Move every object by so much, each in a direction of its own, so that the scene is not quite its model
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    displace: f64,
+
+    /// So many people walk to and fro near the robot
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    walkers: usize,
+
+    /// How high above the floor the robot's poses are, for people to stand on it
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    height: f64,
+
     /// CPU threads, 0 = all cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
@@ -73,15 +85,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let mut scene = open_scene(&args.scene, &import, Scheme::default())?;
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let disturbances =
         Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
     let mut simulator = Simulator::new(predictor, sensor.clone(), disturbances, args.seed)?;
+    displace(&mut scene.world, args.displace, args.seed)?;
+    let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
+    let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
     files.check_read()?;
     folder::ready(&args.out)?;
     folder::ready(&args.out.join("depth"))?;
     for pose in &poses {
+        walkers.walk(&mut scene.world, pose.time)?;
         let frame = simulator.frame(&scene.world, pose.time, &pose.pose)?;
         let path = args.out.join("depth").join(depth_folder::image_name(pose.time));
         super::print::notices(&png::write_depth(&path, &images(&frame), &sensor)?);

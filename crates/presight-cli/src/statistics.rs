@@ -1,7 +1,7 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
 use presight::deadline::DeadlineOutcome;
-use presight::plan::{Omission, StageRow, StageVariant, Stats, Work};
+use presight::plan::{CountName, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -41,20 +41,20 @@ pub struct Statistics {
     width: u32,
     height: u32,
     outputs: Vec<&'static str>,
-    engine: String,
+    engine: &'static str,
     adapter: Option<String>,
     threads: usize,
-    index: String,
+    index: &'static str,
     /// Measured predictions; one before them, unmeasured, warmed up.
     repeat: usize,
     prediction_ms: Milliseconds,
     /// Medians.
-    stages_ms: OrderedMap<f64>,
-    counts: OrderedMap<u64>,
+    stages_ms: OrderedMap<StageName, f64>,
+    counts: OrderedMap<CountName, u64>,
     /// Of the last prediction.
     work: Work,
     taken: Vec<StageVariant>,
-    left_out: Vec<Omission>,
+    left_out: Vec<LeftOutRow>,
     notices: Vec<String>,
     /// How the last prediction's deadline was kept.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -65,12 +65,19 @@ pub struct Statistics {
 
 /// A JSON object in the order of its entries.
 #[derive(Debug)]
-struct OrderedMap<T>(Vec<(String, T)>);
+struct OrderedMap<K, T>(Vec<(K, T)>);
 
-impl<T: Serialize> Serialize for OrderedMap<T> {
+impl<K: Serialize, T: Serialize> Serialize for OrderedMap<K, T> {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_map(self.0.iter().map(|(k, v)| (k, v)))
     }
+}
+
+/// A stage or image that was not needed, with those that nobody asked for.
+#[derive(Debug, Serialize)]
+struct LeftOutRow {
+    what: String,
+    why: String,
 }
 
 /// What was predicted, for the head of the statistics.
@@ -90,21 +97,20 @@ impl Statistics {
     /// Of measured predictions: the whole time of each in ms, and what each says of itself.
     pub fn of(subject: Subject, times_ms: &[f64], runs: &[Stats]) -> Self {
         let mut last = runs.last().cloned().unwrap_or_default();
-        let mut names: Vec<String> = Vec::new();
+        let mut names: Vec<StageName> = Vec::new();
         for (name, _) in &last.stages_ms {
             if !names.contains(name) {
-                names.push(name.clone());
+                names.push(*name);
             }
         }
-        let stage = |name: String| {
-            let of_run = |s: &Stats| s.stages_ms.iter().filter(|(n, _)| *n == name).map(|(_, ms)| ms).sum::<f64>();
-            let times: Vec<f64> = runs.iter().map(of_run).collect();
+        let stage = |name: StageName| {
+            let times: Vec<f64> = runs.iter().map(|s| s.stage_ms(name).unwrap_or(0.0)).collect();
             (name, Milliseconds::of(&times).median)
         };
         last.stages_ms = names.into_iter().map(stage).collect();
         let rows = last.stages();
         let left_out = rows.iter().filter(|r| !r.ran);
-        let left_out = left_out.map(|r| Omission { what: r.name.clone(), why: r.why.clone() }).collect();
+        let left_out = left_out.map(|r| LeftOutRow { what: r.name.clone(), why: r.why.clone() }).collect();
         Self {
             format: FORMAT,
             versions: BTreeMap::from([("presight", env!("CARGO_PKG_VERSION"))]),
@@ -161,11 +167,14 @@ impl Statistics {
         if let Some(kept) = &self.deadline {
             let DeadlineOutcome { deadline_ms, time_ms, estimate_ms, .. } = kept;
             lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
-            lines.extend(kept.given_up.iter().map(|given_up| format!("given up  {}", given_up.summary())));
+            let given_up = kept.given_up.as_ref();
+            let told = given_up.map(|given_up| given_up.explanation(u64::from(self.width) * u64::from(self.height)));
+            lines.extend(told.iter().flatten().map(|line| format!("given up  {line}")));
+            lines.extend(given_up.is_none().then(|| "given up  nothing".to_owned()));
         }
         let counts = || {
             let of_work = self.work.counts().into_iter().filter(|(_, n)| *n > 0);
-            self.counts.0.iter().map(|(name, n)| (name.as_str(), *n)).chain(of_work)
+            self.counts.0.iter().map(|(name, n)| (name.name(), *n)).chain(of_work)
         };
         let names = self.rows.iter().filter(|r| r.ran).map(|r| r.name.as_str()).chain(counts().map(|(name, _)| name));
         let width = names.map(str::len).max().unwrap_or(0);

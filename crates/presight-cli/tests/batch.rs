@@ -2,7 +2,7 @@
 
 use assert_cmd::cargo::cargo_bin;
 use presight::io::{exr, gltf, log, sensor_toml};
-use presight::{Noise, Pose, Sensor, SensorSpec};
+use presight::{Noise, Pose, Sensor};
 use presight_testkit::scenes;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -31,7 +31,7 @@ fn tum(count: usize) -> String {
 
 fn scanner() -> Sensor {
     let spec = presight::preset("laser-scanner").unwrap().spec().clone();
-    Sensor::new(SensorSpec { noise: Noise { range_sigma: 0.05, ..Noise::default() }, ..spec }).unwrap()
+    Sensor::new(spec.with_noise(Noise { range_sigma: 0.05, ..Noise::default() })).unwrap()
 }
 
 impl Place {
@@ -176,6 +176,26 @@ fn a_killed_batch_goes_on_where_it_was() {
     assert!(names(&killed) == names(&whole), "{:?}", names(&killed));
     let other: Vec<_> = whole.iter().filter(|(name, bytes)| killed[*name] != **bytes).map(|(name, _)| name).collect();
     assert!(other.is_empty(), "{other:?}");
+}
+
+/// A table that may not grow longer stands for a full disk.
+#[cfg(unix)]
+#[test]
+fn a_batch_without_room_on_the_disk_goes_on_when_there_is_some() {
+    let place = Place::new();
+    place.write("a.tum", &tum(400));
+    let line = "batch room.glb --poses a.tum --sensor s.toml --likelihood run.jsonl#0 --out";
+    place.done(&format!("{line} whole"));
+    let command = place.command(&format!("{line} full"));
+    let mut limited = Command::new("bash");
+    limited.args(["-c", "ulimit -f 16 && exec \"$@\"", "bash"]).arg(command.get_program()).args(command.get_args());
+    let output = limited.current_dir(place.0.path()).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && said.contains("poses.csv.part") && said.lines().count() == 1, "{said}");
+    assert!(!place.path("full/poses.csv").exists());
+    let said = place.done(&format!("{line} full"));
+    assert!(said.contains("are finished already"), "{said}");
+    assert!(place.files("full") == place.files("whole"));
 }
 
 #[test]

@@ -8,6 +8,8 @@ mod machine;
 #[cfg(feature = "report")]
 pub mod page;
 #[cfg(feature = "report")]
+pub mod replay;
+#[cfg(feature = "report")]
 pub mod stability;
 #[cfg(feature = "report")]
 pub mod work_precision;

@@ -136,7 +136,7 @@ fn is_number(cell: &str) -> bool {
 }
 
 /// Colours for a light screen and for paper, for a dark screen; the same names everywhere.
-fn style() -> String {
+pub(crate) fn style() -> String {
     let series = |dark: bool| {
         let one = |(i, (light, night)): (usize, &(&str, &str))| format!("--s{i}:{};", if dark { night } else { light });
         PALETTE.iter().enumerate().map(one).collect::<String>()

@@ -10,16 +10,19 @@ pub mod faulty;
 pub mod hall;
 pub mod hard;
 pub mod oracle;
+pub mod pictures;
 pub mod scenes;
 pub mod skip;
 
+pub use pictures::compare_or_show;
 pub use presight::internal::SplitMix64 as Random;
-use presight::{FramePlan, Images, Outputs, Pose, Request, Sensor, World};
+use presight::plan::Samples;
+use presight::{FramePlan, Images, Output, Outputs, Pose, Request, Sensor, World};
 
 /// A plan that asks for everything.
 pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
     let all = Outputs::ALL;
-    let outputs = if sensor.is_camera() { all } else { all.without(presight::Output::DepthZ) };
+    let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
     FramePlan::new(world, sensor, world_from_sensor, &Request::of(outputs)).expect("a sound pose")
 }
 
@@ -28,6 +31,16 @@ pub fn reference(plan: &FramePlan) -> Images {
     let mut images = Images::default();
     presight::reference::render(plan, &mut images).expect("the reference renders");
     images
+}
+
+/// The bits of an image, whatever a pixel of it holds; empty if it is not there.
+pub fn bits(images: &Images, output: Output) -> Vec<u32> {
+    match images.samples(output) {
+        Some(Samples::Floats(image)) => image.iter().map(|v| v.to_bits()).collect(),
+        Some(Samples::Ids(image)) => image.to_vec(),
+        Some(Samples::Vectors(image)) => image.as_flattened().iter().map(|v| v.to_bits()).collect(),
+        None => Vec::new(),
+    }
 }
 
 /// A number from the environment, for spreading runs and for reproducing one.
@@ -41,17 +54,8 @@ pub fn env_number(name: &str, default: u64) -> u64 {
 /// One line on a comparison.
 pub fn summary(report: &presight::verify::Report) -> String {
     format!(
-        "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: range {:.3}, depth_z {:.3}, \
-         cos_incidence {:.3}, echo {:.3}",
-        report.pixels,
-        report.same,
-        report.edge,
-        report.coincident,
-        report.fault,
-        report.worst.range,
-        report.worst.depth_z,
-        report.worst.cos_incidence,
-        report.worst.echo
+        "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: {}",
+        report.pixels, report.same, report.edge, report.coincident, report.fault, report.worst
     )
 }
 

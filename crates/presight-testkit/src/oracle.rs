@@ -102,12 +102,15 @@ impl Oracle {
                 object_id: Some(0),
                 cos_incidence: Some(f32::NAN),
                 echo: Some(f32::NAN),
+                normal: Some([f32::NAN; 3]),
             });
         };
         let (object, slot, normal, reflection) = self.of_triangle[triangle as usize];
         let near = range < spec.range_min;
         let shown = |x: f64| if near { f32::NEG_INFINITY } else { x as f32 };
         let cos_incidence = normal.dot(direction).abs();
+        let facing = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        let in_body = DMat3::from_quat(world_from_sensor.rotation).transpose() * facing;
         Some(PixelValues {
             range: Some(shown(range)),
             depth_z: camera(shown(range * ray.z)),
@@ -115,6 +118,7 @@ impl Oracle {
             object_id: Some(object + 1),
             cos_incidence: Some(cos_incidence as f32),
             echo: Some((reflection * cos_incidence) as f32),
+            normal: Some(in_body.as_vec3().to_array()),
         })
     }
 }

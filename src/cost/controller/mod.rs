@@ -4,17 +4,18 @@
 //! would be late, how much time images take after the drawing, and which runs need not be begun because even a low estimate
 //! of their time is too long.
 
+mod cut;
+mod features;
+
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
-use crate::deadline::{Clock, DegradationKind, DegradationStep, SystemClock, Watch};
+use crate::deadline::{Clock, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::{FramePlan, Outputs, Run, Stats};
+use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
 use crate::sensor::Sensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Metres: the radius is cut no shorter.
-const LEAST_RADIUS: f32 = 2.0;
 /// Time for what no cost counts: learning, and the way back to the caller.
 const MARGIN: Duration = Duration::from_micros(100);
 /// What is left of a doubted estimate after each refusal by it, and at least.
@@ -38,12 +39,22 @@ pub(crate) struct DeadlineFrame {
     limit: Duration,
     watch: Watch,
     key: Key,
+    priority: Priority,
     pixels: u64,
     images: u64,
+    /// Selection began and ended so long after the call, and images were there.
+    begun: Duration,
     selected: Duration,
+    images_made: Duration,
     /// What the drawing was to draw, before a cut.
     counts: WorkCounts,
-    cut: Option<DegradationStep>,
+    cut: Vec<DegradationStep>,
+    first_estimate: Option<f64>,
+    /// What was expected of features, before any was found.
+    features: WorkCounts,
+    /// Features that were found, and rising numbers of those left out.
+    pub found: u64,
+    pub left_out: Vec<u32>,
 }
 
 impl Default for Controller {
@@ -65,11 +76,11 @@ impl Controller {
     /// of nothing can be made.
     pub fn begin(
         &mut self,
-        deadline: Option<Duration>,
+        deadline: Option<(Duration, &Priority)>,
         threads: Option<usize>,
         (sensor, outputs): (&Sensor, Outputs),
     ) -> Result<Option<DeadlineFrame>> {
-        let Some(limit) = deadline else { return Ok(None) };
+        let Some((limit, priority)) = deadline else { return Ok(None) };
         let watch = Watch::start(self.clock.clone(), limit);
         if limit.is_zero() {
             return Err(Error::usage("a deadline of 0 ms", "give a time above 0, or no deadline"));
@@ -81,16 +92,7 @@ impl Controller {
         let key = Key::new("cpu", None, threads, sensor, outputs, Forecast::Images);
         let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
         let images = outputs.iter().count() as u64;
-        let timed = DeadlineFrame {
-            limit,
-            watch,
-            key,
-            pixels,
-            images,
-            selected: Duration::ZERO,
-            counts: WorkCounts::default(),
-            cut: None,
-        };
+        let timed = DeadlineFrame::new(limit, watch, key, priority, (pixels, images));
         let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
         let doubt = self.doubt(&timed.key);
         let believed =
@@ -109,68 +111,87 @@ impl Controller {
     /// [`ErrorKind::Deadline`] if the selection took so long that no image can be made in time.
     pub fn plan(&mut self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         timed.selected = timed.watch.elapsed();
+        let access = timed.selected.saturating_sub(timed.begun);
         let images = self.estimate(timed, Forecast::Images);
         let left = timed.limit.saturating_sub(timed.selected);
         let doubt = self.doubt(&timed.key);
         let surely = if images.frames == 0 { images.mean * UNKNOWN_MACHINE } else { images.lower * doubt };
         if left.as_secs_f64() < surely {
             self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MOST_DOUBT));
-            self.learn(timed, Forecast::Access, &WorkCounts::default(), timed.selected);
+            self.learn(timed, Forecast::Access, &WorkCounts::default(), access);
             return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + images.upper));
         }
         // Where nothing was learnt yet, half of the time is kept for the images at most.
         let after = Duration::from_secs_f64(images.upper.min(1e6)) + MARGIN;
         let after = if images.frames == 0 { after.min(left / 2) } else { after };
-        timed.watch.stop_after(timed.limit.saturating_sub(after));
+        let features = self.reserve(timed, left.saturating_sub(after));
+        timed.watch.stop_after(timed.limit.saturating_sub(after + features));
         timed.counts = counts_of(&plan.runs);
-        self.cut(timed, plan);
+        let drawing = self.costs.estimate(&timed.key_of(Forecast::Selection), &timed.counts);
+        let first_estimate = timed.selected.as_secs_f64() + drawing.mean + images.mean;
+        timed.first_estimate = (drawing.frames > 0 && images.frames > 0).then_some(first_estimate);
+        self.cut(timed, plan)?;
         plan.watch = Some(timed.watch.clone());
+        plan.pace = self.pace(timed, after);
         Ok(())
     }
 
-    /// The first estimate (paper, section 3.3): a radius is a prefix of the runs.
-    fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) {
-        let left = timed.watch.left().as_secs_f64();
-        let low = |runs: &[Run]| {
-            let key = timed.key_of(Forecast::Selection);
-            let estimate = self.costs.estimate(&key, &counts_of(runs));
-            // Nothing that was not learnt gives anything up.
-            if estimate.frames == 0 { 0.0 } else { estimate.lower }
-        };
-        if low(&plan.runs) <= left {
-            return;
-        }
-        let least = plan.runs.partition_point(|run| run.nearest <= LEAST_RADIUS).max(1);
-        let (mut fits, mut late) = (least, plan.runs.len());
-        while late > fits + 1 {
-            let middle = fits.midpoint(late);
-            if low(&plan.runs[..middle]) <= left { fits = middle } else { late = middle }
-        }
-        plan.cut(fits);
-        let at_ms = milliseconds(timed.watch.elapsed());
-        timed.cut =
-            plan.radius.map(|radius| DegradationStep { means: DegradationKind::Radius, at_ms, metres: radius.into() });
+    /// What drawing takes, by what was learnt, where so much is kept for the images.
+    fn pace(&self, timed: &DeadlineFrame, images: Duration) -> Option<Pace> {
+        let key = timed.key_of(Forecast::Wave);
+        let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
+        let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
+        let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
+        (none.frames > 0).then(|| Pace {
+            wave: none.mean,
+            polygon: each(WorkCounts { polygons: most, ..WorkCounts::default() }),
+            sample: each(WorkCounts { samples_tested: most, ..WorkCounts::default() }),
+            images: images.as_secs_f64(),
+        })
     }
 
     /// Tells how the deadline was kept, and learns.
     pub fn end(&mut self, timed: &DeadlineFrame, stats: &mut Stats) {
         let took = timed.watch.elapsed();
         let mut kept = stats.deadline.take().unwrap_or_default();
-        kept.deadline_ms = milliseconds(timed.limit);
-        if let Some(given_up) = &mut kept.given_up {
-            given_up.means.splice(0..0, timed.cut.clone());
+        (kept.deadline_ms, kept.images_ms) = (milliseconds(timed.limit), milliseconds(timed.images_made));
+        if !timed.left_out.is_empty() {
+            let given_up = kept.given_up.get_or_insert_default();
+            given_up.features.clone_from(&timed.left_out);
+            given_up.means.push(DegradationStep {
+                means: DegradationKind::Features,
+                at_ms: milliseconds(took),
+                metres: None,
+            });
         }
-        let drawn = Duration::from_secs_f64(kept.drawn_ms.max(0.0) / 1e3).clamp(timed.selected, took);
+        if let Some(given_up) = &mut kept.given_up {
+            given_up.means.splice(0..0, timed.cut.iter().cloned());
+        }
+        kept.first_estimate_ms = timed.first_estimate.map(|s| 1e3 * s).filter(|_| kept.given_up.is_none());
+        let drawn = Duration::from_secs_f64(kept.drawn_ms.max(0.0) / 1e3).clamp(timed.selected, timed.images_made);
         self.doubts.remove(&timed.key);
-        self.learn(timed, Forecast::Access, &WorkCounts::default(), timed.selected);
-        self.learn(timed, Forecast::Images, &timed.of_images(), took - drawn);
+        self.learn(timed, Forecast::Access, &WorkCounts::default(), timed.selected.saturating_sub(timed.begun));
+        let stride = kept.given_up.as_ref().map_or(1, |given_up| given_up.stride);
+        let is_whole = stride == 1 && kept.given_up.as_ref().is_none_or(|given_up| given_up.opening.is_none());
+        if is_whole {
+            self.learn(timed, Forecast::Images, &timed.of_images(), timed.images_made - drawn);
+        }
         let stopped = kept.given_up.as_ref().is_some_and(|g| g.means.iter().any(|m| m.means == DegradationKind::Clock));
-        if timed.cut.is_none() && !stopped {
+        if timed.cut.is_empty() && !stopped && is_whole {
             self.learn(timed, Forecast::Selection, &timed.counts, drawn - timed.selected);
         }
+        if let Some(wave) = &kept.wave {
+            let counts = WorkCounts { polygons: wave.polygons, samples_tested: wave.samples, ..WorkCounts::default() };
+            self.learn(timed, Forecast::Wave, &counts, Duration::from_secs_f64(wave.time_ms.max(0.0) / 1e3));
+        }
         let done = finished(stats, timed);
-        kept.estimate_ms = 1e3 * self.costs.estimate(&timed.key_of(Forecast::Finished), &done).mean;
-        self.learn(timed, Forecast::Finished, &done, took);
+        if is_whole {
+            kept.estimate_ms = 1e3 * self.costs.estimate(&timed.key_of(Forecast::Finished), &done).mean;
+            self.learn(timed, Forecast::Finished, &done, timed.images_made);
+        }
+        if timed.found > 0 {
+            self.learn(timed, Forecast::Features, &timed.of_features(timed.found), took - timed.images_made);
+        }
         kept.time_ms = milliseconds(timed.watch.elapsed());
         stats.deadline = Some(kept);
     }
@@ -192,6 +213,52 @@ impl Controller {
 }
 
 impl DeadlineFrame {
+    fn new(limit: Duration, watch: Watch, key: Key, priority: &Priority, (pixels, images): (u64, u64)) -> Self {
+        let zero = Duration::ZERO;
+        let (begun, selected, images_made) = (zero, zero, zero);
+        let (counts, features, cut, first_estimate) = (WorkCounts::default(), WorkCounts::default(), Vec::new(), None);
+        let (priority, found, left_out) = (priority.clone(), 0, Vec::new());
+        Self {
+            limit,
+            watch,
+            key,
+            priority,
+            pixels,
+            images,
+            begun,
+            selected,
+            images_made,
+            counts,
+            cut,
+            first_estimate,
+            features,
+            found,
+            left_out,
+        }
+    }
+
+    /// Features are placed, with regions of interest if they are asked for, and selection begins.
+    pub fn expect_features(&mut self, features: usize, regions: bool) {
+        let features = features as u64;
+        self.features = WorkCounts { features, regions: if regions { features } else { 0 }, ..WorkCounts::default() };
+        self.begun = self.watch.elapsed();
+    }
+
+    /// Images are made, and features follow.
+    pub fn images_are_made(&mut self) {
+        self.images_made = self.watch.elapsed();
+    }
+
+    /// Time left for features.
+    fn left(&self) -> Duration {
+        self.limit.saturating_sub(self.watch.elapsed() + MARGIN)
+    }
+
+    /// Of some of the features.
+    fn of_features(&self, features: u64) -> WorkCounts {
+        WorkCounts { features, regions: self.features.regions.min(features), ..WorkCounts::default() }
+    }
+
     fn key_of(&self, forecast: Forecast) -> Key {
         Key { forecast, ..self.key.clone() }
     }
@@ -217,13 +284,13 @@ fn counts_of(runs: &[Run]) -> WorkCounts {
 
 /// What a frame did, by its statistics.
 fn finished(stats: &Stats, timed: &DeadlineFrame) -> WorkCounts {
-    let of = |name: &str| stats.counts.iter().find(|(n, _)| n == name).map_or(0, |(_, n)| *n);
+    let of = |name| stats.count_of(name).unwrap_or(0);
     WorkCounts {
-        runs: of("runs selected"),
-        polygons: of("polygons set up"),
-        waves: of("waves"),
-        samples_tested: of("samples tested"),
-        samples_written: of("samples written"),
+        runs: of(CountName::RunsSelected),
+        polygons: of(CountName::PolygonsSetUp),
+        waves: of(CountName::Waves),
+        samples_tested: of(CountName::SamplesTested),
+        samples_written: of(CountName::SamplesWritten),
         pixels_resolved: timed.pixels * timed.images,
         ..WorkCounts::default()
     }

@@ -1,4 +1,4 @@
-//! OpenEXR images of a prediction, lossless: floats as FLOAT and ids as UINT, bit for bit. Text attributes `presight:*` hold
+//! OpenEXR images of a prediction, lossless: floats as FLOAT and ids as UINT, bit for bit, vectors as three FLOAT channels. Text attributes `presight:*` hold
 //! sensor, pose and scene.
 
 use super::atomic::write_atomically;
@@ -8,7 +8,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::memory;
-use crate::plan::{IdScheme, Images, Output, Outputs};
+use crate::plan::{IdScheme, Images, Output, Outputs, SampleKind, Samples, SamplesMut};
 use crate::printable::quoted;
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::meta::attribute::{AttributeValue, LineOrder, SampleType, Text};
@@ -73,18 +73,24 @@ pub struct ImageFile {
 pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attributes) -> Result<()> {
     let mut channels = Vec::new();
     for output in outputs.iter() {
-        let samples = match (images.floats(output), images.ids(output)) {
-            (Some(image), _) => Some(FlatSamples::F32(copied(image)?)),
-            (_, Some(image)) => Some(FlatSamples::U32(copied(image)?)),
-            _ => None,
+        let planes = match images.samples(output) {
+            Some(Samples::Floats(image)) => vec![FlatSamples::F32(collected(image.iter().copied())?)],
+            Some(Samples::Ids(image)) => vec![FlatSamples::U32(collected(image.iter().copied())?)],
+            Some(Samples::Vectors(image)) => {
+                let plane = |axis: usize| collected(image.iter().map(|v| v[axis])).map(FlatSamples::F32);
+                vec![plane(0)?, plane(1)?, plane(2)?]
+            }
+            None => Vec::new(),
         };
-        channels.extend(samples.map(|samples| AnyChannel::new(output.name(), samples)));
+        let named = output.channels().into_iter().zip(planes);
+        channels.extend(named.map(|(name, samples)| AnyChannel::new(name.as_str(), samples)));
     }
     if channels.is_empty() {
         return Err(Error::invalid("there is no image to write", "ask for an output").in_file(path));
     }
     let mut layer = LayerAttributes::default();
-    for (name, value) in to_texts(attributes) {
+    let frames = outputs.iter().filter(|o| images.samples(*o).is_some()).filter_map(frame_attribute);
+    for (name, value) in to_texts(attributes).into_iter().chain(frames) {
         let value = AttributeValue::Text(Text::from_slice_unchecked(value.as_bytes()));
         layer.other.insert(Text::from(format!("presight:{name}").as_str()), value);
     }
@@ -100,10 +106,16 @@ pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attrib
     })
 }
 
-fn copied<T: Copy>(image: &[T]) -> Result<Vec<T>> {
-    let mut copy = memory::reserved(image.len())?;
-    copy.extend_from_slice(image);
-    Ok(copy)
+fn collected<T>(samples: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
+    let mut plane = memory::reserved(samples.len())?;
+    plane.extend(samples);
+    Ok(plane)
+}
+
+/// What a file says of the frame of vectors.
+fn frame_attribute(output: Output) -> Option<(String, String)> {
+    let info = output.info();
+    info.frame.map(|frame| (format!("{}_frame", info.name), frame.to_owned()))
 }
 
 fn to_io(e: ::exr::error::Error) -> io::Error {
@@ -113,7 +125,7 @@ fn to_io(e: ::exr::error::Error) -> io::Error {
     }
 }
 
-fn to_texts(attributes: &Attributes) -> Vec<(&'static str, String)> {
+fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     let mut texts = vec![("format", FORMAT.to_string())];
     texts.extend(attributes.sensor.clone().map(|t| ("sensor", t)));
     texts.extend(attributes.world_from_sensor.map(|p| ("world_from_sensor", pose_to_text(&p))));
@@ -123,7 +135,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(&'static str, String)> {
     texts.extend(attributes.given_up.iter().flat_map(serde_json::to_string).map(|text| ("given_up", text)));
     // A map of numbers to texts cannot fail to be JSON.
     texts.push(("objects", serde_json::to_string(&attributes.objects).unwrap_or_default()));
-    texts
+    texts.into_iter().map(|(name, text)| (name.to_owned(), text)).collect()
 }
 
 /// `x,y,z,qx,qy,qz,qw`, each the shortest text that reads back as the same f64.
@@ -197,12 +209,18 @@ fn read_unnamed(path: &Path) -> Result<ImageFile> {
     let mut ignored = Vec::new();
     for channel in layer.channel_data.list {
         let name = channel.name.to_string();
-        match Output::WITH_FEATURES.into_iter().find(|o| o.name() == name) {
-            Some(output) => keep(&mut images, output, channel.sample_data)?,
+        match of_channel(&name) {
+            Some((output, axis)) => keep(&mut images, output, axis, channel.sample_data)?,
             None => ignored.push(name),
         }
     }
     Ok(ImageFile { images, attributes, ignored })
+}
+
+/// The output of a channel, and the component that it holds.
+fn of_channel(name: &str) -> Option<(Output, usize)> {
+    let mut outputs = Output::WITH_FEATURES.into_iter();
+    outputs.find_map(|o| o.channels().iter().position(|channel| channel == name).map(|axis| (o, axis)))
 }
 
 fn unsupported(what: String, remedy: &str) -> Error {
@@ -231,42 +249,46 @@ fn check_header(header: &Header) -> Result<()> {
             format!("sides of 1 to {} and at most {} pixels can be read", limits::MAX_IMAGE_SIDE, limits::MAX_PIXELS),
         ));
     }
+    let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();
     let mut known = 0;
-    for channel in &header.channels.list {
-        let Some(output) = Output::WITH_FEATURES.into_iter().find(|o| channel.name.eq(o.name())) else {
+    for (channel, name) in header.channels.list.iter().zip(&names) {
+        let Some((output, _)) = of_channel(name) else {
             continue;
         };
         known += 1;
-        let (wanted, word) = match output {
-            Output::PolygonId | Output::ObjectId | Output::FeatureId => (SampleType::U32, "UINT"),
-            Output::Range | Output::DepthZ | Output::CosIncidence | Output::Echo => (SampleType::F32, "FLOAT"),
+        let (wanted, word) = match output.info().kind {
+            SampleKind::Id => (SampleType::U32, "UINT"),
+            SampleKind::Float | SampleKind::Vector => (SampleType::F32, "FLOAT"),
         };
         if channel.sample_type != wanted || channel.sampling.0 != 1 || channel.sampling.1 != 1 {
             let what = format!("is {:?}, sampled {:?}", channel.sample_type, channel.sampling);
-            return Err(Error::invalid(what, format!("write it as {word}, every pixel"))
-                .at(format!("channel {:?}", output.name())));
+            return Err(
+                Error::invalid(what, format!("write it as {word}, every pixel")).at(format!("channel {name:?}"))
+            );
+        }
+        if let Some(missing) = output.channels().into_iter().find(|wanted| !names.contains(wanted)) {
+            let what = format!("has no channel {missing:?} beside it");
+            return Err(Error::invalid(what, "write all components of a vector").at(format!("channel {name:?}")));
         }
     }
     if known == 0 {
-        let there: Vec<String> = header.channels.list.iter().take(8).map(|c| c.name.to_string()).collect();
-        let names = Output::WITH_FEATURES.map(Output::name).join(", ");
-        return Err(
-            Error::invalid(format!("none of its channels ({}) is known", there.join(", ")), names).at("channels")
-        );
+        let what = format!("none of its channels ({}) is known", names[..names.len().min(8)].join(", "));
+        let wanted = Output::WITH_FEATURES.map(Output::channels).concat().join(", ");
+        return Err(Error::invalid(what, wanted).at("channels"));
     }
     Ok(())
 }
 
-fn keep(images: &mut Images, output: Output, samples: FlatSamples) -> Result<()> {
-    match (output, samples) {
-        (Output::Range, FlatSamples::F32(v)) => images.range = v,
-        (Output::DepthZ, FlatSamples::F32(v)) => images.depth_z = v,
-        (Output::CosIncidence, FlatSamples::F32(v)) => images.cos_incidence = v,
-        (Output::Echo, FlatSamples::F32(v)) => images.echo = v,
-        (Output::PolygonId, FlatSamples::U32(v)) => images.polygon_id = v,
-        (Output::ObjectId, FlatSamples::U32(v)) => images.object_id = v,
-        (Output::FeatureId, FlatSamples::U32(v)) => images.feature_id = v,
-        (output, _) => {
+fn keep(images: &mut Images, output: Output, axis: usize, samples: FlatSamples) -> Result<()> {
+    match (images.samples_mut(output), samples) {
+        (SamplesMut::Floats(image), FlatSamples::F32(plane)) => *image = plane,
+        (SamplesMut::Ids(image), FlatSamples::U32(plane)) => *image = plane,
+        (SamplesMut::Vectors(image), FlatSamples::F32(plane)) => {
+            memory::reserve(image, plane.len())?;
+            image.resize(plane.len(), [f32::NAN; 3]);
+            image.iter_mut().zip(plane).for_each(|(v, component)| v[axis] = component);
+        }
+        _ => {
             let remedy = "write floats as FLOAT and ids as UINT";
             return Err(Error::invalid("is of the wrong type", remedy).at(format!("channel {:?}", output.name())));
         }
@@ -315,9 +337,20 @@ impl Attributes {
                     Error::invalid(format!("is no map of ids to names: {e}"), "write {\"1\": \"name\"}")
                 })?;
             }
-            _ => {}
+            _ => check_frame(name, text)?,
         }
         Ok(())
+    }
+}
+
+/// Vectors in another frame are not those that the output's name promises.
+fn check_frame(name: &str, text: &str) -> Result<()> {
+    let known = Output::WITH_FEATURES.into_iter().filter_map(frame_attribute).find(|(attribute, _)| attribute == name);
+    match known {
+        Some((_, frame)) if frame != text => {
+            Err(unsupported(format!("is {}", quoted(text)), "write vectors in the sensor's body frame"))
+        }
+        _ => Ok(()),
     }
 }
 

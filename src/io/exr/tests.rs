@@ -18,6 +18,9 @@ fn images(width: u32, height: u32, outputs: Outputs) -> Images {
             *v = if i % 3 == 0 { odd[i / 3 % odd.len()] } else { f32::from_bits(next()) };
         }
     }
+    for (i, v) in images.normal.as_flattened_mut().iter_mut().enumerate() {
+        *v = if i % 4 == 0 { odd[i / 4 % odd.len()] } else { f32::from_bits(next()) };
+    }
     for image in [&mut images.polygon_id, &mut images.object_id] {
         image.iter_mut().for_each(|v| *v = next());
         if let Some(first) = image.first_mut() {
@@ -37,7 +40,8 @@ fn attributes() -> Attributes {
         given_up: Some(Degradation {
             complete_to: 3.25,
             samples: 7,
-            means: vec![DegradationStep { means: DegradationKind::Clock, at_ms: 1.5, metres: 3.25 }],
+            means: vec![DegradationStep { means: DegradationKind::Clock, at_ms: 1.5, metres: Some(3.25) }],
+            ..Degradation::default()
         }),
         objects: (1..=12).map(|i| (i, format!("Tür \"{i}\""))).collect(),
     }
@@ -46,7 +50,13 @@ fn attributes() -> Attributes {
 fn bits(images: &Images) -> Vec<u32> {
     let floats = [&images.range, &images.depth_z, &images.cos_incidence, &images.echo];
     let ids = [&images.polygon_id, &images.object_id];
-    floats.into_iter().flatten().map(|v| v.to_bits()).chain(ids.into_iter().flatten().copied()).collect()
+    floats
+        .into_iter()
+        .flatten()
+        .chain(images.normal.as_flattened())
+        .map(|v| v.to_bits())
+        .chain(ids.into_iter().flatten().copied())
+        .collect()
 }
 
 fn write_and_read(images: &Images, attributes: &Attributes) -> ImageFile {
@@ -119,6 +129,44 @@ fn a_newer_format_is_refused() {
     std::fs::write(&path, bytes).unwrap();
     let e = error_of(&path);
     assert_eq!((e.kind(), e.place()), (ErrorKind::Unsupported, Some("attribute \"presight:format\"")));
+}
+
+/// The channels of a file, and the text of an attribute.
+fn header_of(path: &Path, attribute: &str) -> (Vec<String>, Option<String>) {
+    let image = ::exr::prelude::read_all_flat_layers_from_file(path).unwrap();
+    let layer = &image.layer_data[0];
+    let names = layer.channel_data.list.iter().map(|c| c.name.to_string()).collect();
+    let text = layer.attributes.other.get(&Text::from(attribute)).map(|value| match value {
+        AttributeValue::Text(text) => text.to_string(),
+        other => panic!("{other:?}"),
+    });
+    (names, text)
+}
+
+#[test]
+fn vectors_are_three_channels_and_say_their_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    let images = images(4, 3, Outputs::of(&[Output::Normal, Output::ObjectId]));
+    write(&path, &images, Outputs::ALL, &Attributes::default()).unwrap();
+    let (channels, frame) = header_of(&path, "presight:normal_frame");
+    assert_eq!(channels, ["normal.x", "normal.y", "normal.z", "object_id"]);
+    assert_eq!(frame.as_deref(), Some("body"));
+    // In another frame they are another image.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let at = bytes.windows(21).position(|w| w == b"presight:normal_frame").unwrap();
+    let value = at + 21 + 1 + "string\0".len() + 4;
+    bytes[value..value + 4].copy_from_slice(b"rear");
+    std::fs::write(&path, bytes).unwrap();
+    let e = error_of(&path);
+    assert_eq!((e.kind(), e.place()), (ErrorKind::Unsupported, Some("attribute \"presight:normal_frame\"")));
+    // Without vectors there is no frame to say.
+    write(&path, &images, Outputs::of(&[Output::ObjectId]), &Attributes::default()).unwrap();
+    assert_eq!(header_of(&path, "presight:normal_frame"), (vec!["object_id".to_owned()], None));
+    // Nor is a vector of two components one.
+    let two = vec![("normal.x", FlatSamples::F32(vec![1.0; 6])), ("normal.z", FlatSamples::F32(vec![0.0; 6]))];
+    write_foreign(&path, two, (3, 2));
+    assert_eq!(error_of(&path).place(), Some("channel \"normal.x\""));
 }
 
 /// Writes channels of any type under any name, as foreign programs may.

@@ -1,8 +1,8 @@
 //! Colours of values.
 
-use super::canvas::{Rgb, mix};
+use super::canvas::{PAGE, Rgb, mix};
 use super::scale::Scale;
-use crate::plan::{Images, Output};
+use crate::plan::{Images, Output, SampleKind, Samples};
 
 /// Nothing seen.
 pub const MISS: Rgb = [0x26, 0x2a, 0x33];
@@ -78,21 +78,29 @@ pub struct Palette {
 
 impl Palette {
     pub fn new(images: &Images, output: Output, scale: &Scale) -> Self {
-        let colors: Vec<Rgb> = match (images.floats(output), images.ids(output)) {
-            (Some(values), _) => values.iter().map(|v| of_value(*v, output, scale)).collect(),
-            (None, Some(ids)) => ids.iter().map(|id| if *id == 0 { MISS } else { by_id(*id) }).collect(),
-            (None, None) => Vec::new(),
+        let colors: Vec<Rgb> = match images.samples(output) {
+            Some(Samples::Floats(values)) => values.iter().map(|v| of_value(*v, output, scale)).collect(),
+            Some(Samples::Ids(ids)) => ids.iter().map(|id| if *id == 0 { MISS } else { by_id(*id) }).collect(),
+            Some(Samples::Vectors(vectors)) => vectors.iter().map(|v| v.map(of_component)).collect(),
+            None => Vec::new(),
         };
-        let mut specials = vec![(MISS, "nothing")];
-        if let Some(values) = images.floats(output).filter(|_| !is_share(output)) {
+        let nothing = if output.info().kind == SampleKind::Vector { [0; 3] } else { MISS };
+        let mut specials = vec![(nothing, "nothing")];
+        if let Some(values) = images.floats(output).filter(|_| output.is_distance()) {
             let there = |special: fn(&f32) -> bool| values.iter().any(special);
             specials.retain(|_| there(|v| *v == f32::INFINITY));
             specials.extend(there(|v| *v == f32::NEG_INFINITY).then_some((TOO_NEAR, "too near")));
             specials.extend(there(|v| v.is_nan()).then_some((NO_RAY, "no ray")));
         } else {
-            specials.retain(|_| colors.contains(&MISS));
+            specials.retain(|_| colors.contains(&nothing));
         }
         Self { colors, specials }
+    }
+
+    /// Of classes, by index into a list of names and colours; pixels of no class are left as the page is.
+    pub fn of_classes(classes: &[u8], legend: &[(&str, Rgb)]) -> Self {
+        let color = |class: &u8| legend.get(usize::from(*class)).map_or(PAGE, |(_, color)| *color);
+        Self { colors: classes.iter().map(color).collect(), specials: Vec::new() }
     }
 
     /// Tints some pixels.
@@ -120,18 +128,20 @@ impl Palette {
     }
 }
 
-/// Values of 0..=1, NaN where nothing is seen.
-fn is_share(output: Output) -> bool {
-    matches!(output, Output::CosIncidence | Output::Echo)
+/// Of -1..=1, as maps of normals show it; NaN is black.
+fn of_component(v: f32) -> u8 {
+    (127.5 * (v + 1.0)).round() as u8
 }
 
 fn of_value(v: f32, output: Output, scale: &Scale) -> Rgb {
+    // Numbers without a unit are shares: 0..=1, NaN where nothing is seen.
+    let is_share = !output.is_distance();
     match v {
-        v if v.is_nan() && is_share(output) => MISS,
+        v if v.is_nan() && is_share => MISS,
         v if v.is_nan() => NO_RAY,
         f32::INFINITY => MISS,
         f32::NEG_INFINITY => TOO_NEAR,
-        v if is_share(output) => grey(f64::from(v)),
+        v if is_share => grey(f64::from(v)),
         v => by_distance(scale.share(f64::from(v))),
     }
 }

@@ -2,6 +2,7 @@
 
 mod canvas;
 mod color;
+mod comparison;
 mod font;
 mod overlay;
 mod pen;
@@ -17,6 +18,7 @@ use crate::sensor::{Geometry, Sensor};
 use crate::virtual_sensors::Mask;
 use canvas::Canvas;
 use color::Palette;
+pub use comparison::{Comparison, write_comparison};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use overlay::Overlay;
@@ -28,7 +30,7 @@ use std::path::Path;
 /// a title and a scale bar.
 ///
 /// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence and echo
-/// grey.
+/// grey, vectors of length one with 127.5 (x + 1), 127.5 (y + 1) and 127.5 (z + 1) as red, green and blue.
 /// The shape of pixels follows their angles. Images of scanners that turn counter-clockwise are mirrored, so that left is left.
 /// A scan of one row is drawn from above, x forward being up.
 ///
@@ -84,7 +86,7 @@ pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<V
 fn preview(images: &Images, sensor: &Sensor, output: Output, marks: &Marks<'_>) -> Result<Canvas> {
     let Marks { overlay, mask, given_up } = *marks;
     let (width, height) = (sensor.width(), sensor.height());
-    let len = images.floats(output).map(<[f32]>::len).or(images.ids(output).map(<[u32]>::len)).unwrap_or(0);
+    let len = images.samples(output).map_or(0, |samples| samples.len());
     if len != width as usize * height as usize {
         return Err(Error::invalid(
             format!("the {} image has {len} pixels, the sensor {width} x {height}", output.name()),

@@ -16,16 +16,16 @@ const SIDE: f64 = 960.0;
 const FREE: Rgb = [0x39, 0x41, 0x4e];
 
 /// From metres (x forward, y left) to page pixels.
-struct Map {
+pub struct Map {
     /// Page position of the sensor.
     origin: [f64; 2],
     pixels_per_metre: f64,
-    size: [u32; 2],
+    pub size: [u32; 2],
 }
 
 impl Map {
     /// Around all hits and the sensor.
-    fn around(hits: &[Option<DVec2>]) -> Self {
+    pub fn around(hits: &[Option<DVec2>]) -> Self {
         let seen = || hits.iter().flatten().copied();
         let (low, high) = seen().fold((DVec2::ZERO, DVec2::ZERO), |(lo, hi), p| (lo.min(p), hi.max(p)));
         let extent = (high - low).max_element().max(1e-3);
@@ -43,7 +43,7 @@ impl Map {
         Self { origin, pixels_per_metre, size }
     }
 
-    fn page(&self, p: DVec2) -> [f64; 2] {
+    pub fn page(&self, p: DVec2) -> [f64; 2] {
         [self.origin[0] - p.y * self.pixels_per_metre, self.origin[1] - p.x * self.pixels_per_metre]
     }
 
@@ -95,7 +95,7 @@ pub fn draw(
 }
 
 /// Lightens what the beams passed through, from the sensor to each hit.
-fn free_space(canvas: &mut Canvas, map: &Map, hits: &[Option<DVec2>], ray: impl Fn(u32) -> Option<DVec2>) {
+pub fn free_space(canvas: &mut Canvas, map: &Map, hits: &[Option<DVec2>], ray: impl Fn(u32) -> Option<DVec2>) {
     let turn = std::f64::consts::TAU;
     let mut beams: Vec<(f64, f64)> = Vec::new();
     for (i, hit) in hits.iter().enumerate() {
@@ -123,7 +123,7 @@ fn free_space(canvas: &mut Canvas, map: &Map, hits: &[Option<DVec2>], ray: impl 
 }
 
 /// Circles of equal distance with their metres, and the forward direction.
-fn rings(canvas: &mut Canvas, map: &Map) {
+pub fn rings(canvas: &mut Canvas, map: &Map) {
     let reach = f64::from(map.size[0].max(map.size[1])) / map.pixels_per_metre;
     let (step, decimals) = nice_step(reach / 7.0);
     let inside = |x: i64, y: i64| {
@@ -154,7 +154,7 @@ fn rings(canvas: &mut Canvas, map: &Map) {
 }
 
 /// The sensor: an arrowhead that points forward.
-fn marker(canvas: &mut Canvas, map: &Map) {
+pub fn marker(canvas: &mut Canvas, map: &Map) {
     let [x, y] = map.origin;
     let corners = [[x, y - 11.0], [x + 7.0, y + 8.0], [x, y + 4.0], [x - 7.0, y + 8.0]];
     for i in 0..4 {

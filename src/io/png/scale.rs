@@ -20,8 +20,7 @@ const OUTLIERS: f64 = 0.002;
 impl Scale {
     /// Of the finite values of an output; 0..1 for what has no metres.
     pub fn of(images: &Images, output: Output) -> Self {
-        let metric = matches!(output, Output::Range | Output::DepthZ);
-        let values = images.floats(output).filter(|_| metric).unwrap_or(&[]);
+        let values = images.floats(output).filter(|_| output.is_distance()).unwrap_or(&[]);
         let mut finite: Vec<f32> = values.iter().copied().filter(|v| v.is_finite() && *v > 0.0).collect();
         if finite.is_empty() {
             return Self { low: 0.0, high: 1.0, logarithmic: false };

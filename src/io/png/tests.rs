@@ -101,3 +101,65 @@ fn a_depth_image_reads_back() {
     let read = image::open(&path).unwrap().into_luma16();
     assert_eq!((read.width(), read.height(), read.get_pixel(0, 0).0, read.get_pixel(1, 1).0), (4, 2, [1000], [4000]));
 }
+
+const CONFIRMED: [u8; 3] = [1, 2, 3];
+const NEARER: [u8; 3] = [4, 5, 6];
+const LEGEND: [(&str, [u8; 3]); 2] = [("confirmed", CONFIRMED), ("nearer", NEARER)];
+
+/// What is sensed is near at the first pixel, all else is as predicted.
+fn compared<'a>(sensor: &'a Sensor, predicted: &'a Images, sensed: &'a [f32], verdicts: &'a [u8]) -> Comparison<'a> {
+    Comparison { sensor, predicted, sensed, verdicts, legend: &LEGEND, features: None }
+}
+
+/// Predicted, sensed and verdicts stand in this order, side by side or below each other, in one scale of ranges.
+#[test]
+fn comparisons_have_three_panels() {
+    let verdicts = [1, 0, 0, 0, 0, 0, 0, 0];
+    for (sensor, wide) in [(camera(), true), (scanner(-10.0, 2), false)] {
+        let sensed = near_corner(&sensor);
+        let mut predicted = sensed.clone();
+        predicted.range[0] = 2.0;
+        let canvas = comparison::draw(&compared(&sensor, &predicted, &sensed.range, &verdicts)).unwrap();
+        let stacked = canvas.height() > canvas.width();
+        assert_eq!(stacked, !wide || sensor.width() == 2 * sensor.height());
+        // The nearest range of all has the nearest colour: it is sensed, not predicted.
+        let at = place_of(&canvas, color::by_distance(0.0));
+        let along = usize::from(stacked);
+        assert!((0.3..0.6).contains(&at[along]), "{}: {at:?}", sensor.spec().name);
+        let nearer = place_of(&canvas, NEARER);
+        let confirmed = place_of(&canvas, CONFIRMED);
+        assert!(
+            nearer[along] > 0.6 && nearer[0] < confirmed[0] && nearer[1] < confirmed[1],
+            "{nearer:?} {confirmed:?}"
+        );
+    }
+}
+
+/// A dot stands where it was sensed, in the colour of its verdict: ahead of a wall 4 m away, left or right of the sensor.
+#[test]
+fn scans_are_compared_from_above() {
+    for (step, left) in [(10.0, false), (-10.0, true)] {
+        let sensor = scanner(step, 1);
+        let sensed = near_corner(&sensor);
+        let mut predicted = sensed.clone();
+        predicted.range[0] = 4.0;
+        let canvas = comparison::draw(&compared(&sensor, &predicted, &sensed.range, &[1, 0, 0, 0])).unwrap();
+        let (nearer, confirmed) = (place_of(&canvas, NEARER), place_of(&canvas, CONFIRMED));
+        assert!(nearer[1] > confirmed[1] + 0.2, "{nearer:?} {confirmed:?}");
+        assert_eq!(nearer[0] < 0.5, left, "{nearer:?}");
+    }
+}
+
+#[test]
+fn comparisons_of_another_size_are_refused() {
+    let sensor = camera();
+    let images = near_corner(&sensor);
+    let refused = |sensed: &[f32], verdicts: &[u8]| {
+        comparison::draw(&compared(&sensor, &images, sensed, verdicts)).err().map(|e| e.to_string())
+    };
+    assert!(refused(&images.range[1..], &[]).is_some_and(|e| e.contains("7 pixels are sensed")));
+    assert!(refused(&images.range, &[0; 9]).is_some_and(|e| e.contains("9 pixels are judged")));
+    assert!(refused(&images.range, &[]).is_none());
+    // Classes without a name are drawn as nothing.
+    assert!(refused(&images.range, &[9; 8]).is_none());
+}

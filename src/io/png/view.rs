@@ -4,7 +4,7 @@ use super::canvas::{Canvas, FAINT, INK, PAGE, PageRect, Rgb, TEXT_HEIGHT, mix, t
 use super::color::{Palette, by_distance, grey};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::scale::Scale;
-use crate::plan::{Images, Output};
+use crate::plan::{Images, Output, SampleKind};
 use crate::sensor::{Angles, Geometry, Sensor};
 use glam::DVec2;
 
@@ -39,6 +39,21 @@ pub fn draw(
     let mut canvas = page(page_width, height, overlay);
     title(&mut canvas, sensor, output);
     let top = MARGIN + HEADER;
+    draw_image(&mut canvas, PageRect { left, top, width, height }, images, sensor, palette, overlay);
+    footer(&mut canvas, top + height + MARGIN, output, palette, scale);
+    canvas
+}
+
+/// Draws the pixels, the borders of polygons and features into a frame.
+pub fn draw_image(
+    canvas: &mut Canvas,
+    frame: PageRect,
+    images: &Images,
+    sensor: &Sensor,
+    palette: &Palette,
+    overlay: Option<&Overlay<'_>>,
+) {
+    let PageRect { left, top, width, height } = frame;
     let borders = Borders::of(images);
     let mirrored = is_mirrored(sensor);
     let column_of = |x: u32| {
@@ -62,14 +77,12 @@ pub fn draw(
     }
     if let Some(overlay) = overlay {
         let size = DVec2::new(f64::from(images.width), f64::from(images.height));
-        overlay.draw(&mut canvas, PageRect { left, top, width, height }, &|pixel| {
+        overlay.draw(canvas, frame, &|pixel| {
             let share = (pixel + 0.5) / size;
             let across = if mirrored { 1.0 - share.x } else { share.x };
             [f64::from(left) + across * f64::from(width), f64::from(top) + share.y * f64::from(height)]
         });
     }
-    footer(&mut canvas, top + height + MARGIN, output, palette, scale);
-    canvas
 }
 
 /// A blank page around an image of that height, with a line for the legend of features if there are any.
@@ -184,10 +197,10 @@ pub fn footer(canvas: &mut Canvas, top: u32, output: Output, palette: &Palette, 
         right -= MARGIN;
     }
     let width = right.saturating_sub(2 * MARGIN).min(640);
-    match output {
-        Output::Range | Output::DepthZ => bar(canvas, top, width, scale, "m", by_distance),
-        Output::CosIncidence | Output::Echo => bar(canvas, top, width, scale, "", grey),
-        Output::PolygonId | Output::ObjectId | Output::FeatureId => {}
+    match output.info().kind {
+        SampleKind::Float if output.is_distance() => bar(canvas, top, width, scale, "m", by_distance),
+        SampleKind::Float => bar(canvas, top, width, scale, "", grey),
+        SampleKind::Id | SampleKind::Vector => {}
     }
 }
 

@@ -128,6 +128,9 @@ pub struct PredictionFile {
     pub pose_covariance: Option<Vec<f64>>,
     /// Of the regions of interest, if there are any.
     pub confidence: Option<f64>,
+    /// What was given up for a deadline, if anything was.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub given_up: Option<Degradation>,
     /// What is seen of each feature.
     pub features: Vec<FeatureRecord<'static>>,
 }
@@ -283,6 +286,7 @@ fn properties(seen: &SeenFeature) -> Properties<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::deadline::{DegradationKind, DegradationStep};
     use crate::environment::{Existence, Feature, Properties};
     use crate::features::Reason;
     use glam::DMat3;
@@ -359,9 +363,21 @@ mod tests {
         (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some("linear"));
         let prediction = FeaturePrediction { features: vec![feature], ..FeaturePrediction::default() };
         let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.1, 0.2, 0.3);
-        let header = Header { sensor: "c".into(), world_from_sensor: pose, ..Header::default() };
+        let taken = DegradationStep { means: DegradationKind::Clock, at_ms: 1.0 / 3.0, metres: Some(2.5) };
+        let given_up = Degradation {
+            complete_to: 2.5,
+            samples: 7,
+            stride: 4,
+            features: vec![3],
+            means: vec![taken],
+            opening: None,
+        };
+        let given_up = Some(given_up);
+        let header =
+            Header { sensor: "c".into(), world_from_sensor: pose, given_up: given_up.clone(), ..Header::default() };
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let read = parse(&text).unwrap();
+        assert_eq!(read.given_up, given_up);
         assert_eq!((read.world_from_sensor, read.features[0].range), (pose, None), "what is not finite is null");
         assert_eq!(
             read.features[0],

@@ -1,8 +1,8 @@
 //! The scenes of this repository: what each is there to catch is right on every engine.
 
-use super::common::{engines, plan, reference, scenes};
+use super::common::{compare_or_show, engines, plan, reference, scenes};
 use super::load;
-use presight::verify::{Precision, compare};
+use presight::verify::Precision;
 use presight::{FramePlan, Images, Pose, Sensor, World};
 use std::path::Path;
 
@@ -21,7 +21,7 @@ fn seen(world: &World, sensor: &Sensor) -> Vec<(&'static str, Images)> {
     let plan = plan(world, sensor, &Pose::IDENTITY);
     let expected = reference(&plan);
     let held = |name: &str, images: &Images, precision| {
-        let report = compare(&expected, images, &plan, precision).expect("images of one shape");
+        let report = compare_or_show(&expected, images, &plan, precision);
         assert_eq!(report.fault, 0, "{name}: {:#?}", report.faults.first());
     };
     let render = |engine: &mut dyn FnMut(&FramePlan) -> Images| engine(&plan);
@@ -163,7 +163,7 @@ fn the_scenes_are_right_on_the_cpu() {
         let world = world(name);
         for sensor in [scenes::camera(49, 33), scenes::scanner(60, 13)] {
             let plan = plan(&world, &sensor, &Pose::from_xyz_rpy(at.into(), 0.0, 0.1, -0.05));
-            let report = compare(&reference(&plan), &cpu(&plan), &plan, Precision::F64).unwrap();
+            let report = compare_or_show(&reference(&plan), &cpu(&plan), &plan, Precision::F64);
             assert_eq!(report.fault, 0, "{name}: {:#?}", report.faults.first());
         }
     }

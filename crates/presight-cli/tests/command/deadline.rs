@@ -37,6 +37,34 @@ fn deadlines_that_cannot_be_are_wrong_usage_and_what_cannot_be_done_is_status_4(
 }
 
 #[test]
+fn costs_are_learnt_over_a_series() {
+    let place = Place::new();
+    place.write("drive.tum", b"0 0 0 1 0 0 0 1\n1 0 0 1 0 0 0 1\n2 0 0 1 0 0 0 1\n");
+    let series =
+        "predict wall.glb --sensor laser-scanner --poses drive.tum --backend cpu --threads 1 --deadline-ms 60000";
+    place.done(&format!("{series} --costs costs.json --out {{i}}.exr"));
+    let costs: Value = serde_json::from_str(&fs::read_to_string(place.path("costs.json")).unwrap()).unwrap();
+    let finished = costs["models"].as_array().unwrap().iter().find(|model| model["forecast"] == "finished").unwrap();
+    assert_eq!(finished["frames"], 3);
+    assert!(place.path("2.exr").exists());
+}
+
+#[test]
+fn what_matters_most_is_checked() {
+    let place = Place::new();
+    for (flag, value) in [("--deadline-radius", "0"), ("--deadline-radius", "-1"), ("--deadline-heading", "NaN")] {
+        let outcome = place.run(&format!("{PREDICT} --deadline-ms 60000 {flag} {value}"));
+        assert_eq!(outcome.status, Some(2), "{flag} {value}: {}", outcome.stderr);
+        assert!(outcome.stderr.contains(flag), "{}", outcome.stderr);
+    }
+    let line = format!(
+        "{PREDICT} --deadline-ms 60000 --deadline-radius 3 --deadline-heading -30 --deadline-features 7,3 --explain"
+    );
+    assert!(place.done(&line).contains("given up  nothing"));
+    assert_eq!(place.run(&format!("{PREDICT} --deadline-heading 3")).status, Some(2), "a heading without a deadline");
+}
+
+#[test]
 fn broken_costs_are_named_and_kept() {
     let place = Place::new();
     for (text, said) in

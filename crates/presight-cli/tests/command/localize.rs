@@ -1,4 +1,4 @@
-//! `presight simulate` and `presight localize`: a drive is simulated, followed, and compared with what it was.
+//! `presight simulate`, `localize` and `replay`: a drive is simulated, followed, compared with what it was, and shown.
 
 use super::Place;
 use presight::io::tum;
@@ -44,6 +44,35 @@ fn a_simulated_drive_is_followed() {
     assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
 }
 
+/// People and objects that stand elsewhere are in the log, not in the model; the same seed gives the same ones.
+#[test]
+fn scenes_are_not_quite_their_model() {
+    let place = drive();
+    let image = |folder: &str| {
+        let depth = place.path(folder).join("depth");
+        let first = fs::read_dir(depth).unwrap().map(|e| e.unwrap().path()).min().unwrap();
+        fs::read(first).unwrap()
+    };
+    let run = |args: &str| place.run(&format!("simulate room.glb --sensor camera.toml --poses drive.tum {args}"));
+    for (args, folder) in [
+        ("--displace 0.02", "displaced"),
+        ("--displace 0.02", "again"),
+        ("--walkers 30 --height 1.35", "walked"),
+        ("--seed 2", "other"),
+    ] {
+        let done = run(&format!("{args} --out {folder}"));
+        assert_eq!(done.status, Some(0), "{args}: {}", done.stderr);
+    }
+    assert_eq!(image("displaced"), image("again"));
+    for folder in ["displaced", "walked", "other"] {
+        assert_ne!(image("log"), image(folder), "{folder}");
+    }
+    for args in ["--displace -1", "--displace nan", "--walkers 100000", "--walkers 1 --height inf"] {
+        let refused = run(&format!("{args} --out none"));
+        assert!(refused.status == Some(2) && !place.path("none").exists(), "{args}: {refused:?}");
+    }
+}
+
 #[test]
 fn what_is_wrong_with_a_log_is_named() {
     let place = drive();
@@ -62,4 +91,43 @@ fn what_is_wrong_with_a_log_is_named() {
     fs::write(&images[0], &bytes[..bytes.len() / 2]).unwrap();
     let name = images[0].file_name().unwrap().to_str().unwrap().to_owned();
     refused("log", "0.3,0.35,1.35,0,0,38", 1, &name);
+}
+
+/// A picture a frame and a page that refers to all of them; regions of interest where features are asked for.
+#[cfg(feature = "report")]
+#[test]
+fn a_drive_is_shown() {
+    let place = drive();
+    let line = "replay log --map room.glb --sensor log/sensor.toml --init reference";
+    let done = place.run(&format!("{line} --out shown"));
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    assert!(done.stdout.contains("8 of 8 frames have a pose"), "{}", done.stdout);
+    let html = fs::read_to_string(place.path("shown/index.html")).unwrap();
+    let data = html.split("type=\"application/json\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let leaves: Vec<serde_json::Value> = serde_json::from_str(data).unwrap();
+    assert_eq!(leaves.len(), 8);
+    for leaf in &leaves {
+        let picture = place.path("shown").join(leaf["picture"].as_str().unwrap());
+        let (w, h) = image::image_dimensions(picture).unwrap();
+        assert!(w > 3 * h / 2, "three panels side by side: {w} x {h}");
+        assert!(leaf["off"][0].as_f64().unwrap() < 0.01 && leaf["nees"].as_f64().unwrap() < 6.0, "{leaf}");
+    }
+    assert_eq!(leaves[7]["state"], "tracking");
+    // Features are drawn only where they are asked for.
+    let made = place.run("features room.glb --class laser --out edges.layer.json");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    let done = place.run(&format!("{line} --layer edges.layer.json --out with"));
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    let bytes = |folder: &str| fs::read(place.path(folder).join("frames/000007.png")).unwrap();
+    assert_ne!(bytes("shown"), bytes("with"));
+    let late = place.run("replay log --map room.glb --init 0.3,0.35,1.35,0,0,38 --from 99 --out x");
+    assert!(late.status == Some(1) && late.stderr.contains("no frame"), "{late:?}");
+    for (args, told) in [
+        ("--own-features --out x", "has none for class"),
+        ("--reference-sigma nan --out x", "--reference-sigma"),
+        ("--layer x/index.html --out x", "overwrite"),
+    ] {
+        let refused = place.run(&format!("{line} {args}"));
+        assert!(refused.status.is_some_and(|s| s > 0) && refused.stderr.contains(told), "{args}: {refused:?}");
+    }
 }

@@ -7,7 +7,7 @@ use presight::engine::{Engine, EngineKind};
 use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature};
 use presight::geometry::Pose;
 use presight::internal::add_boxes;
-use presight::plan::{EDGE_ON, FramePlan, Images, Stats};
+use presight::plan::{CountName, FramePlan, Images, Stats};
 use presight::sensor::Sensor;
 
 /// Features before a sensor, and how uncertain all is.
@@ -45,7 +45,7 @@ impl Subject {
     pub fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
         let mut stats = Stats::default();
         self.engine.render(plan, images, &mut stats)?;
-        Ok(stats.counts.iter().filter(|(name, _)| name == EDGE_ON).map(|(_, n)| *n as usize).sum())
+        Ok(stats.counts.iter().filter(|(name, _)| *name == CountName::PolygonsEdgeOn).map(|(_, n)| *n as usize).sum())
     }
 
     /// Gives the features of a setting their boxes; `None` for the reference, which has no part in that.

@@ -29,7 +29,7 @@ use one::SceneStudy;
 use paths::{Engines, Path};
 use presight::World;
 use presight::geometry::Pose;
-use presight::plan::{ImageRequest, Omission};
+use presight::plan::{CountName, ImageRequest, Omission, StageName};
 use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight::verify::Precision;
 use presight::{Error, Result};
@@ -141,7 +141,7 @@ pub struct Row {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageTime {
     /// Its name.
-    pub stage: String,
+    pub stage: StageName,
     /// The middle one.
     pub median_ms: f64,
     /// 95 of 100 runs took at most so long.
@@ -164,7 +164,7 @@ pub struct PathNotes {
     /// Times by stage, in order.
     pub stages: Vec<StageTime>,
     /// Counts of the last run.
-    pub counts: Vec<(String, u64)>,
+    pub counts: Vec<(CountName, u64)>,
     /// What was not needed in the last run, and why.
     pub left_out: Vec<Omission>,
 }

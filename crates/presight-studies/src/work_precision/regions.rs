@@ -13,7 +13,7 @@ use presight::environment::FeatureShape;
 use presight::features::{BoxMethod, BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval};
 use presight::geometry::Pose;
 use presight::internal::{SplitMix64, add_boxes, parallel_or_here};
-use presight::plan::Stats;
+use presight::plan::{CountName, StageName, Stats};
 use presight::sensor::Sensor;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -146,10 +146,13 @@ impl RegionPath {
         let (engine, threads) = one.engines.predictor(self.which)?.engine_mut();
         let start = Instant::now();
         let made = add_boxes(engine, threads, seen, placed, (world, sensor, case.pose), &self.options)?;
-        made.into_iter().for_each(|made| stats.count("regions of interest made on the device", made));
-        stats.stage("regions of interest", start);
-        for (flag, name) in [("linear", "linear regions"), ("set", "regions as sets"), ("whole_image", "whole images")]
-        {
+        made.into_iter().for_each(|made| stats.count(CountName::RegionsOnDevice, made));
+        stats.stage(StageName::RegionsOfInterest, start);
+        for (flag, name) in [
+            ("linear", CountName::LinearRegions),
+            ("set", CountName::SetRegions),
+            ("whole_image", CountName::WholeImages),
+        ] {
             stats.count(name, seen.features.iter().filter(|f| f.roi_flag == Some(flag)).count());
         }
         Ok(stats)

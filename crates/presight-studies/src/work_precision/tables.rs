@@ -2,6 +2,7 @@
 
 use super::{PathNotes, Row};
 use crate::page::Table;
+use presight::plan::Omission;
 
 /// Kinds of errors in one table: caption, kinds, and whether cells tell bounds, of which images have too many columns.
 const FAMILIES: [(&str, &[&str], bool); 3] = [
@@ -115,16 +116,17 @@ pub(super) fn stages(notes: &[PathNotes]) -> Table {
 pub(super) fn left_out(notes: &[PathNotes]) -> Table {
     let leaving: Vec<&PathNotes> = notes.iter().filter(|n| !n.left_out.is_empty()).collect();
     let all: Vec<String> = leaving.iter().map(|n| of_notes(n)).collect();
-    let mut rows: Vec<(&str, &str, Vec<String>)> = Vec::new();
+    let mut rows: Vec<(&Omission, Vec<String>)> = Vec::new();
     for (n, path) in leaving.iter().zip(&all) {
         for left in &n.left_out {
-            match rows.iter_mut().find(|(what, why, _)| *what == left.what && *why == left.why) {
-                Some((.., by)) => by.push(path.clone()),
-                None => rows.push((&left.what, &left.why, vec![path.clone()])),
+            match rows.iter_mut().find(|(row, _)| *row == left) {
+                Some((_, by)) => by.push(path.clone()),
+                None => rows.push((left, vec![path.clone()])),
             }
         }
     }
-    let row = |(what, why, by): (&str, &str, Vec<String>)| vec![what.to_owned(), why.to_owned(), in_short(&by, &all)];
+    let row =
+        |(left, by): (&Omission, Vec<String>)| vec![left.what.to_string(), left.why.to_string(), in_short(&by, &all)];
     Table {
         caption: "What the predictions did not need, and why nothing is lost by that (last pose); all: of the paths that leave \
                   something out"
@@ -149,11 +151,12 @@ fn in_short(some: &[String], all: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::plan::Omission;
+    use presight::plan::StageName;
 
     #[test]
     fn what_nearly_all_leave_out_is_said_in_short() {
-        let left = |what: &str| Omission { what: what.into(), why: "not needed".into() };
+        let [all_do, many_do, few_do] = [StageName::Hidden, StageName::RayTable, StageName::SecondRasterPass];
+        let left = |what: StageName| Omission { what: what.into(), why: "not needed".into() };
         let notes: Vec<PathNotes> = (0..5)
             .map(|i| PathNotes {
                 engine: "cpu".into(),
@@ -164,9 +167,9 @@ mod tests {
                 stages: Vec::new(),
                 counts: Vec::new(),
                 left_out: match i {
-                    0 => vec![left("all do")],
-                    1 => vec![left("all do"), left("few do"), left("many do")],
-                    2 | 3 => vec![left("all do"), left("many do")],
+                    0 => vec![left(all_do)],
+                    1 => vec![left(all_do), left(few_do), left(many_do)],
+                    2 | 3 => vec![left(all_do), left(many_do)],
                     _ => Vec::new(),
                 },
             })

@@ -4,7 +4,7 @@ use super::paths::PathName;
 use super::{Effort, PathNotes, StageTime};
 use crate::{median, quantile};
 use presight::Result;
-use presight::plan::Stats;
+use presight::plan::{StageName, Stats};
 use std::time::{Duration, Instant};
 
 /// What takes longer than this hardly feels what others left in the caches.
@@ -102,17 +102,14 @@ impl Timing {
     /// Times of stages; counts and what was left out of the last run.
     pub fn notes(&self, named: &PathName) -> PathNotes {
         let last = self.stats.last().cloned().unwrap_or_default();
-        let mut names: Vec<String> = Vec::new();
+        let mut names: Vec<StageName> = Vec::new();
         for (name, _) in &last.stages_ms {
             if !names.contains(name) {
-                names.push(name.clone());
+                names.push(*name);
             }
         }
-        let of_run = |stats: &Stats, stage: &str| -> f64 {
-            stats.stages_ms.iter().filter(|(name, _)| name == stage).map(|(_, ms)| ms).sum()
-        };
-        let stage = |stage: String| {
-            let times: Vec<f64> = self.stats.iter().map(|s| of_run(s, &stage)).collect();
+        let stage = |stage: StageName| {
+            let times: Vec<f64> = self.stats.iter().map(|s| s.stage_ms(stage).unwrap_or(0.0)).collect();
             StageTime { stage, p95_ms: quantile(&times, 0.95), median_ms: median(times) }
         };
         PathNotes {
@@ -173,9 +170,10 @@ mod tests {
 
     #[test]
     fn stages_of_one_name_are_added_and_told_with_their_spread() {
-        let run = |ms: f64| Stats { stages_ms: vec![("a".into(), ms), ("a".into(), 1.0)], ..Stats::default() };
+        let run =
+            |ms: f64| Stats { stages_ms: vec![(StageName::Setup, ms), (StageName::Setup, 1.0)], ..Stats::default() };
         let timing = Timing { stats: [1.0, 2.0, 9.0].map(run).to_vec(), ..Timing::default() };
         let told = timing.notes(&PathName::default()).stages;
-        assert_eq!(told, [StageTime { stage: "a".into(), median_ms: 3.0, p95_ms: 10.0 }]);
+        assert_eq!(told, [StageTime { stage: StageName::Setup, median_ms: 3.0, p95_ms: 10.0 }]);
     }
 }

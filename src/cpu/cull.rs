@@ -3,8 +3,8 @@
 
 use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::raster_lines::{Buffer, EIGHT};
 use super::setup::RayInstance;
-use super::spans::{Buffer, EIGHT};
 use crate::environment::{Cluster, Mesh};
 use crate::geometry::Aabb;
 use crate::plan::{FramePlan, Run};

@@ -1,0 +1,201 @@
+//! `presight replay`: a drive as pictures, and a page to leaf through them.
+
+use super::localize::{Drive, Followed, summary};
+use super::outputs::OutputFiles;
+use super::{CommandOutcome, folder, print};
+use glam::EulerRot;
+use presight::estimate::nees;
+use presight::features::{BoxOptions, FeatureOptions, Hidden, sensor_covariance};
+use presight::frame::Frame;
+use presight::io::atomic::write_atomically;
+use presight::io::png::{Comparison, Overlay, write_comparison};
+use presight::localize::Step;
+use presight::verdict::Verdict as Judged;
+use presight::{Backend, Error, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene};
+use presight_studies::replay::{Leaf, page};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  presight replay livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight
+  presight replay run --map hall.glb --init reference --layer edges.json --out drive";
+
+/// Show a drive: a picture for each frame, and a page to leaf through them
+///
+/// The robot is followed as `localize` does. DIR gets frames/*.png - predicted, sensed, and the verdict of each pixel - and
+/// index.html with the trajectory, states, and how far off and how sure the poses are.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(flatten)]
+    drive: Drive,
+
+    /// Draw the features of this layer, and the regions of interest in which they are looked for
+    #[arg(long = "layer", value_name = "FILE.json")]
+    layers: Vec<PathBuf>,
+
+    /// Draw the features that the scene has itself, too
+    #[arg(long)]
+    own_features: bool,
+
+    /// How far off the log's own poses may be, one standard deviation, metres: it counts in the NEES
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    reference_sigma: f64,
+
+    /// Likewise, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    reference_sigma_deg: f64,
+
+    /// Write index.html and frames/*.png into this folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// Colours of verdicts: quiet where all is as it should be, and told apart by people who see no red or no green.
+const LEGEND: [(&str, [u8; 3]); 7] = [
+    ("confirmed", [0x2f, 0x6f, 0x5e]),
+    ("nearer", [0xff, 0x8c, 0x42]),
+    ("farther", [0x56, 0xb4, 0xe9]),
+    ("no return", [0x0b, 0x0c, 0x0f]),
+    ("beyond", [0x26, 0x2a, 0x33]),
+    ("undecidable", [0x8a, 0x90, 0x9c]),
+    ("not predicted", [0xcc, 0x79, 0xa7]),
+];
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of following the log, of layers, and of writing.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
+    for (flag, sigma) in
+        [("--reference-sigma", args.reference_sigma), ("--reference-sigma-deg", args.reference_sigma_deg)]
+    {
+        if !(sigma >= 0.0 && sigma.is_finite()) {
+            return Err(Error::usage(format!("{flag} {sigma}"), "give a finite number of at least 0"));
+        }
+    }
+    let mut files = OutputFiles::new();
+    files.add_folder(&args.out, &["index.html"])?;
+    files.check_named(args.layers.iter().map(PathBuf::as_path))?;
+    let frames = args.out.join("frames");
+    let (mut painter, mut pictures) = (None, Vec::new());
+    let followed = args.drive.follow(files, |scene, frame, step| {
+        let painter = match &mut painter {
+            Some(painter) => painter,
+            None => {
+                folder::ready(&args.out)?;
+                folder::ready(&frames)?;
+                painter.insert(Painter::new(args, scene, frame)?)
+            }
+        };
+        let name = format!("{:06}.png", pictures.len());
+        painter.paint(scene, frame, step, &frames.join(&name))?;
+        pictures.push(format!("frames/{name}"));
+        Ok(())
+    })?;
+    if pictures.is_empty() {
+        return Err(Error::invalid("there is no frame to show", "give an earlier --from").in_file(&args.drive.log));
+    }
+    let extra = (args.reference_sigma, args.reference_sigma_deg.to_radians());
+    let leaves: Vec<Leaf> = (0..pictures.len()).map(|k| leaf(&followed, k, &pictures[k], extra)).collect();
+    let told = summary(&followed);
+    let title = format!("{} in {}", args.drive.log.display(), args.drive.map.display());
+    let html = page(&title, &told.trim_end().replace('\n', "; "), &leaves);
+    write_atomically(&args.out.join("index.html"), |file| file.write_all(html.as_bytes()))?;
+    print::data(&told)?;
+    Ok(CommandOutcome::Done)
+}
+
+/// Predicts once more where the robot was found to be, and draws.
+struct Painter {
+    predictor: Predictor,
+    features: Option<FeatureOptions>,
+}
+
+impl Painter {
+    fn new(args: &Args, scene: &Scene, frame: &Frame) -> Result<Self> {
+        let threads = presight::Threads::from(args.drive.threads).started()?;
+        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
+        let class = &frame.sensor().spec().class;
+        if args.own_features && scene.world.environment().layer(class).is_none() {
+            let what = format!("--own-features: the scene has none for class {class:?}");
+            return Err(Error::usage(what, "give a --layer (presight features generates one)"));
+        }
+        let asked = args.own_features || !args.layers.is_empty();
+        let placed = asked.then(|| scene.place_layers(&args.layers, class)).transpose()?;
+        Ok(Self {
+            predictor,
+            features: placed.map(|p| FeatureOptions::default().with_hidden(Hidden::Full).with_placed(p.placed)),
+        })
+    }
+
+    fn paint(&mut self, scene: &Scene, frame: &Frame, step: &Step, path: &Path) -> Result<()> {
+        let sensor = frame.sensor();
+        let world_from_robot = step.estimate.pose;
+        let world_from_sensor = world_from_robot * sensor.spec().mount;
+        let mut request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]));
+        if let Some(features) = &self.features {
+            let lever = world_from_robot.rotation * sensor.spec().mount.translation;
+            let covariance = sensor_covariance(&step.estimate.covariance, lever);
+            request =
+                request.with_features(features.clone()).with_regions(BoxOptions::default().with_sensor(covariance));
+        }
+        let predicted = self.predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?;
+        let sides = match &predicted.features {
+            Some(_) => self.predictor.predict_outlines(&scene.world, &predicted)?,
+            None => Vec::new(),
+        };
+        let overlay = predicted.features.as_ref().map(|features| Overlay {
+            features,
+            sides: &sides,
+            sensor,
+            world_from_sensor: &world_from_sensor,
+            numbers: false,
+        });
+        let judged: Vec<u8> = step.estimate.verdicts.first().map_or_else(Vec::new, |v| {
+            let number = |v: &Judged| Judged::ALL.iter().position(|other| other == v).unwrap_or_default() as u8;
+            v.pixels.iter().map(number).collect()
+        });
+        let comparison = Comparison {
+            sensor,
+            predicted: &predicted.images,
+            sensed: frame.ranges(),
+            verdicts: &judged,
+            legend: &LEGEND,
+            features: overlay.as_ref(),
+        };
+        write_comparison(path, &comparison)
+    }
+}
+
+/// What the page tells of a frame. `extra` is what the log's own poses may be off, metres and radians.
+fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf {
+    let (step, counts) = (&followed.steps[k], &followed.counts[k]);
+    let truth: Option<Pose> = followed.reference[k];
+    let known = truth.filter(|_| step.is_known());
+    let mut covariance = step.covariance;
+    for i in (0..6).filter(|i| step.covariance[*i][*i] > 0.0) {
+        covariance[i][i] += if i < 3 { extra.0 * extra.0 } else { extra.1 * extra.1 };
+    }
+    let (yaw, pitch, roll) = step.pose.rotation.to_euler(EulerRot::ZYX);
+    let pixels = counts.iter().sum::<usize>().max(1) as f64;
+    let sigma = |i: usize| step.covariance[i][i].max(0.0).sqrt();
+    Leaf {
+        picture: picture.to_owned(),
+        time: step.stamp,
+        state: step.phase.name(),
+        reason: step.reason.clone(),
+        position: step.pose.translation.to_array(),
+        attitude_deg: [roll, pitch, yaw].map(f64::to_degrees),
+        sigmas: std::array::from_fn(|i| if i < 3 { sigma(i) } else { sigma(i).to_degrees() }),
+        weak: step.estimate.weak.iter().map(|w| w.name.clone()).collect(),
+        explained: step.estimate.explained,
+        verdicts: Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name(), *n as f64 / pixels)).collect(),
+        reference: truth.map(|t| t.translation.to_array()),
+        off: known.map(|t| {
+            let metres = step.pose.translation.distance(t.translation);
+            (metres, step.pose.rotation.angle_between(t.rotation).to_degrees())
+        }),
+        nees: known.map(|t| nees(&step.pose, &covariance, &t)).map(|(squared, n)| squared / n.max(1) as f64),
+    }
+}

@@ -1,0 +1,248 @@
+//! A drive as a page to leaf through: a picture a frame, and beside it where the robot was believed to be, how sure, and why.
+
+use super::page::style;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use serde::Serialize;
+
+/// What the page tells of one frame.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Leaf {
+    /// The picture's file, as the page refers to it.
+    pub picture: String,
+    /// Seconds.
+    pub time: f64,
+    /// What is known: `unknown`, `candidates`, `tracking` or `lost`.
+    pub state: &'static str,
+    /// Why, with numbers.
+    pub reason: String,
+    /// Where the robot is believed to be, metres.
+    pub position: [f64; 3],
+    /// Likewise, degrees: roll, pitch, yaw.
+    pub attitude_deg: [f64; 3],
+    /// Standard deviations of x, y, z in metres and about x, y, z in degrees.
+    pub sigmas: [f64; 6],
+    /// Directions in which the measurement says little.
+    pub weak: Vec<String>,
+    /// Share of the measured points that are explained.
+    pub explained: f64,
+    /// Share of the pixels of each verdict, by name.
+    pub verdicts: Vec<(&'static str, f64)>,
+    /// Where the robot was by the log itself, metres.
+    pub reference: Option<[f64; 3]>,
+    /// How far off that is, metres and degrees.
+    pub off: Option<(f64, f64)>,
+    /// Normalized estimation error squared, by the numbers of a pose: 1 in the mean if the covariance is right.
+    pub nees: Option<f64>,
+}
+
+/// Colours of states: their names in the page's style sheet.
+const STATES: [(&str, &str); 4] = [("tracking", "--s2"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
+/// Longest side of the plan, and width of the strips, pixels.
+const SIDE: f64 = 420.0;
+/// Height of a strip, pixels.
+const STRIP: f64 = 90.0;
+
+/// The page: `lead` is the paragraph below the title. It refers to the pictures and to nothing else.
+///
+/// ```
+/// use presight_studies::replay::{Leaf, page};
+/// let leaf = |k: u32| Leaf { picture: format!("{k}.png"), state: "tracking", time: k.into(), ..Leaf::default() };
+/// let html = page("Drive", "Two frames.", &[leaf(0), leaf(1)]);
+/// assert!(html.contains("src=\"0.png\"") && !html.contains("http"));
+/// ```
+pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
+    // `<` may not stand in a script: a text in the data could end it.
+    let data = serde_json::to_string(leaves).unwrap_or_else(|_| "[]".into()).replace('<', "\\u003c");
+    let first = leaves.first().map(|leaf| leaf.picture.as_str()).unwrap_or_default();
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                title { (title) }
+                style { (PreEscaped(style())) (PreEscaped(include_str!("replay.css"))) }
+            }
+            body {
+                header { h1 { (title) } p.lead { (lead) } }
+                main {
+                    div.controls {
+                        button id="before" aria-label="previous frame" { "◀" }
+                        input id="frame" type="range" min="0" max=(leaves.len().saturating_sub(1)) value="0" aria-label="frame";
+                        button id="after" aria-label="next frame" { "▶" }
+                        button id="play" { "play" }
+                    }
+                    figure.picture { img id="picture" src=(first) alt="predicted, sensed and verdicts"; }
+                    div.beside {
+                        figure { (plan(leaves)) figcaption { "From above, x to the right, y up: believed, and the log's own poses dashed." } }
+                        div.told { dl id="told" {} }
+                    }
+                    (strips(leaves))
+                    noscript { p { "Without scripts the page shows the first frame; the pictures lie beside it." } }
+                }
+                script id="leaves" type="application/json" { (PreEscaped(data)) }
+                script { (PreEscaped(include_str!("replay.js"))) }
+            }
+        }
+    }
+    .into_string()
+}
+
+/// A value by frame, as a curve.
+struct Strip<'a> {
+    name: &'a str,
+    values: Vec<Option<f64>>,
+    /// Marked by a line: what is to be expected.
+    expected: Option<f64>,
+    logarithmic: bool,
+}
+
+fn strips(leaves: &[Leaf]) -> Markup {
+    let of = |value: fn(&Leaf) -> Option<f64>| leaves.iter().map(value).collect::<Vec<_>>();
+    let all = [
+        Strip { name: "share explained", values: of(|l| Some(l.explained)), expected: None, logarithmic: false },
+        Strip { name: "off, m", values: of(|l| l.off.map(|o| o.0)), expected: None, logarithmic: false },
+        Strip { name: "NEES by numbers of the pose", values: of(|l| l.nees), expected: Some(1.0), logarithmic: true },
+    ];
+    html! {
+        figure {
+            (states(leaves))
+            figcaption.key { @for (name, color) in STATES { span { i style=(format!("background:var({color})")) {} (name) } } }
+        }
+        @for strip in all.iter().filter(|s| s.values.iter().any(Option::is_some)) {
+            figure { (curve(strip)) figcaption { (strip.name) (range(strip)) } }
+        }
+    }
+}
+
+fn range(strip: &Strip<'_>) -> String {
+    let known = || strip.values.iter().flatten().copied().filter(|v| v.is_finite());
+    let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
+    let scale = if strip.logarithmic { ", logarithmic" } else { "" };
+    let expected = strip.expected.map(|e| format!(", {e} expected (dashed)")).unwrap_or_default();
+    format!(": {least:.3} to {most:.3}{scale}{expected}")
+}
+
+/// The middle of a frame's stretch of a strip, from 0 to 1000.
+fn across(k: usize, count: usize) -> f64 {
+    1000.0 * (k as f64 + 0.5) / count.max(1) as f64
+}
+
+fn states(leaves: &[Leaf]) -> Markup {
+    let color = |state: &str| STATES.iter().find(|(name, _)| *name == state).map_or("--faint", |(_, color)| *color);
+    let width = 1000.0 / leaves.len().max(1) as f64;
+    html! {
+        svg.strip viewBox="0 0 1000 14" preserveAspectRatio="none" role="img" aria-label="states" {
+            @for (k, leaf) in leaves.iter().enumerate() {
+                rect x=(format!("{:.3}", k as f64 * width)) y="0" width=(format!("{:.3}", width + 0.05)) height="14"
+                    style=(format!("fill:var({})", color(leaf.state))) {}
+            }
+            (now(14.0))
+        }
+    }
+}
+
+/// Where the page is: the script moves it.
+fn now(height: f64) -> Markup {
+    html! { line.now x1="0" x2="0" y1="0" y2=(height) {} }
+}
+
+fn curve(strip: &Strip<'_>) -> Markup {
+    let place = |v: f64| if strip.logarithmic { v.max(1e-3).log10() } else { v };
+    let known = || strip.values.iter().flatten().copied().chain(strip.expected).filter(|v| v.is_finite()).map(place);
+    let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
+    let height = |v: f64| STRIP - 4.0 - (STRIP - 8.0) * (place(v) - least) / (most - least).max(1e-9);
+    let count = strip.values.len();
+    // A stretch ends where there is no value.
+    let numbered: Vec<(usize, Option<f64>)> = strip.values.iter().copied().enumerate().collect();
+    let lines = numbered.split(|(_, v)| !v.is_some_and(f64::is_finite)).filter(|s| !s.is_empty()).map(|stretch| {
+        let at = |(k, v): &(usize, Option<f64>)| format!("{:.2},{:.2}", across(*k, count), height(v.unwrap_or(0.0)));
+        stretch.iter().map(at).collect::<Vec<_>>().join(" ")
+    });
+    html! {
+        svg.strip viewBox=(format!("0 0 1000 {STRIP}")) preserveAspectRatio="none" role="img" aria-label=(strip.name) {
+            @if let Some(e) = strip.expected { line.expected x1="0" x2="1000" y1=(height(e)) y2=(height(e)) {} }
+            @for line in lines { polyline points=(line) {} }
+            (now(STRIP))
+        }
+    }
+}
+
+/// The way from above: the same scale along both axes.
+fn plan(leaves: &[Leaf]) -> Markup {
+    let believed: Vec<[f64; 2]> = leaves.iter().map(|l| [l.position[0], l.position[1]]).collect();
+    let reference: Vec<[f64; 2]> = leaves.iter().filter_map(|l| l.reference).map(|p| [p[0], p[1]]).collect();
+    let all = || believed.iter().chain(&reference).copied().filter(|p| p.iter().all(|x| x.is_finite()));
+    let low = |i: usize| all().map(|p| p[i]).fold(f64::INFINITY, f64::min);
+    let high = |i: usize| all().map(|p| p[i]).fold(f64::NEG_INFINITY, f64::max);
+    let (left, top, extent) = (low(0), high(1), (high(0) - low(0)).max(high(1) - low(1)).max(0.1));
+    let at =
+        |p: [f64; 2]| [0, 1].map(|i| 20.0 + (SIDE - 40.0) * if i == 0 { p[0] - left } else { top - p[1] } / extent);
+    let line = |points: &[[f64; 2]]| {
+        let text = |p: &[f64; 2]| at(*p).map(|x| format!("{x:.2}")).join(",");
+        points.iter().map(text).collect::<Vec<_>>().join(" ")
+    };
+    // A round length that is easy to see.
+    let power = 10f64.powf(extent.log10().floor());
+    let metres = [5.0, 2.0, 1.0, 0.5, 0.2].map(|d| d * power).into_iter().find(|m| *m <= 0.5 * extent).unwrap_or(power);
+    let bar = (SIDE - 40.0) * metres / extent;
+    html! {
+        svg.plan viewBox=(format!("0 0 {SIDE} {SIDE}")) role="img" aria-label="trajectory" data-left=(left) data-top=(top) data-extent=(extent) {
+            polyline.reference points=(line(&reference)) {}
+            polyline points=(line(&believed)) {}
+            line.bar x1="20" x2=(20.0 + bar) y1=(SIDE - 8.0) y2=(SIDE - 8.0) {}
+            text x=(26.0 + bar) y=(SIDE - 4.0) { (metres) " m" }
+            circle.here cx="-9" cy="-9" r="6" {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive() -> Vec<Leaf> {
+        let leaf = |k: usize| Leaf {
+            picture: format!("frames/{k:06}.png"),
+            time: k as f64,
+            state: if k == 3 { "lost" } else { "tracking" },
+            reason: "</script><b>".into(),
+            position: [k as f64, 0.5 * k as f64, 0.0],
+            reference: (k != 2).then_some([k as f64, 0.5 * k as f64 + 0.1, 0.0]),
+            nees: (k != 2).then_some(1.0 + k as f64),
+            ..Leaf::default()
+        };
+        (0..5).map(leaf).collect()
+    }
+
+    #[test]
+    fn no_text_ends_the_script() {
+        let html = page("a < b", "l", &drive());
+        assert!(html.contains("a &lt; b") && !html.contains("</script><b>") && html.contains("\\u003c/script>"));
+        assert_eq!(html.matches("</script>").count(), 2);
+        let data = html.split("type=\"application/json\">").nth(1).unwrap().split("</script>").next().unwrap();
+        let read: serde_json::Value = serde_json::from_str(data).unwrap();
+        assert_eq!(read[4]["reason"], "</script><b>");
+    }
+
+    /// The way goes from (0, 0) to (4, 2) within 380 of 420 pixels: 95 a metre, and the highest point, 2.1, at the top.
+    #[test]
+    fn the_plan_has_one_scale() {
+        let html = plan(&drive()).into_string();
+        assert!(
+            html.contains("points=\"20.00,219.50 115.00,172.00 210.00,124.50 305.00,77.00 400.00,29.50\""),
+            "{html}"
+        );
+        assert!(html.contains("<line class=\"bar\" x1=\"20\" x2=\"210\""), "{html}");
+    }
+
+    #[test]
+    fn curves_break_where_nothing_is_known() {
+        let html = strips(&drive()).into_string();
+        let nees = html.split("aria-label=\"NEES").nth(1).unwrap().split("</svg>").next().unwrap();
+        assert_eq!(nees.matches("<polyline").count(), 2, "{nees}");
+        assert!(html.contains("NEES by numbers of the pose: 1.000 to 5.000, logarithmic, 1 expected"), "{html}");
+        assert!(!html.contains("aria-label=\"off, m\""));
+    }
+}

@@ -1,0 +1,75 @@
+//! Pictures of what failed: expected, actual and wrong pixels, as PNG files below `target/failed-images`.
+
+use presight::io::png;
+use presight::verify::{PixelValues, Precision, Report, compare, compare_values};
+use presight::virtual_sensors::Mask;
+use presight::{FramePlan, Images, Output};
+use std::path::{Path, PathBuf};
+
+/// [`compare`], which leaves pictures and prints where they are if a pixel is wrong.
+///
+/// # Panics
+/// If the images are not of one shape.
+#[expect(clippy::print_stderr, reason = "where a failing test left its pictures is worth reading")]
+pub fn compare_or_show(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precision) -> Report {
+    let report = compare(expected, actual, plan, precision).expect("images of one shape");
+    if report.fault > 0 {
+        let folder = folder_of_test(&plan.sensor.spec().name);
+        match leave(&folder, expected, actual, plan, precision) {
+            Ok(()) => eprintln!("expected.png, actual.png and difference.png: {}", folder.display()),
+            Err(e) => eprintln!("no pictures of the wrong pixels: {e}"),
+        }
+    }
+    report
+}
+
+/// Writes `expected.png`, `actual.png` and `difference.png` (wrong pixels white) into a folder.
+///
+/// # Errors
+/// Those of writing.
+pub fn leave(
+    folder: &Path,
+    expected: &Images,
+    actual: &Images,
+    plan: &FramePlan,
+    precision: Precision,
+) -> presight::Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| {
+        let kind = presight::ErrorKind::System;
+        presight::Error::new(kind, format!("no folder for pictures: {e}"), "see the system's message").in_file(folder)
+    })?;
+    let shown = expected.outputs().iter().next().unwrap_or(Output::Range);
+    png::write_preview(&folder.join("expected.png"), expected, &plan.sensor, shown)?;
+    png::write_preview(&folder.join("actual.png"), actual, &plan.sensor, shown)?;
+    let mut mask = Mask { width: expected.width, height: expected.height, pixels: vec![false; expected.pixels()] };
+    mark(expected, actual, plan, precision, 0, &mut mask.pixels);
+    png::write_mask(&folder.join("difference.png"), &mask)
+}
+
+/// Marks the wrong pixels from number `first` on. Halves what is wrong in part: few pixels are looked at more than once.
+fn mark(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precision, first: usize, wrong: &mut [bool]) {
+    let width = expected.width as usize;
+    let pixels = (first..first + wrong.len()).map(|at| {
+        let place = ((at % width) as u32, (at / width) as u32);
+        (place, PixelValues::of(expected, at), PixelValues::of(actual, at))
+    });
+    let fault = compare_values(pixels, plan, precision).fault;
+    if fault == 0 || fault == wrong.len() {
+        wrong.fill(fault > 0);
+        return;
+    }
+    let half = wrong.len() / 2;
+    let (left, right) = wrong.split_at_mut(half);
+    mark(expected, actual, plan, precision, first, left);
+    mark(expected, actual, plan, precision, first + half, right);
+}
+
+/// A folder of its own for the test that runs and this sensor.
+fn folder_of_test(sensor: &str) -> PathBuf {
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);
+    let thread = std::thread::current();
+    let plain = |text: &str| text.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "-");
+    let name = format!("{}-{}", plain(thread.name().unwrap_or("test")), plain(sensor));
+    target.join("failed-images").join(name)
+}

@@ -1,0 +1,174 @@
+//! Names of what statistics count: enums in memory, words only where they are shown or written.
+
+use super::Output;
+use serde::{Serialize, Serializer};
+use std::fmt;
+
+/// An enum whose variants are words in files and tables.
+macro_rules! words {
+    ($(#[$about:meta])* $name:ident { $($(#[$meaning:meta])* $variant:ident = $word:literal,)* }) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[non_exhaustive]
+        pub enum $name {
+            $($(#[$meaning])* #[doc = concat!("`", $word, "`")] $variant,)*
+        }
+
+        impl $name {
+            /// All, in a fixed order.
+            pub const ALL: &[Self] = &[$(Self::$variant,)*];
+
+            /// As files and tables show it.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $word,)*
+                }
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(self.name())
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(self.name())
+            }
+        }
+    };
+}
+
+words! {
+    /// A stage of a prediction, or a variant of one that costs extra.
+    StageName {
+        Selection = "selection",
+        Reference = "reference",
+        Hidden = "hidden",
+        SetupAndRasterization = "setup and rasterization",
+        Setup = "setup",
+        Rasterization = "rasterization",
+        Upload = "upload",
+        DrawingOnDevice = "drawing on the device",
+        Device = "device",
+        Cull = "cull",
+        Raster = "raster",
+        Resolve = "resolve",
+        ResolveOnDevice = "resolve on the device",
+        ResolveOnCpu = "resolve on the CPU",
+        Readback = "readback",
+        Echo = "echo",
+        Normal = "normal",
+        FeaturesOnDevice = "features on the device",
+        Features = "features",
+        FeatureChoice = "choice of features",
+        RegionsOnDevice = "regions of interest on the device",
+        RegionsOfInterest = "regions of interest",
+        RayTable = "ray table",
+        MaterialTest = "material test per polygon",
+        ReflectionFactor = "reflection factor per pixel",
+        SecondRasterPass = "second raster pass",
+        InstancesFromStorage = "instances from a storage buffer",
+        RaysFromStorage = "rays from a storage buffer",
+        SetupInF64 = "setup in f64",
+    }
+}
+
+words! {
+    /// What is counted in a prediction.
+    CountName {
+        PolygonsTested = "polygons tested",
+        PolygonsSelected = "polygons selected",
+        PolygonsInView = "polygons in view",
+        PolygonsSetUp = "polygons set up",
+        /// Single polygons behind what earlier waves drew.
+        PolygonsHidden = "polygons hidden",
+        /// Polygons that no ray of the sensor can meet.
+        PolygonsBetweenSamples = "polygons between samples",
+        PolygonsSetUpInF64 = "polygons set up in f64",
+        /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
+        PolygonsEdgeOn = "polygons edge-on",
+        RunsSelected = "runs selected",
+        RunsHidden = "runs hidden",
+        Waves = "waves",
+        SamplesTested = "samples tested",
+        SamplesWritten = "samples written",
+        WorkItems = "work items",
+        Reruns = "reruns for room",
+        HitsWithoutId = "internal errors: hits without id",
+        SegmentsOfCut = "segments of the cut",
+        SegmentsTested = "segments tested",
+        Features = "features",
+        FeaturesQueried = "features asked",
+        FeaturesNotChosen = "features not chosen",
+        FeatureSamples = "feature samples",
+        FeatureSamplesHiddenByNeighbours = "feature samples hidden by neighbours",
+        FeatureSamplesHiddenInSpace = "feature samples hidden in space",
+        FeatureSamplesVisible = "feature samples visible",
+        FeatureSamplesUndecided = "feature samples undecided",
+        FeatureSamplesInDoubt = "feature samples in doubt on the device",
+        FeaturesOffPolygons = "features off their polygons",
+        RegionsOnDevice = "regions of interest made on the device",
+        LinearRegions = "linear regions",
+        SetRegions = "regions as sets",
+        WholeImages = "whole images",
+    }
+}
+
+/// What a prediction may do without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Part {
+    /// A stage, or a variant of one.
+    Stage(StageName),
+    /// An image.
+    Image(Output),
+    /// So many objects.
+    Objects(usize),
+    /// So many polygons of objects in view.
+    Polygons(usize),
+}
+
+impl From<StageName> for Part {
+    fn from(stage: StageName) -> Self {
+        Self::Stage(stage)
+    }
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Stage(stage) => f.write_str(stage.name()),
+            Self::Image(output) => write!(f, "{} image", output.name()),
+            Self::Objects(n) => write!(f, "{n} objects"),
+            Self::Polygons(n) => write!(f, "{n} polygons of objects in view"),
+        }
+    }
+}
+
+impl Serialize for Part {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_names_are_one_word() {
+        let stages: std::collections::BTreeSet<_> = StageName::ALL.iter().map(|s| s.name()).collect();
+        let counts: std::collections::BTreeSet<_> = CountName::ALL.iter().map(|c| c.name()).collect();
+        assert_eq!((stages.len(), counts.len()), (StageName::ALL.len(), CountName::ALL.len()));
+    }
+
+    #[test]
+    fn files_hold_words() {
+        let parts = [Part::Stage(StageName::RayTable), Part::Image(Output::Echo), Part::Objects(3), Part::Polygons(2)];
+        let json = serde_json::to_string(&(parts, CountName::Waves)).unwrap();
+        let words = r#"[["ray table","echo image","3 objects","2 polygons of objects in view"],"waves"]"#;
+        assert_eq!(json, words);
+    }
+}

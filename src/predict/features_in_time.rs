@@ -1,0 +1,77 @@
+//! Features of a prediction with a deadline: those that matter most first, in groups, the next only if it fits.
+
+use super::Predictor;
+use super::features::{SeenFrom, settings};
+use crate::cost::DeadlineFrame;
+use crate::deadline::Priority;
+use crate::error::Result;
+use crate::features::{
+    BoxOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures, add_boxes,
+};
+use crate::plan::{Images, Stats};
+use crate::request::Request;
+use std::collections::HashMap;
+use std::time::Instant;
+
+impl Predictor {
+    /// As many features with their regions as there is time for. They are found on the CPU: a device cannot stop.
+    pub(super) fn features_in_time(
+        &mut self,
+        (world, sensor, world_from_sensor): SeenFrom<'_>,
+        request: &Request,
+        (placed, regions): (&PlacedFeatures, Option<&BoxOptions>),
+        images: &mut Images,
+        stats: &mut Stats,
+        timed: &mut DeadlineFrame,
+    ) -> Result<FeaturePrediction> {
+        let start = Instant::now();
+        let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
+        let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
+        let all = &placed.features;
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, None), &settings)?;
+        let lengths = self.on_threads(|| prepared.image_lengths())?;
+        let order = rank(all, &request.priority, &lengths);
+        let (mut found, mut marks) = (FeaturePrediction::default(), prepared.marks());
+        let mut groups = self.controller.feature_groups(timed);
+        while found.features.len() < order.len() {
+            let rest = &order[found.features.len()..];
+            let which = &rest[..groups.next(timed, rest.len())];
+            if which.is_empty() {
+                break;
+            }
+            let mut group = self.on_threads(|| prepared.part(which, None, &mut marks))?;
+            if let Some(options) = regions {
+                self.on_threads(|| add_boxes(&mut group, all, world, sensor, world_from_sensor, options))??;
+            }
+            found.stats.add(&group.stats);
+            found.features.append(&mut group.features);
+            groups.took(timed, which.len());
+        }
+        images.feature_id = marks.into_image();
+        // As they were given.
+        let mut seen: Vec<_> = order.iter().zip(found.features).collect();
+        seen.sort_by_key(|(i, _)| **i);
+        if seen.len() < order.len() {
+            found.given = seen.iter().map(|(i, _)| **i as u32).collect();
+        }
+        found.features = seen.into_iter().map(|(_, seen)| seen).collect();
+        timed.found = found.features.len() as u64;
+        timed.left_out = order[found.features.len()..].iter().map(|i| all[*i].feature.id).collect();
+        timed.left_out.sort_unstable();
+        stats.stage(crate::plan::StageName::Features, start);
+        for (name, n) in found.stats.counts() {
+            stats.count(name, n);
+        }
+        Ok(found)
+    }
+}
+
+/// Indices of features: those that the caller ranks, then the others, longest image first.
+fn rank(placed: &[PlacedFeature], priority: &Priority, lengths: &[f64]) -> Vec<usize> {
+    // Of a number named twice the first counts.
+    let ranks: HashMap<u32, usize> = priority.features.iter().enumerate().rev().map(|(rank, id)| (*id, rank)).collect();
+    let rank = |i: &usize| ranks.get(&placed[*i].feature.id).copied().unwrap_or(usize::MAX);
+    let mut order: Vec<usize> = (0..placed.len()).collect();
+    order.sort_by(|a, b| rank(a).cmp(&rank(b)).then(lengths[*b].total_cmp(&lengths[*a])));
+    order
+}

@@ -1,0 +1,104 @@
+//! Objects whose poses are known with a stored covariance: what that says of the robot's pose, and of verdicts.
+
+use super::*;
+use presight::environment::{FeatureLayer, Polygon, PolygonOrder};
+use presight::estimate::{Freedom, Prior};
+use presight::frame::RangeNoise;
+use presight::simulate::{Disturbances, Simulator};
+use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
+
+fn diagonal(d: [f64; 6]) -> [[f64; 6]; 6] {
+    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))
+}
+
+/// A wall at x = 6, an object with its origin at (6, 0, 0) and its own x axis along y; this is stored of its pose, own axes.
+fn wall(stored: Option<[f64; 6]>) -> World {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("m")).unwrap();
+    let corners = [[-4.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 0.0, 3.0], [-4.0, 0.0, 3.0]].map(Vec3::from);
+    let polygons = vec![Polygon::new(vec![0, 1, 2, 3], 0)];
+    let mesh = Mesh::new("wall", corners.to_vec(), polygons, PolygonOrder::Given).unwrap();
+    let pose = Pose::from_xyz_rpy(DVec3::new(6.0, 0.0, 0.0), 0.0, 0.0, std::f64::consts::FRAC_PI_2);
+    environment.insert(NewObject::new("wall", pose, Arc::new(mesh))).unwrap();
+    if let Some(stored) = stored {
+        let pose_covariances = vec![("wall".to_owned(), diagonal(stored))];
+        let layer =
+            FeatureLayer { class: "laser".into(), tolerance: 0.01, pose_covariances, ..FeatureLayer::default() };
+        environment.add_layer(layer).unwrap();
+    }
+    World::new(environment)
+}
+
+/// One ray along x, and one beside it that measures nothing.
+fn ray(range: f32) -> Frame {
+    let table = presight::RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.01, 0.0)]).unwrap();
+    let mut spec = SensorSpec::new("ray", "laser", Geometry::Rays(table));
+    spec.noise.range_sigma = 0.01;
+    Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![range, f32::NAN])).unwrap()
+}
+
+/// The ray meets the wall square on, 2 m beside the object's origin. With 5 mm along its own y (the world's x) and 0.01 rad of yaw the
+/// wall is uncertain there by (5 mm)^2 + (2 m x 0.01)^2 = 4.25e-4 m^2. The information of one range of 1 cm and of a prior of 20 cm
+/// is H = 1e4 + 25, and the variance of x is (1e4 + 1e4^2 x 4.25e-4 + 25) / H^2. Its own x, along the wall, says nothing.
+#[test]
+fn the_robot_knows_no_more_than_its_map() {
+    let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
+    let prior = Prior { pose, covariance: diagonal([0.04, 1e-12, 1e-12, 1e-12, 1e-12, 1e-12]) };
+    let options = EstimateOptions { freedom: Freedom::Planar, offset_sigma: 0.0, ..EstimateOptions::default() };
+    let variance = |world: &World| {
+        let found = estimator(options).estimate(world, &[&ray(4.0)], &prior).unwrap();
+        assert!(found.is_determined(), "{:?}", found.state);
+        found.covariance[0][0]
+    };
+    let h: f64 = 1e4 + 25.0;
+    let near = |got: f64, wanted: f64| assert!((got / wanted - 1.0).abs() < 1e-4, "{got} {wanted}");
+    near(variance(&wall(Some([0.7, 25e-6, 0.0, 0.0, 0.0, 1e-4]))), (1e4 + 1e8 * 4.25e-4 + 25.0) / (h * h));
+    // Without anything stored the offset of the wall counts, which is 0 here.
+    near(variance(&wall(None)), 1.0 / h);
+}
+
+/// A range 5 cm short, measured to 5 mm: something stands before a wall that is known, and nothing need before one that may be off by 2 cm.
+#[test]
+fn walls_that_may_be_off_are_not_contradicted() {
+    let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
+    let verdict = |stored: Option<[f64; 6]>| {
+        let (world, frame) = (wall(stored), ray(3.95));
+        let mut surfaces = Surfaces::default();
+        let expected = ExpectedImage::predict(&mut predictor(), &world, &mut surfaces, frame.sensor(), &pose).unwrap();
+        let noise = RangeNoise { sigma: 0.005, quadratic: 0.0, angle: 0.0 };
+        let known = Uncertainty { noise, pose: [[0.0; 6]; 6], polygons: 0.001 };
+        judge(&frame, &expected, &pose, &known).unwrap().pixels[0]
+    };
+    assert_eq!(verdict(None), Verdict::Nearer);
+    assert_eq!(verdict(Some([0.0, 4e-4, 0.0, 0.0, 0.0, 0.0])), Verdict::Confirmed);
+    // Along itself a wall may be anywhere.
+    assert_eq!(verdict(Some([0.04, 0.0, 0.04, 0.0, 0.0, 0.0])), Verdict::Nearer);
+}
+
+/// The shelf stands 4 cm from where the map has it. Relative to it the robot is found to millimetres if the shelf alone counts; with the
+/// whole room the walls say where the robot is, and the pose relative to the shelf is as wrong as the map.
+#[test]
+fn docking_is_relative() {
+    let map = room(Vec3::ZERO);
+    let moved_by = DVec3::new(-0.04, 0.0, 0.0);
+    let mut real = map.clone();
+    let shelf = Pose { translation: moved_by, ..Pose::IDENTITY };
+    real.apply(presight::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
+    let truth = Pose::from_xyz_rpy(DVec3::new(3.9, 2.2, 2.3), 0.0, 0.45, 0.95);
+    let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
+    let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
+    let prior = Prior::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
+    let index = map.environment().index_of("shelf").unwrap();
+    let off = |only: Option<u32>| {
+        let options = EstimateOptions { only, ..EstimateOptions::default() };
+        let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
+        assert!(found.is_determined(), "{only:?}: {:?}", found.state);
+        let (relative, covariance) = found.relative_to(&map.environment().objects()[index as usize].world_from_object);
+        let error = presight::estimate::motion_between(&relative, &(shelf.inverse() * truth));
+        (error[0].abs(), covariance[0][0].sqrt())
+    };
+    let (by_shelf, sigma) = off(Some(index));
+    assert!(by_shelf < 0.005 && by_shelf < 4.0 * sigma && sigma < 0.01, "{by_shelf} {sigma}");
+    let (by_room, _) = off(None);
+    assert!(by_room > 0.03, "{by_room}");
+}
