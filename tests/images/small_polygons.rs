@@ -21,7 +21,7 @@ fn images_of_small_polygons_are_the_references() {
     let poses = hall_poses(&hall, 5, 2);
     let world = World::new(hall);
     let (mut hidden, mut left_out) = (0, 0);
-    for threads in [1usize, 2] {
+    for threads in [1, 2] {
         let mut engine = CpuEngine::new(threads).expect("threads");
         for (pose, sensor) in poses.iter().flat_map(|pose| sensors().into_iter().map(move |sensor| (pose, sensor))) {
             let plan = plan(&world, &sensor, pose);
