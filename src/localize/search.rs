@@ -117,7 +117,7 @@ impl Search {
     /// The best distinct places for a frame, refined, the likeliest first. None if the frame has no reading.
     ///
     /// # Errors
-    /// Those of [`RangeLikelihood::new`] and of [`Estimator::estimate`].
+    /// Those of [`crate::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
     pub fn candidates(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Candidate>> {
         let headings = self.panoramas.headings();
         let turn = std::f64::consts::TAU / f64::from(headings.count());
