@@ -240,7 +240,9 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
-        if waves == 0 && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1]) {
+        if waves == 0
+            && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1])
+        {
             stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
             return Drawn::Thinned(stride);
         }
