@@ -16,7 +16,8 @@ use glam::{DMat3, DVec3};
 use presight::environment::FeatureShape;
 use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{
-    BoxOptions, FeatureOptions, FeatureSettings, Piece, PlacedFeature, Sampler, Visibility, place, predict_features,
+    BoxOptions, FeatureOptions, FeatureSettings, Hidden, Piece, PlacedFeature, Sampler, Visibility, place,
+    predict_features,
 };
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
@@ -124,7 +125,7 @@ fn with_regions(
     let turn = 7.6e-5f64.sqrt();
     let boxes = BoxOptions::default().with_sensor_sigmas([0.01, 0.01, 0.01, turn, turn, turn]);
     let request = Request::of(Outputs::of(&[Output::PolygonId]))
-        .with_features(FeatureOptions::default().with_placed(list.to_vec()))
+        .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(list.to_vec()))
         .with_regions(boxes);
     let mut prediction = predictor.predict(world, sensor, pose, &request).expect("it predicts");
     let mut least = [f64::INFINITY; 2];

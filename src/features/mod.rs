@@ -1,6 +1,7 @@
 //! Features in a world: which polygons they lie on, how much of each a sensor sees, and where in the image.
 
 mod boxes;
+mod choose;
 mod columns;
 pub mod generate;
 pub(crate) mod normal;
@@ -11,6 +12,8 @@ pub mod roi;
 mod sample;
 mod sides;
 mod straight;
+mod tree;
+mod view;
 mod visible;
 
 #[doc(hidden)]
@@ -18,17 +21,19 @@ pub use boxes::add_boxes;
 #[cfg(feature = "gpu")]
 pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
+pub(crate) use choose::choose;
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
 pub(crate) use normal::{TAIL_STEPS, Tails};
-pub use options::{FeatureOptions, FeatureSource, PlacedFeatures};
+pub use options::{FeatureOptions, FeatureSource, Hidden, PlacedFeatures};
 pub(crate) use place::lies_on;
 pub use place::place;
 pub(crate) use place::place_lying;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
+pub(crate) use tree::{FeatureTree, check_placed};
 pub(crate) use visible::PreparedFeatures;
 pub use visible::{FeatureSamples, OcclusionHint, Visibility};
 #[doc(hidden)]

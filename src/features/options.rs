@@ -32,6 +32,20 @@ pub enum FeatureSource {
     Placed(PlacedFeatures),
 }
 
+/// What a prediction says of features of which nothing is seen. Of those that are seen in part it always gives the hidden parts,
+/// with their reasons.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Hidden {
+    /// Every feature is in the prediction, with each hidden part and its reason. All are looked at, wherever they are.
+    Full,
+    /// Every feature is in the prediction. One of which nothing is seen has one hidden part and one reason: of those that apply to
+    /// parts of it the last in the order of [`super::Reason`].
+    Reason,
+    /// The prediction holds features that are seen, and the number of all. It costs what is in view, not what there is.
+    #[default]
+    Count,
+}
+
 /// Which features are predicted, and how.
 ///
 /// ```
@@ -46,6 +60,11 @@ pub struct FeatureOptions {
     pub source: FeatureSource,
     /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
     pub time: Option<f64>,
+    /// What is said of features of which nothing is seen.
+    pub hidden: Hidden,
+    /// Of the features that are seen the most that are kept, those that tell most of the sensor's pose; the rest is counted.
+    /// `feature_id` shows all.
+    pub max_features: Option<usize>,
     /// How visibility is decided.
     pub visibility: Visibility,
     /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
@@ -56,7 +75,14 @@ pub struct FeatureOptions {
 
 impl Default for FeatureOptions {
     fn default() -> Self {
-        Self { source: FeatureSource::default(), time: None, visibility: Visibility::default(), step: STEP }
+        Self {
+            source: FeatureSource::default(),
+            time: None,
+            hidden: Hidden::default(),
+            max_features: None,
+            visibility: Visibility::default(),
+            step: STEP,
+        }
     }
 }
 
@@ -71,6 +97,19 @@ impl FeatureOptions {
     #[must_use]
     pub fn with_time(self, seconds: f64) -> Self {
         Self { time: Some(seconds), ..self }
+    }
+
+    /// With more or less said of features of which nothing is seen.
+    #[must_use]
+    pub fn with_hidden(self, hidden: Hidden) -> Self {
+        Self { hidden, ..self }
+    }
+
+    /// With no more features that are seen than this: one by one those that add most to the logarithm of the determinant of the
+    /// pose's information, weighted by existence and contrast.
+    #[must_use]
+    pub fn with_max_features(self, most: usize) -> Self {
+        Self { max_features: Some(most), ..self }
     }
 
     /// With another way to decide visibility.

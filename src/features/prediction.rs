@@ -154,6 +154,8 @@ impl SeenFeature {
 pub struct FeatureStats {
     /// Number of features of the sensor's class.
     pub features: usize,
+    /// Features that were looked at one by one: those that may be in view and are not hidden by one polygon as a whole.
+    pub asked: usize,
     /// Samples that reached the test of visibility.
     pub samples: usize,
     /// Samples hidden by a polygon of the nine neighbouring pixels.
@@ -170,6 +172,7 @@ impl FeatureStats {
     /// Sums.
     pub fn add(&mut self, other: &Self) {
         self.features += other.features;
+        self.asked += other.asked;
         self.samples += other.samples;
         self.hidden_by_neighbours += other.hidden_by_neighbours;
         self.hidden_in_space += other.hidden_in_space;
@@ -178,9 +181,10 @@ impl FeatureStats {
     }
 
     /// Names and counts, as in the statistics file.
-    pub fn counts(&self) -> [(CountName, usize); 6] {
+    pub fn counts(&self) -> [(CountName, usize); 7] {
         [
             (CountName::Features, self.features),
+            (CountName::FeaturesQueried, self.asked),
             (CountName::FeatureSamples, self.samples),
             (CountName::FeatureSamplesHiddenByNeighbours, self.hidden_by_neighbours),
             (CountName::FeatureSamplesHiddenInSpace, self.hidden_in_space),
@@ -193,11 +197,24 @@ impl FeatureStats {
 /// The features that a sensor sees, and how much of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FeaturePrediction {
-    /// The features, in the order in which they were given.
+    /// The features, in the order in which they were given; with [`super::Hidden::Count`] those that are seen.
     pub features: Vec<SeenFeature>,
+    /// Of each of `features` its number among those that were given. Empty if all are there.
+    pub given: Vec<u32>,
     /// The number of the feature in each pixel, row-major; 0 is none. Empty unless requested. Each sample marks one pixel. Points
     /// and landmarks win over segments, and these over patches; then the lower number wins.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
     pub stats: FeatureStats,
+}
+
+impl FeaturePrediction {
+    /// Number, among the features that were given, of one of `features`.
+    pub fn given_at(&self, index: usize) -> usize {
+        given_at(&self.given, index)
+    }
+}
+
+pub(super) fn given_at(given: &[u32], index: usize) -> usize {
+    given.get(index).map_or(index, |number| *number as usize)
 }

@@ -426,21 +426,50 @@ impl<'a> Sampler<'a> {
             let columns = (size.x / step).ceil().max(1.0);
             let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
             let cell = DVec2::new(size.x / columns, size.y / rows);
-            for row in 0..rows as u32 {
-                for column in 0..columns as u32 {
-                    let pixel = low + cell * DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-                    let pixel = if flat { DVec2::new(pixel.x, 0.0) } else { pixel };
-                    let at = self.sensor.ray_at(pixel.x, pixel.y).and_then(|ray| cone.meet(ray));
-                    if let Some(at) = at.filter(|at| self.holds(*at, pixel)) {
-                        any = true;
-                        let weight = if flat { cell.x } else { cell.x * cell.y };
-                        visit(Piece::Inside(Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight }));
-                    }
-                }
-            }
+            let weight = if flat { cell.x } else { cell.x * cell.y };
+            self.visit_cells(&cone, [low, cell, DVec2::new(columns, rows)], flat, &mut |at, pixel| {
+                any = true;
+                visit(Piece::Inside(Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight }));
+            });
         }
         if !any {
             visit(self.edge_on(corners));
+        }
+    }
+
+    /// Visits the middles of the cells of a grid in which a patch is seen, row by row: where it is, and the pixel.
+    fn visit_cells(
+        &self,
+        cone: &PatchCone,
+        [low, cell, count]: [DVec2; 3],
+        flat: bool,
+        visit: &mut impl FnMut(DVec3, DVec2),
+    ) {
+        let at = |low: f64, cell: f64, count: f64| -> Vec<f64> {
+            (0..count as u32).map(|i| low + cell * (f64::from(i) + 0.5)).collect()
+        };
+        let (columns, rows) = (at(low.x, cell.x, count.x), at(low.y, cell.y, count.y));
+        let rows = if flat { vec![0.0] } else { rows };
+        let mut meet = |ray: Option<DVec3>, pixel: DVec2| {
+            let at = ray.and_then(|ray| cone.meet(ray));
+            if let Some(at) = at.filter(|at| self.holds(*at, pixel)) {
+                visit(at, pixel);
+            }
+        };
+        let Some((parts, axis, times)) = self.sensor.rays_by_column(&columns, &rows) else {
+            for v in &rows {
+                columns.iter().for_each(|u| meet(self.sensor.ray_at(*u, *v), DVec2::new(*u, *v)));
+            }
+            return;
+        };
+        // Of every column the patch is seen between two rows: most cells of a long and thin one are passed over.
+        let between: Vec<[f64; 2]> = parts.iter().map(|part| cone.between(*part, axis)).collect();
+        for (v, times) in rows.iter().zip(times) {
+            for ((u, part), [from, to]) in columns.iter().zip(&parts).zip(&between) {
+                if times >= *from && times <= *to {
+                    meet(Some(*part + times * axis), DVec2::new(*u, *v));
+                }
+            }
         }
     }
 
@@ -531,7 +560,23 @@ impl PatchCone {
         self.offset.abs()
     }
 
-    /// Where a unit ray meets it.
+    /// Between which multiples of an axis, added to a vector, it may be met; hardly more than needed.
+    fn between(&self, part: DVec3, axis: DVec3) -> [f64; 2] {
+        let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
+        for e in &self.edges {
+            let (at_0, slope) = (e.dot(part), e.dot(axis));
+            let at = -at_0 / slope;
+            let slack = 1e-9 * (1.0 + at.abs());
+            if slope > 0.0 {
+                from = from.max(at - slack);
+            } else if slope < 0.0 {
+                to = to.min(at + slack);
+            }
+        }
+        [from, to]
+    }
+
+    /// Where a ray of any length meets it.
     fn meet(&self, ray: DVec3) -> Option<DVec3> {
         let inverse = self.normal.dot(ray) / self.offset;
         (inverse > 0.0 && self.edges.iter().all(|e| e.dot(ray) >= 0.0)).then(|| ray / inverse)

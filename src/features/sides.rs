@@ -36,7 +36,8 @@ pub fn sides_seen_in_part(placed: &[PlacedFeature], prediction: &FeaturePredicti
         let of = |shape| PlacedFeature { feature: Feature { shape, ..placed.feature.clone() }, ..placed.clone() };
         (0..corners.len()).map(|k| of(side(k))).collect::<Vec<_>>()
     };
-    let areas = placed.iter().zip(&prediction.features).filter(|(placed, seen)| {
+    let given = |(i, seen)| (&placed[prediction.given_at(i)], seen);
+    let areas = prediction.features.iter().enumerate().map(given).filter(|(placed, seen)| {
         matches!(placed.feature.shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. })
             && in_part(seen.visible_fraction)
     });

@@ -11,7 +11,7 @@
 //! What predictions say of features is in [`super::prediction_json`].
 
 use super::sensor_toml;
-use crate::features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, STEP, Visibility};
+use crate::features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, Hidden, STEP, Visibility};
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Outputs};
 use crate::request::Request;
@@ -133,6 +133,14 @@ enum IdsForm {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(remote = "Hidden", rename_all = "snake_case")]
+enum HiddenForm {
+    Full,
+    Reason,
+    Count,
+}
+
+#[derive(Serialize, Deserialize)]
 #[serde(remote = "Visibility", rename_all = "snake_case")]
 enum VisibilityForm {
     Image,
@@ -169,6 +177,10 @@ const NANOSECONDS_IN_MS: f64 = 1e6;
 struct FeaturesForm {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     time: Option<f64>,
+    #[serde(with = "HiddenForm", default)]
+    hidden: Hidden,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    max_features: Option<usize>,
     #[serde(with = "VisibilityForm", default)]
     visibility: Visibility,
     #[serde(default = "default_step")]
@@ -209,7 +221,13 @@ impl Serialize for Request {
             Some(FeatureOptions { source: FeatureSource::Placed(_), .. }) => {
                 return Err(S::Error::custom("placed features are of one world in memory and are not written"));
             }
-            Some(f) => Some(FeaturesForm { time: f.time, visibility: f.visibility, step: f.step }),
+            Some(f) => Some(FeaturesForm {
+                time: f.time,
+                hidden: f.hidden,
+                max_features: f.max_features,
+                visibility: f.visibility,
+                step: f.step,
+            }),
             None => None,
         };
         let regions = self.regions.as_ref().map(|r| RegionsForm {
@@ -227,9 +245,9 @@ impl<'de> Deserialize<'de> for Request {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let form = RequestForm::deserialize(deserializer)?;
         let mut request = Self::of(form.outputs).with_ids(form.ids);
-        if let Some(FeaturesForm { time, visibility, step }) = form.features {
-            let options = FeatureOptions::default().with_visibility(visibility).with_step(step);
-            request = request.with_features(FeatureOptions { time, ..options });
+        if let Some(FeaturesForm { time, hidden, max_features, visibility, step }) = form.features {
+            let options = FeatureOptions::default().with_hidden(hidden).with_visibility(visibility).with_step(step);
+            request = request.with_features(FeatureOptions { time, max_features, ..options });
         }
         if let Some(regions) = form.regions {
             let sensor = matrix(&regions.pose_covariance).map_err(D::Error::custom)?;
@@ -308,7 +326,14 @@ mod tests {
     fn requests_read_back_equal_and_say_what_they_cannot_hold() {
         let full = Request::of(Outputs::of(&[Output::Range, Output::FeatureId]))
             .with_ids(IdScheme::Source)
-            .with_features(FeatureOptions::default().with_time(1.79e9).with_visibility(Visibility::Rays).with_step(0.1))
+            .with_features(
+                FeatureOptions::default()
+                    .with_time(1.79e9)
+                    .with_hidden(Hidden::Reason)
+                    .with_max_features(20)
+                    .with_visibility(Visibility::Rays)
+                    .with_step(0.1),
+            )
             .with_deadline(Duration::from_nanos(16_666_667))
             .with_regions(
                 BoxOptions::default()

@@ -62,6 +62,7 @@ words! {
         Normal = "normal",
         FeaturesOnDevice = "features on the device",
         Features = "features",
+        FeatureChoice = "choice of features",
         RegionsOnDevice = "regions of interest on the device",
         RegionsOfInterest = "regions of interest",
         RayTable = "ray table",
@@ -81,6 +82,10 @@ words! {
         PolygonsSelected = "polygons selected",
         PolygonsInView = "polygons in view",
         PolygonsSetUp = "polygons set up",
+        /// Single polygons behind what earlier waves drew.
+        PolygonsHidden = "polygons hidden",
+        /// Polygons that no ray of the sensor can meet.
+        PolygonsBetweenSamples = "polygons between samples",
         PolygonsSetUpInF64 = "polygons set up in f64",
         /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
         PolygonsEdgeOn = "polygons edge-on",
@@ -95,6 +100,8 @@ words! {
         SegmentsOfCut = "segments of the cut",
         SegmentsTested = "segments tested",
         Features = "features",
+        FeaturesQueried = "features asked",
+        FeaturesNotChosen = "features not chosen",
         FeatureSamples = "feature samples",
         FeatureSamplesHiddenByNeighbours = "feature samples hidden by neighbours",
         FeatureSamplesHiddenInSpace = "feature samples hidden in space",

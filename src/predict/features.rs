@@ -6,9 +6,9 @@ use crate::cost::DeadlineFrame;
 use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, OcclusionHint,
-    PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, predict_features,
-    sides_seen_in_part,
+    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, FeatureTree, Hidden,
+    OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, check_placed,
+    choose, predict_features, sides_seen_in_part,
 };
 use crate::geometry::Pose;
 use crate::placement;
@@ -17,6 +17,7 @@ use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// A world, a sensor and its pose.
@@ -28,6 +29,14 @@ pub(super) struct WorldFeatures {
     world: u64,
     class: String,
     placed: PlacedFeatures,
+}
+
+/// The tree of the features that were predicted last.
+pub(super) struct KnownTree {
+    features: Arc<[PlacedFeature]>,
+    /// [`World::stamp`] of the version in which they were checked.
+    world: u64,
+    tree: FeatureTree,
 }
 
 impl Predictor {
@@ -74,6 +83,13 @@ impl Predictor {
             None => {
                 let mut features = self.see(seen_from, images, &placed.features, &settings(request), stats)?;
                 images.feature_id = std::mem::take(&mut features.feature_id);
+                if let Some(most) = request.features.as_ref().and_then(|options| options.max_features) {
+                    let start = Instant::now();
+                    let known = regions.as_ref().map(|regions| &regions.sensor);
+                    let dropped = choose(&mut features, &placed.features, seen_from, known, most);
+                    stats.count(CountName::FeaturesNotChosen, dropped);
+                    stats.stage(StageName::FeatureChoice, start);
+                }
                 if let Some(options) = &regions {
                     self.add_regions(&mut features, &placed.features, seen_from, options, stats)?;
                 }
@@ -92,7 +108,7 @@ impl Predictor {
         &mut self,
         seen_from @ (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
         images: &Images,
-        placed: &[PlacedFeature],
+        placed: &Arc<[PlacedFeature]>,
         settings: &FeatureSettings,
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
@@ -100,13 +116,15 @@ impl Predictor {
             stats.leave_out(StageName::Features, "there is none for this class");
         }
         let mut start = Instant::now();
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, settings)?;
+        let tree = self.take_tree(world, placed, settings)?;
+        let of_tree = tree.as_ref().map(|known| &known.tree);
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, of_tree), settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
         let hints = match settings.visibility {
             Visibility::Rays => None,
-            Visibility::Image => self.query_occlusion(&prepared, seen_from.1, placed, stats)?,
+            Visibility::Image => self.query_occlusion(&prepared, seen_from.1, stats)?,
         };
         if hints.is_some() {
             stats.stage(StageName::FeaturesOnDevice, start);
@@ -114,11 +132,31 @@ impl Predictor {
         }
         self.tell_of_software(StageName::FeaturesOnDevice, stats);
         let prediction = self.on_threads(|| prepared.finish(hints.as_deref()))?;
+        drop(prepared);
+        self.tree = tree.or(self.tree.take());
         stats.stage(StageName::Features, start);
         for (name, n) in prediction.stats.counts() {
             stats.count(name, n);
         }
         Ok(prediction)
+    }
+
+    /// The tree of features that were checked in the world, where hidden ones are only counted.
+    fn take_tree(
+        &mut self,
+        world: &World,
+        placed: &Arc<[PlacedFeature]>,
+        settings: &FeatureSettings,
+    ) -> Result<Option<KnownTree>> {
+        if settings.hidden != Hidden::Count {
+            return Ok(None);
+        }
+        let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed));
+        if known.as_ref().is_none_or(|known| known.world != world.stamp()) {
+            check_placed(world.environment(), placed)?;
+        }
+        let tree = known.map_or_else(|| FeatureTree::new(placed), |known| known.tree);
+        Ok(Some(KnownTree { features: placed.clone(), world: world.stamp(), tree }))
     }
 
     /// Adds regions of interest.
@@ -186,7 +224,6 @@ impl Predictor {
         &mut self,
         prepared: &PreparedFeatures<'_>,
         sensor: &Sensor,
-        placed: &[PlacedFeature],
         stats: &mut Stats,
     ) -> Result<Option<Vec<Vec<Option<u32>>>>> {
         if !self.engine.device().is_some_and(|device| device.takes_features() && device.holds_images()) {
@@ -199,7 +236,8 @@ impl Predictor {
         }
         let Some(device) = self.engine.device() else { return Ok(None) };
         let before = device.work();
-        let hints = match device.query_occlusion(&FeatureSamples { samples: &samples, placed, sensor }) {
+        let placed: Vec<&PlacedFeature> = prepared.asked().collect();
+        let hints = match device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor }) {
             Ok(hints) => hints,
             // The images at hand say the same; the next prediction opens the device again.
             Err(_) if self.backend == Backend::Auto => return Ok(None),
@@ -249,22 +287,17 @@ impl Predictor {
             return Err(Error::usage(what, "predict again"));
         }
         let placed = self.place(world, sensor, options)?;
-        let left_out = prediction.degradation().map_or(&[][..], |given_up| &given_up.features);
-        let is_there = |placed: &&PlacedFeature| left_out.binary_search(&placed.feature.id).is_err();
-        let sides = match left_out {
-            [] => sides_seen_in_part(&placed.features, seen),
-            _ => sides_seen_in_part(&placed.features.iter().filter(is_there).cloned().collect::<Vec<_>>(), seen),
-        };
-        let settings = FeatureSettings { feature_id: false, ..settings(request) };
+        let sides = sides_seen_in_part(&placed.features, seen);
+        let settings = FeatureSettings { feature_id: false, hidden: Hidden::Full, ..settings(request) };
         let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &settings);
         Ok(self.on_threads(predict)??.features)
     }
 }
 
 pub(super) fn settings(request: &Request) -> FeatureSettings {
-    let FeatureOptions { time, visibility, step, .. } = request.features.clone().unwrap_or_default();
+    let FeatureOptions { time, hidden, visibility, step, .. } = request.features.clone().unwrap_or_default();
     let feature_id = request.outputs.has(Output::FeatureId);
-    FeatureSettings { time, ids: request.ids, feature_id, visibility, step, is_partial: false }
+    FeatureSettings { time, ids: request.ids, feature_id, hidden, visibility, step, is_partial: false }
 }
 
 /// What is to be known of features that are left out because nothing is under them.

@@ -6,7 +6,7 @@ use crate::cost::DeadlineFrame;
 use crate::deadline::Priority;
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeaturePrediction, FeatureSettings, PlacedFeature, PlacedFeatures, PreparedFeatures, add_boxes,
+    BoxOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures, add_boxes,
 };
 use crate::plan::{Images, Stats};
 use crate::request::Request;
@@ -26,9 +26,9 @@ impl Predictor {
     ) -> Result<FeaturePrediction> {
         let start = Instant::now();
         let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
-        let settings = FeatureSettings { is_partial, ..settings(request) };
+        let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
         let all = &placed.features;
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, all, &settings)?;
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, None), &settings)?;
         let lengths = self.on_threads(|| prepared.image_lengths())?;
         let order = rank(all, &request.priority, &lengths);
         let (mut found, mut marks) = (FeaturePrediction::default(), prepared.marks());
@@ -41,8 +41,7 @@ impl Predictor {
             }
             let mut group = self.on_threads(|| prepared.part(which, None, &mut marks))?;
             if let Some(options) = regions {
-                let placed: Vec<PlacedFeature> = which.iter().map(|i| all[*i].clone()).collect();
-                self.on_threads(|| add_boxes(&mut group, &placed, world, sensor, world_from_sensor, options))??;
+                self.on_threads(|| add_boxes(&mut group, all, world, sensor, world_from_sensor, options))??;
             }
             found.stats.add(&group.stats);
             found.features.append(&mut group.features);
@@ -52,6 +51,9 @@ impl Predictor {
         // As they were given.
         let mut seen: Vec<_> = order.iter().zip(found.features).collect();
         seen.sort_by_key(|(i, _)| **i);
+        if seen.len() < order.len() {
+            found.given = seen.iter().map(|(i, _)| **i as u32).collect();
+        }
         found.features = seen.into_iter().map(|(_, seen)| seen).collect();
         timed.found = found.features.len() as u64;
         timed.left_out = order[found.features.len()..].iter().map(|i| all[*i].feature.id).collect();

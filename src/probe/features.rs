@@ -52,9 +52,11 @@ impl Probe {
         let Some(device) = engine.device() else { return Ok(DeviceCheck::default()) };
         let right = self.seen(&sensor, &pose, &placed)?;
         let options = FeatureSettings::default();
-        let samples = PreparedFeatures::new(&self.world, &sensor, &pose, &images, &placed, &options)?.query_samples();
+        let samples =
+            PreparedFeatures::new(&self.world, &sensor, &pose, &images, (&placed, None), &options)?.query_samples();
         let of = samples.iter().zip(&right.features);
         let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
+        let placed: Vec<_> = placed.iter().collect();
         let hints = device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor: &sensor })?;
         let mut told = DeviceCheck { all: hints.len(), ..DeviceCheck::default() };
         for (hint, visible) in hints.into_iter().zip(of) {

@@ -191,6 +191,27 @@ impl Sensor {
         }
     }
 
+    /// Rays at columns and rows, not of unit length, as sums of a part of the column and a multiple of one axis: the columns'
+    /// parts, that axis, and the rows' multiples. `None` where rays are no such sums.
+    pub(crate) fn rays_by_column(&self, columns: &[f64], rows: &[f64]) -> Option<(Vec<DVec3>, DVec3, Vec<f64>)> {
+        match (self.projector(), &self.spec().geometry) {
+            (Projector::Pinhole, Geometry::Camera(c)) => {
+                let column = |u: &f64| DVec3::new(c.normalized(*u, 0.0).0, 0.0, 1.0);
+                let row = |v: &f64| c.normalized(0.0, *v).1;
+                Some((columns.iter().map(column).collect(), DVec3::Y, rows.iter().map(row).collect()))
+            }
+            (Projector::Scanner(beams), _) => {
+                let column = |u: &f64| {
+                    let (sin, cos) = (beams.azimuth.angle(*u) % 360.0).to_radians().sin_cos();
+                    DVec3::new(cos, sin, 0.0)
+                };
+                let row = |v: &f64| beams.elevation.angle(*v).clamp(-90.0, 90.0).to_radians().tan();
+                Some((columns.iter().map(column).collect(), DVec3::Z, rows.iter().map(row).collect()))
+            }
+            _ => None,
+        }
+    }
+
     /// The mean of the rays around a place in a table, by their nearness.
     fn between_rays(&self, u: f64, v: f64) -> Option<DVec3> {
         let (w, h) = (self.width(), self.height());

@@ -253,7 +253,7 @@ fn what_cannot_be_placed_is_refused() {
 /// On as many threads as it was given, to the same answers.
 #[test]
 fn a_predictor_predicts_features_on_its_own_threads() {
-    use presight::features::FeatureOptions;
+    use presight::features::{FeatureOptions, Hidden};
     use presight::{Backend, Options, Predictor, Request};
     let (world, camera) = (wall(Appearance::Opaque, false), scenes::camera(101, 81));
     let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
@@ -261,7 +261,8 @@ fn a_predictor_predicts_features_on_its_own_threads() {
     assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
     let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
     assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")), "none were asked for");
-    let request = Request::default().with_features(FeatureOptions::default().with_placed(features.to_vec()));
+    let request = Request::default()
+        .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(features.to_vec()));
     let found = predictor.predict(&world, &camera, &Pose::IDENTITY, &request).unwrap();
     let options = FeatureSettings::default();
     let again = predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options).unwrap();

@@ -5,7 +5,7 @@ use crate::ticks::Sudden;
 use glam::{DMat3, DVec3};
 use presight::deadline::{DegradationKind, Priority};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureOptions, PlacedFeature, SeenFeature};
+use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature, SeenFeature};
 use presight::{Backend, ErrorKind, Options, Output, Outputs, Pose, Prediction, Predictor, Request, World};
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +27,7 @@ fn edges() -> Vec<PlacedFeature> {
 
 fn request() -> Request {
     Request::of(Outputs::of(&[Output::Range, Output::FeatureId]))
-        .with_features(FeatureOptions::default().with_placed(edges()))
+        .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(edges()))
         .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.02, 0.0, 0.0, 0.01]))
 }
 

@@ -10,7 +10,8 @@ use common::{Random, data, hard, scenes};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, PlacedFeature, SeenFeature, predict_features,
+    FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, Hidden, PlacedFeature, SeenFeature,
+    predict_features,
 };
 
 use presight::gpu::DeviceOptions;
@@ -103,7 +104,8 @@ fn on_device(
     placed: &[PlacedFeature],
 ) -> (FeaturePrediction, Images, Stats) {
     let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
-    let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.to_vec()));
+    let request = Request::of(outputs)
+        .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(placed.to_vec()));
     let mut seen = predictor.predict(world, sensor, pose, &request).unwrap();
     let mut found = seen.features.unwrap();
     found.feature_id = std::mem::take(&mut seen.images.feature_id);

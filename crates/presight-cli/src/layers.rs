@@ -3,7 +3,7 @@
 use super::pose_cov;
 use super::print;
 use presight::features::roi::PoseCovariance;
-use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, Hidden};
 use presight::frames::ExternalPose;
 use presight::geometry::Pose;
 use presight::io::prediction_json;
@@ -23,6 +23,12 @@ pub struct LayerArgs {
     /// Write what is seen of the features
     #[arg(long, value_name = "OUT.json")]
     pub features: Option<PathBuf>,
+
+    /// Of the features seen, keep those N that tell most of the sensor's pose
+    ///
+    /// One by one the feature that adds most to the information of the pose, weighted by existence and contrast.
+    #[arg(long, value_name = "N")]
+    max_features: Option<usize>,
 
     /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
@@ -151,6 +157,11 @@ impl LayerArgs {
         }
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;
+        options.max_features = self.max_features;
+        // Files and pictures show what is hidden, too.
+        if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
+            options.hidden = Hidden::Full;
+        }
         let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
         let mut boxes = BoxOptions::default();
         boxes.confidence = self.confidence.unwrap_or(boxes.confidence);

@@ -27,8 +27,8 @@ impl Summary {
         Self {
             hits: (!images.range.is_empty()).then(|| (seen().count(), near, far)),
             objects: (!images.object_id.is_empty()).then(|| (ids.len(), there())),
-            features: prediction.features.as_ref().map(|FeaturePrediction { features, .. }| {
-                (features.iter().filter(|f| !f.visible.is_empty()).count(), features.len())
+            features: prediction.features.as_ref().map(|FeaturePrediction { features, stats, .. }| {
+                (features.iter().filter(|f| !f.visible.is_empty()).count(), stats.features)
             }),
         }
     }

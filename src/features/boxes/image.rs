@@ -89,6 +89,19 @@ impl Projection for Image<'_> {
         self.sensor.columns_of_a_turn()
     }
 
+    fn pole_near(&self, row: f64) -> Option<f64> {
+        let row_of = |direction: DVec3| self.sensor.project(direction).map(|(_, row)| row);
+        let near = |up: DVec3| {
+            let (pole, half_way) = (row_of(up)?, row_of(up + DVec3::X)?);
+            let is_near = if pole < half_way { row < half_way } else { row > half_way };
+            is_near.then_some(pole)
+        };
+        match self.kind {
+            Kind::Beams(_) | Kind::Scanner => near(DVec3::Z).or_else(|| near(DVec3::NEG_Z)),
+            _ => None,
+        }
+    }
+
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
         let p = self.image_from_body * p_in_body;
         let body_from_image = self.image_from_body.transpose();

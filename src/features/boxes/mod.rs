@@ -3,10 +3,11 @@
 mod image;
 mod points;
 
-use image::Image;
+pub(super) use image::Image;
 #[cfg(feature = "gpu")]
 pub(crate) use image::Kind;
 
+use super::prediction::given_at;
 use super::roi::{
     BodyPoint, BoxFinder, FeatureErrorModel, Level, PoseCovariance, PoseErrors, Projection as _, Roi, Viewpoint,
 };
@@ -124,19 +125,20 @@ pub fn add_boxes(
     options: &BoxOptions,
 ) -> Result<()> {
     let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
-    let add = |room: &mut BoxScratch, (seen, placed): (&mut SeenFeature, &PlacedFeature)| {
+    let FeaturePrediction { features, given, .. } = prediction;
+    let add = |room: &mut BoxScratch, (i, seen): (usize, &mut SeenFeature)| {
         // What is not seen is not looked for.
         if seen.visible.is_empty() {
             return;
         }
-        let uncertain = frame.uncertain(placed);
+        let uncertain = frame.uncertain(&placed[given_at(given, i)]);
         if frame.prepare(seen, &uncertain, room) {
             let found = room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method);
             frame.set(seen, found);
         }
     };
     parallel(|| {
-        let features = prediction.features.par_iter_mut().zip(placed).with_min_len(64);
+        let features = features.par_iter_mut().enumerate().with_min_len(64);
         features.for_each_init(BoxScratch::default, add);
     })
 }
@@ -203,7 +205,7 @@ impl<'a> BoxFrame<'a> {
     pub fn finish(&self, prediction: &mut FeaturePrediction, placed: &[PlacedFeature], which: &[u32]) {
         let features = &prediction.features;
         let find = |room: &mut BoxScratch, i: &u32| {
-            let (seen, placed) = (&features[*i as usize], &placed[*i as usize]);
+            let (seen, placed) = (&features[*i as usize], &placed[prediction.given_at(*i as usize)]);
             let uncertain = self.uncertain(placed);
             points::seen(&self.image, &uncertain, seen, &mut room.points);
             room.finder.find(&self.image, &uncertain, &room.points, &self.level, self.method)

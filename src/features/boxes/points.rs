@@ -13,6 +13,9 @@ use glam::{DVec2, DVec3};
 /// Points of a segment's visible part where lines curve in no way that is known.
 const POINTS: usize = 9;
 
+/// Cosine of the elevation above which points of a segment are taken all along it.
+const STEEP: f64 = 0.5;
+
 /// Parts of an outline's edge.
 const PARTS: usize = 8;
 
@@ -57,8 +60,12 @@ fn segment(
         Kind::Pinhole(_) => {}
         Kind::Beams([_, rows]) => {
             let [a, b] = [from, to].map(|t| uncertain.nominal(&BodyPoint::on_segment(ends, t)).p);
+            // Near a pole columns turn as fast as the line passes it.
+            let turns = |p: DVec3| p.x.hypot(p.y) < STEEP * p.length();
             // A great circle leaves the chord between two of its points by an eighth of the square of their angle at most.
-            if a.angle_between(b).powi(2) / 8.0 * rows.abs() > SAGITTA {
+            if turns(a) || turns(b) {
+                (1..POINTS - 1).for_each(|i| put(from + (to - from) * i as f64 / (POINTS - 1) as f64));
+            } else if a.angle_between(b).powi(2) / 8.0 * rows.abs() > SAGITTA {
                 [0.25, 0.5, 0.75].into_iter().for_each(|s| put(from + s * (to - from)));
                 if let Some(t) = culmination(a, b) {
                     put(from + t * (to - from));

@@ -64,6 +64,18 @@ impl Local {
         (t.0 <= t.1).then_some(t)
     }
 
+    /// True if the segment from `a` along `d` goes on over or under it where it is no more on it: it leans through the polygon.
+    pub fn is_left_within(&self, a: DVec3, d: DVec3, (from, to): (f64, f64)) -> bool {
+        let Some(normal) = self.normal else { return false };
+        let mut t = (0.0, 1.0);
+        for (u, v) in self.sides() {
+            let inward = normal.cross(v - u);
+            cut(&mut t, inward.dot(a - u), inward.dot(d));
+        }
+        let more = 4.0 * self.reach / d.length().max(f64::MIN_POSITIVE);
+        t.0 <= t.1 && (t.0 < from - more || t.1 > to + more)
+    }
+
     /// Where the segment from `a` along `d` (t in 0..=1) is on it, within the tolerance.
     ///
     /// All points within a distance of a convex polygon are a convex body, made of the polygon's prism, a cylinder

@@ -1,11 +1,12 @@
 //! Where features lie: their objects and polygons, found by geometry. Layers never name polygons by number, because another
 //! export of the model numbers them differently.
 //!
-//! - A point lies on every polygon within the layer's tolerance.
+//! - A point lies on every polygon that it is near to.
 //! - A segment lies on every polygon that contains a stretch of it: both faces of a crease, each of several polygons in line.
 //! - A patch or fiducial lies on the coplanar polygons that it overlaps.
 //!
-//! A polygon that a segment or a patch only passes through or touches does not count. The whole feature must lie on its polygons.
+//! A feature that lies on polygons within rounding lies on no others, however near: those may hide it. A polygon that a segment or
+//! a patch only passes through or touches does not count. The whole feature must lie on its polygons.
 //! A feature that is refused is somewhere farther from them than the tolerance. One that is accepted is nowhere farther, or, inside
 //! a patch, nowhere by more than a sixteenth ([`cover`]).
 //!
@@ -28,10 +29,16 @@ use crate::index::{QueryResult, Region};
 use crate::world::World;
 use glam::DVec3;
 use local::Local;
+pub(super) use plane::clip;
 
 /// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
 /// tolerance cannot tell.
 const LYING: f64 = 0.087;
+
+/// What is no farther off than this lies on a polygon within the rounding of files, metres: generated features do, and other faces
+/// are farther off, however thin the sheet between them. Only where that leaves a gap does the layer's tolerance say which polygons a
+/// feature lies on.
+const ROUNDING: f64 = 1e-5;
 
 /// What a feature lies on, or where it does not.
 enum Support {
@@ -175,14 +182,18 @@ impl<'a> SupportFinder<'a> {
         let points = feature.shape.points();
         let frame = FeatureFrame { object: object.map(|i| (&environment.objects()[i as usize], i)), anchor: points[0] };
         let boxes = boxes_around(&frame, &feature.shape);
-        let near = self.near(&frame, &boxes);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
-        let lie = lie(&near, &about, &|_| Ok(()))?;
+        let tolerance = self.tolerance;
+        let mut within = |tolerance: f64| lie(&self.near(&frame, &boxes, tolerance), &about, &|_| Ok(()));
+        let lie = match within(tolerance.min(ROUNDING))? {
+            Support::Off(_) if tolerance > ROUNDING => within(tolerance)?,
+            lie => lie,
+        };
         Ok((frame, lie))
     }
 
-    /// The polygons that may come within the tolerance of the boxes (world).
-    fn near(&mut self, frame: &FeatureFrame<'_>, boxes: &[Aabb]) -> Vec<Local> {
+    /// The polygons that may come within a tolerance of the boxes (world).
+    fn near(&mut self, frame: &FeatureFrame<'_>, boxes: &[Aabb], tolerance: f64) -> Vec<Local> {
         self.found.clear();
         for b in boxes {
             let reach = b.min.abs().max(b.max.abs()).max_element();
@@ -193,13 +204,17 @@ impl<'a> SupportFinder<'a> {
         let mut slots: Vec<u32> = self.found.all().collect();
         slots.sort_unstable();
         slots.dedup();
-        slots.into_iter().filter_map(|slot| self.local(frame, slot)).collect()
+        slots.into_iter().filter_map(|slot| self.local(frame, slot, tolerance)).collect()
     }
 
-    fn local(&self, frame: &FeatureFrame<'_>, slot: u32) -> Option<Local> {
+    fn local(&self, frame: &FeatureFrame<'_>, slot: u32, tolerance: f64) -> Option<Local> {
         let (index, polygon) = self.environment.locate(slot)?;
-        let (corners, rounding) = frame.corners(&self.environment.objects()[index as usize], index, polygon);
-        Some(Local::new(slot, corners, self.tolerance + rounding))
+        let object = &self.environment.objects()[index as usize];
+        let (corners, rounding) = frame.corners(object, index, polygon);
+        // Vertices are f32, and so are planes as good as flat.
+        let far = object.mesh.corners_of(polygon).map(|p| p.abs().max_element()).fold(0.0, f64::max);
+        let reach = (tolerance + 4.0 * f64::from(f32::EPSILON) * far).min(self.tolerance);
+        Some(Local::new(slot, corners, reach + rounding))
     }
 
     fn off(&mut self, frame: &FeatureFrame<'_>, at: DVec3, feature: &Feature) -> Error {
@@ -209,11 +224,20 @@ impl<'a> SupportFinder<'a> {
             None => "in the world".to_owned(),
         };
         let remedy = "move it onto the model, or raise the layer's tolerance";
+        let kind = feature.shape.kind();
         match self.distance(frame, at) {
+            Some(distance) if distance <= self.tolerance => Error::invalid(
+                format!(
+                    "the {kind} lies on no polygon at {} {whose}: those within {} m only touch or cross it",
+                    short_point(p),
+                    short(self.tolerance)
+                ),
+                "move it onto the model",
+            ),
             Some(distance) => Error::invalid(
                 format!(
                     "the {} is {} m off its polygons at {} {whose}, {} m is allowed",
-                    feature.shape.kind(),
+                    kind,
                     if distance < 1e-3 { format!("{distance:.3e}") } else { format!("{distance:.6}") },
                     short_point(p),
                     short(self.tolerance)
@@ -236,7 +260,7 @@ impl<'a> SupportFinder<'a> {
         let mut half = 4.0 * self.tolerance;
         loop {
             let b = Aabb { min: p_in_world - half, max: p_in_world + half };
-            let nearest = self.near(frame, &[b]).iter().map(|l| l.distance(at)).reduce(f64::min);
+            let nearest = self.near(frame, &[b], self.tolerance).iter().map(|l| l.distance(at)).reduce(f64::min);
             match nearest {
                 // Nothing outside of the box can be nearer.
                 Some(d) if d <= half || half > enough => return Some(d),

@@ -32,7 +32,7 @@ impl PatchPlane {
     }
 }
 
-pub(super) trait Point: Copy {
+pub(in crate::features) trait Point: Copy {
     fn between(self, other: Self, t: f64) -> Self;
 }
 
@@ -70,7 +70,7 @@ pub(super) fn cut(t: &mut (f64, f64), at_0: f64, slope: f64) {
 }
 
 /// Keeps of a convex polygon where a linear function is not negative.
-pub(super) fn clip<P: Point>(polygon: &[P], value: impl Fn(&P) -> f64) -> Vec<P> {
+pub(in crate::features) fn clip<P: Point>(polygon: &[P], value: impl Fn(&P) -> f64) -> Vec<P> {
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (k, p) in polygon.iter().enumerate() {
         let q = &polygon[(k + 1) % polygon.len()];

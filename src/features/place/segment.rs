@@ -7,8 +7,8 @@ use glam::DVec3;
 /// A segment from the origin to `end`.
 pub(super) fn lie(near: &[Local], end: DVec3) -> Support {
     let length = end.length();
-    let mut on = Vec::new();
-    let mut covered = Vec::new();
+    let (mut on, mut covered) = (Vec::new(), Vec::new());
+    let (mut along, mut covered_along) = (Vec::new(), Vec::new());
     for local in near {
         let Some((from, to)) = local.stretch(DVec3::ZERO, end) else { continue };
         let rise = local.normal.map_or(0.0, |n| n.dot(end).abs());
@@ -16,10 +16,21 @@ pub(super) fn lie(near: &[Local], end: DVec3) -> Support {
             continue;
         }
         covered.push((from, to));
+        let crosses = local.is_left_within(DVec3::ZERO, end, (from, to));
+        if !crosses {
+            covered_along.push((from, to));
+        }
         // One that begins where the segment ends has only the tolerance in common with it.
         if (to - from) * length > (2.0 * local.reach).min(0.5 * length) {
             on.push(local.slot);
+            if !crosses {
+                along.push(local.slot);
+            }
         }
+    }
+    // What it leans through hides it, unless nothing else holds it there.
+    if widest_gap(&mut covered_along).is_none() {
+        return Support::On(along);
     }
     match widest_gap(&mut covered) {
         None => Support::On(on),

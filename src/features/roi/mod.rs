@@ -152,6 +152,11 @@ pub trait Projection: Sync {
     /// Columns of a full turn, if the image goes round: columns are then modulo this number.
     fn turn(&self) -> Option<f64>;
 
+    /// The row of the pole, where all columns meet, if a row is nearer to it than to the horizon. The default has none.
+    fn pole_near(&self, _row: f64) -> Option<f64> {
+        None
+    }
+
     /// Derivatives of column and row by the position of a point whose image is `at`. The default uses finite differences.
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
         differences(self, p_in_body, at)

@@ -100,8 +100,10 @@ pub(super) fn set_bounds(
     }
     // Round a pole columns say nothing, and where a few are left out is chance.
     let around = projection.turn().filter(|turn| right + left > MOST_OF_A_TURN * turn);
-    let right = around.map_or(right, |turn| turn - left);
-    Some([-left, -top, right, bottom])
+    let Some(turn) = around else { return Some([-left, -top, right, bottom]) };
+    // What may lie all around the axis may lie on it.
+    let pole = |row: f64| projection.pole_near(row).unwrap_or(row);
+    Some([-left, pole(-top).min(-top), turn - left, pole(bottom).max(bottom)])
 }
 
 /// What is asked of all errors.

@@ -36,7 +36,7 @@ impl<'a> VisibilityContext<'a> {
         sensor: &'a Sensor,
         world_from_sensor: &Pose,
         images: &'a Images,
-        placed: &[PlacedFeature],
+        time: f64,
         options: &FeatureSettings,
     ) -> Result<Self> {
         let environment: &Environment = world.environment();
@@ -52,16 +52,6 @@ impl<'a> VisibilityContext<'a> {
             return Err(Error::usage(what, format!("give a step of 0.001 to {STEP} pixels")));
         }
         let objects = environment.objects().len();
-        for p in placed {
-            let slot = p.slots.iter().find(|slot| environment.locate(**slot).is_none());
-            if p.object.is_some_and(|o| o as usize >= objects) || slot.is_some() {
-                let what = format!("object {:?} or slot {slot:?} does not exist", p.object);
-                return Err(
-                    Error::invalid(what, "place the features in this world").at(format!("feature {}", p.feature.id))
-                );
-            }
-        }
-        let newest = placed.iter().map(|p| p.feature.existence.confirmed).fold(f64::NEG_INFINITY, f64::max);
         let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
         Ok(Self {
             world,
@@ -71,7 +61,7 @@ impl<'a> VisibilityContext<'a> {
             image_from_world: world_from_image.transpose(),
             images,
             options: *options,
-            time: options.time.unwrap_or(newest),
+            time,
             facings: facings(environment, &sensor.spec().class).collect(),
             instances: (0..objects).map(|_| OnceLock::new()).collect(),
             of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
@@ -100,26 +90,43 @@ impl<'a> VisibilityContext<'a> {
         Some(Occluder { slot, polygon_id: self.options.ids.id_of(o, polygon), object })
     }
 
-    /// Positions of a feature's points in the image frame. Differences to the sensor come first.
+    /// Positions of a feature's points in the image frame, the turn from its object's frame, and how far they may be off by
+    /// rounding.
     pub fn in_image(&self, placed: &PlacedFeature) -> (Vec<DVec3>, DMat3, f64) {
         let points = placed.feature.shape.points();
-        let (image_from_object, shift, size) = match placed.object {
-            None => (self.image_from_world, -self.world_from_sensor.translation, 0.0),
+        let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
+        let rounding = self.rounding(reach, placed.object);
+        let (turn, shift) = self.image_from(placed.object);
+        let place = |p: &DVec3| match placed.object {
+            // Differences to the sensor come first.
+            None => turn * (*p - self.world_from_sensor.translation),
+            Some(_) => turn * *p + shift,
+        };
+        (points.iter().map(place).collect(), turn, rounding)
+    }
+
+    /// Turn and shift from the frame of an object, or of the world, to the image.
+    pub fn image_from(&self, object: Option<u32>) -> (DMat3, DVec3) {
+        match object {
+            None => (self.image_from_world, self.image_from_world * -self.world_from_sensor.translation),
             Some(object) => {
                 let pose = &self.environment.objects()[object as usize].world_from_object;
-                let shift = pose.translation - self.world_from_sensor.translation;
-                (self.image_from_world * pose.rotation_matrix(), shift, shift.length())
+                let turn = self.image_from_world * pose.rotation_matrix();
+                (turn, self.image_from_world * (pose.translation - self.world_from_sensor.translation))
             }
+        }
+    }
+
+    /// How far points of an object's frame may be off by rounding in the image frame, `reach` metres from its origin at most.
+    pub fn rounding(&self, reach: f64, object: Option<u32>) -> f64 {
+        let apart = |o: u32| {
+            let at = self.environment.objects()[o as usize].world_from_object.translation;
+            (at - self.world_from_sensor.translation).length()
         };
-        let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
+        let size = object.map_or(0.0, apart);
         // Roundings of the sums and of the matrices, and of the world positions themselves.
         let far = self.world_from_sensor.translation.abs().max_element();
-        let rounding = f64::EPSILON * (8.0 * (reach + size) + 2.0 * far);
-        let place = |p: &DVec3| match placed.object {
-            None => self.image_from_world * (*p + shift),
-            Some(_) => image_from_object * *p + self.image_from_world * shift,
-        };
-        (points.iter().map(place).collect(), image_from_object, rounding)
+        f64::EPSILON * (8.0 * (reach + size) + 2.0 * far)
     }
 }
 

@@ -21,13 +21,15 @@
 mod area;
 mod context;
 mod polygon;
+mod select;
 mod straight;
 mod tally;
 mod tiles;
 mod undecided;
 mod worker;
 
-use super::{FeaturePrediction, PlacedFeature, STEP};
+use super::tree::{FeatureTree, check_placed, newest};
+use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
 use crate::environment::{Feature, FeatureShape};
 use crate::error::Result;
 use crate::geometry::Pose;
@@ -61,6 +63,8 @@ pub struct FeatureSettings {
     pub ids: IdScheme,
     /// Fill [`FeaturePrediction::feature_id`].
     pub feature_id: bool,
+    /// What is said of features of which nothing is seen.
+    pub hidden: Hidden,
     /// How visibility is decided.
     pub visibility: Visibility,
     /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
@@ -78,6 +82,7 @@ impl Default for FeatureSettings {
             time: None,
             ids: IdScheme::default(),
             feature_id: false,
+            hidden: Hidden::Full,
             visibility: Visibility::default(),
             step: STEP,
             is_partial: false,
@@ -124,7 +129,7 @@ pub fn predict_features(
     placed: &[PlacedFeature],
     options: &FeatureSettings,
 ) -> Result<FeaturePrediction> {
-    let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, placed, options)?;
+    let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, None), options)?;
     parallel(|| prepared.finish(None))
 }
 
@@ -135,6 +140,8 @@ pub(crate) struct PreparedFeatures<'a> {
     images: &'a Images,
     placed: &'a [PlacedFeature],
     feature_id: bool,
+    /// Numbers of the features that are looked at one by one, rising.
+    some: Vec<usize>,
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
@@ -146,7 +153,7 @@ pub struct FeatureSamples<'a> {
     /// Of each feature: where, image frame, and the nearest pixel, row-major.
     pub samples: &'a [Vec<(DVec3, u32)>],
     /// The features.
-    pub placed: &'a [PlacedFeature],
+    pub placed: &'a [&'a PlacedFeature],
     /// The sensor.
     pub sensor: &'a Sensor,
 }
@@ -163,6 +170,8 @@ pub enum OcclusionHint {
 }
 
 impl<'a> PreparedFeatures<'a> {
+    /// Of features that exist in the world if their tree is given.
+    ///
     /// # Errors
     /// As [`predict_features`].
     pub fn new(
@@ -170,58 +179,80 @@ impl<'a> PreparedFeatures<'a> {
         sensor: &'a Sensor,
         world_from_sensor: &Pose,
         images: &'a Images,
-        placed: &'a [PlacedFeature],
+        (placed, tree): (&'a [PlacedFeature], Option<&FeatureTree>),
         options: &FeatureSettings,
     ) -> Result<Self> {
         world_from_sensor.check()?;
-        let frame = match placed {
-            [] => None,
-            _ => Some(VisibilityContext::new(world, sensor, world_from_sensor, images, placed, options)?),
+        let prepared = Self { frame: None, images, placed, feature_id: options.feature_id, some: Vec::new() };
+        if placed.is_empty() {
+            return Ok(prepared);
+        }
+        let mut made = None;
+        if tree.is_none() {
+            check_placed(world.environment(), placed)?;
+            made = (options.hidden == Hidden::Count).then(|| FeatureTree::new(placed));
+        }
+        let tree = tree.or(made.as_ref());
+        let newest = || tree.map_or_else(|| newest(placed), |tree| tree.newest);
+        let time = options.time.unwrap_or_else(newest);
+        let frame = VisibilityContext::new(world, sensor, world_from_sensor, images, time, options)?;
+        let some = match tree {
+            Some(tree) if options.hidden == Hidden::Count => {
+                select::select(&frame, tree, placed).into_iter().map(|i| i as usize).collect()
+            }
+            _ => (0..placed.len()).collect(),
         };
-        Ok(Self { frame, images, placed, feature_id: options.feature_id })
+        Ok(Self { frame: Some(frame), some, ..prepared })
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
     pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
         let judges = WorkerPool::new(frame);
-        self.placed
+        self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, placed| awake.judge().query_samples(placed))
+            .map_init(|| judges.wake(), |awake, i| awake.judge().query_samples(&self.placed[*i]))
             .collect()
+    }
+
+    /// The features asked about, in the order of [`PreparedFeatures::query_samples`].
+    pub fn asked(&self) -> impl Iterator<Item = &'a PlacedFeature> {
+        self.some.iter().map(|i| &self.placed[*i])
     }
 
     /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
     /// the images are asked.
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let mut marks = self.marks();
-        let all: Vec<usize> = (0..self.placed.len()).collect();
-        let mut prediction = self.part(&all, told, &mut marks);
+        let mut prediction = self.part(&self.some, told, &mut marks);
+        if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count) {
+            prediction.given = Vec::new();
+        }
+        prediction.stats.features = self.placed.len();
         prediction.feature_id = marks.into_image();
         prediction
     }
 
-    /// Predicts some of them, by index; which pixels they mark is noted.
+    /// Predicts some of them, by index, with what is told of each; which pixels they mark is noted.
     pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
-        let mut rest = Vec::new();
-        if let Some(frame) = &self.frame {
-            let judges = WorkerPool::new(frame);
-            let judged = which.par_iter().with_min_len(BATCH).map_init(
-                || judges.wake(),
-                |awake, i| {
-                    let told = told.map(|told| told[*i].as_slice());
-                    let FeatureResult { seen, stats, pixels } = awake.judge().feature(&self.placed[*i], told);
-                    (seen, (stats, pixels))
-                },
-            );
-            // Straight to where they stay: what is told of a feature is long.
-            judged.unzip_into_vecs(&mut prediction.features, &mut rest);
-        }
-        for ((stats, pixels), i) in rest.into_iter().zip(which) {
-            prediction.stats.add(&stats);
-            marks.add(&self.placed[*i].feature, &pixels);
+        let Some(frame) = &self.frame else { return prediction };
+        let judges = WorkerPool::new(frame);
+        let some = which.par_iter().enumerate().with_min_len(BATCH);
+        let parts = some.fold(
+            || (judges.wake(), Part::default()),
+            |(mut awake, mut part), (at, number)| {
+                let told = told.map(|told| told[at].as_slice());
+                part.take(*number, awake.judge().feature(&self.placed[*number], told));
+                (awake, part)
+            },
+        );
+        for mut part in parts.map(|(_, part)| part).collect::<Vec<Part>>() {
+            prediction.features.append(&mut part.features);
+            prediction.given.append(&mut part.given);
+            prediction.stats.add(&part.stats);
+            part.pixels.iter().for_each(|(number, pixels)| marks.add(&self.placed[*number].feature, pixels));
         }
         prediction
     }
@@ -283,6 +314,29 @@ impl Marks {
     /// The numbers of features, 0 is none.
     pub fn into_image(self) -> Vec<u32> {
         self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
+    }
+}
+
+/// What is found of some neighbouring features.
+#[derive(Default)]
+struct Part {
+    features: Vec<SeenFeature>,
+    given: Vec<u32>,
+    /// By number of the feature, the pixels in which it shows.
+    pixels: Vec<(usize, Vec<u32>)>,
+    stats: FeatureStats,
+}
+
+impl Part {
+    fn take(&mut self, number: usize, FeatureResult { seen, stats, pixels }: FeatureResult) {
+        self.stats.add(&stats);
+        if let Some(seen) = seen {
+            self.features.push(seen);
+            self.given.push(number as u32);
+        }
+        if !pixels.is_empty() {
+            self.pixels.push((number, pixels));
+        }
     }
 }
 

@@ -53,6 +53,14 @@ impl PreparedPolygon {
         }
     }
 
+    /// True if it is nearer than all points up to the range `far`, in its cone, of which none has a lesser share than `least`.
+    pub fn hides_all(&self, least: f64, far: f64, rounding: f64) -> bool {
+        // What is behind it is no nearer than its plane.
+        let near = self.inverse.length().recip();
+        let bound = [near, far].map(|range| self.least_share(least, range, rounding));
+        least > bound[0].max(bound[1]) * (1.0 + 8.0 * f64::EPSILON)
+    }
+
     /// The share above which it is.
     #[inline]
     pub fn least_share(&self, share: f64, range: f64, rounding: f64) -> f64 {

@@ -12,7 +12,7 @@ use std::ops::Range;
 
 /// How far apart are the blocks of three by three pixels along a segment that are looked through, pixels. Nearly all that
 /// hides it shows in them; finding the rest by tiles is faster than looking through more.
-const BLOCKS_APART: f64 = 24.0;
+pub(super) const BLOCKS_APART: f64 = 24.0;
 
 /// No slot.
 const NONE: u32 = u32::MAX;
@@ -162,19 +162,17 @@ impl Worker<'_> {
         let mut start = left.start;
         while start < left.end {
             let first = part.middle(start).0;
-            let whole_end = end_in(part, &self.tiles.of(first).1, start..left.end);
-            let farthest = first.length().max(part.middle(whole_end - 1).0.length());
-            while start < whole_end {
-                let leaf = self.tiles.leaf(self.frame, &mut self.faces, part.middle(start).0, farthest);
-                let end = end_in(part, self.tiles.square(leaf), start..whole_end);
-                let stretch = Stretch::new(part, start..end, ranges, own.rounding());
-                for known in self.tiles.between(leaf, &stretch.ends, own, &self.faces) {
-                    if !stretch.hide(known, self.faces.planes_of(known), by) {
-                        return false;
-                    }
+            let end = end_in(part, &self.tiles.of(first).1, start..left.end);
+            let farthest = first.length().max(part.middle(end - 1).0.length());
+            let tile = self.tiles.tile(self.frame, &mut self.faces, first, farthest);
+            let stretch = Stretch::new(part, start..end, ranges, own.rounding());
+            for face in self.tiles.between(tile, &stretch.ends, own, &self.faces) {
+                let known = &self.faces.known[face as usize];
+                if !stretch.hide(known, self.faces.planes_of(known), by) {
+                    return false;
                 }
-                start = open_from(end, by);
             }
+            start = open_from(end, by);
         }
         true
     }

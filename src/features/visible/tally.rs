@@ -143,24 +143,32 @@ impl Tally {
         }
     }
 
-    /// For patches: shares of the area in place of parts of a length.
+    /// For patches: shares of the area in place of parts of a length, one for what is seen and one for each reason and object
+    /// that hides; of an object's polygons the one that hides most is told.
     pub fn shares(&mut self, frame: &VisibilityContext<'_>) -> (Vec<VisibleInterval>, Vec<HiddenInterval>) {
-        let order = |state: &SampleState| match state {
-            SampleState::Seen => (0, 0),
-            SampleState::Hidden(reason, slot) => (1 + *reason as usize, slot.map_or(0, |s| s as usize + 1)),
+        let key = |(state, _): &(SampleState, [f64; 2])| match state {
+            SampleState::Seen => (0, None),
+            SampleState::Hidden(reason, slot) => {
+                let object = slot.and_then(|slot| frame.environment.locate(slot)).map(|(object, _)| object);
+                (1 + *reason as usize, object)
+            }
         };
-        self.by_state.sort_by_key(|s| order(&s.0));
-        let whole = self.by_state.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
-        let (mut visible, mut hidden, mut from) = (Vec::new(), Vec::new(), 0.0);
-        let last = self.by_state.len().saturating_sub(1);
-        for (i, (state, sum)) in self.by_state.iter().enumerate() {
-            let to = if i == last { 1.0 } else { (from + share(*sum, whole)).min(1.0) };
+        let slot = |state: &SampleState| if let SampleState::Hidden(_, slot) = state { *slot } else { None };
+        self.by_state.sort_by_key(|s| (key(s), slot(&s.0)));
+        let sum =
+            |some: &[(SampleState, [f64; 2])]| some.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
+        let whole = sum(&self.by_state);
+        let (mut visible, mut hidden, mut from, mut left) = (Vec::new(), Vec::new(), 0.0, self.by_state.len());
+        for some in self.by_state.chunk_by(|a, b| key(a) == key(b)) {
+            left -= some.len();
+            let to = if left == 0 { 1.0 } else { (from + share(sum(some), whole)).min(1.0) };
             let t = [from, to];
-            match state {
+            let most = some.iter().skip(1).fold(&some[0], |most, s| if s.1[1] > most.1[1] { s } else { most });
+            match most.0 {
                 SampleState::Seen => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
                 SampleState::Hidden(reason, slot) => {
                     let by = slot.and_then(|slot| frame.occluder(slot));
-                    hidden.push(HiddenInterval { t, reason: *reason, by });
+                    hidden.push(HiddenInterval { t, reason, by });
                 }
             }
             from = to;

@@ -1,13 +1,14 @@
 //! What may hide something in a direction: polygons by tiles of a cube around the sensor, found once for all features.
 //!
-//! Tiles are pyramids with their apex at the sensor. The index is asked for what is in a large one; where that holds more
-//! than a few polygons and is asked for often it is quartered, each part taking over those that cover one of its rays. Where a polygon
-//! covers all of a tile, what is behind it there hides nothing that it does not hide itself: only features that lie on it
-//! look at what is behind.
+//! Tiles are pyramids with their apex at the sensor. The index is asked once for what is in one, and samples of all features look
+//! through that: first those polygons go that are beside or behind all samples of a feature in the tile, then each sample is held to
+//! the few that are left. Where a polygon covers all of a tile, what is behind it there hides nothing that it does not hide itself:
+//! only features that lie on it look at what is behind.
 
 use super::VisibilityContext;
 use super::polygon::{Faces, PreparedPolygon};
 use super::worker::FeatureSurface;
+use crate::geometry::Aabb;
 use crate::index::{QueryResult, Region};
 use glam::DVec3;
 use std::collections::HashMap;
@@ -21,15 +22,9 @@ const MAX_ACROSS: f64 = 16_384.0;
 const SLACK: f64 = 1e-9;
 /// How much farther than needed polygons are asked for, so that the next feature need not ask again.
 const FARTHER: f64 = 1.25;
-/// A tile of more polygons may be quartered ..
-const FEW: usize = 6;
-/// .. this often at most ..
-const MOST_LEVELS: u32 = 4;
-/// .. when it was asked for so often: earlier it cost more than it saved (benches/features.rs).
-const OFTEN: u32 = 256;
 /// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
 const BEHIND: f64 = 1e-6;
-/// No tile.
+/// No polygon.
 const NONE: u32 = u32::MAX;
 
 /// A polygon that covers a ray of the tile. What most are passed over by stands beside its number.
@@ -85,9 +80,9 @@ impl Bounds {
 
 /// Tiles of the cube [-1, 1]^3 around the sensor, image axes: what lies between two places in a tile lies in it.
 pub(super) struct Tiles {
-    /// Large tiles along a side.
+    /// Along a side.
     across: f64,
-    roots: HashMap<u32, u32>,
+    numbers: HashMap<u32, u32>,
     tiles: Vec<Tile>,
     found: QueryResult,
 }
@@ -113,11 +108,6 @@ impl Square {
         [x - u[0] * z, u[1] * z - x, y - v[0] * z, v[1] * z - y]
     }
 
-    /// True of places in its pyramid.
-    pub fn holds(&self, at: DVec3) -> bool {
-        self.sides(at).iter().all(|s| *s >= 0.0)
-    }
-
     /// The share of the way from `p`, which is in the pyramid but for rounding, to `q` at which it is left; 1 if it is not.
     pub fn left_at(&self, p: DVec3, q: DVec3) -> f64 {
         let ways = self.sides(p).into_iter().zip(self.sides(q)).filter(|(_, g)| *g < 0.0);
@@ -135,36 +125,14 @@ impl Square {
             ray
         })
     }
-
-    /// The part of it that a place is in, by number.
-    fn quarter_of(&self, at: DVec3) -> u32 {
-        let [x, y, z] = self.coordinates(at);
-        let beyond = |bounds: [f64; 2], x: f64| u32::from(x >= 0.5 * (bounds[0] + bounds[1]) * z);
-        beyond(self.bounds[0], x) + 2 * beyond(self.bounds[1], y)
-    }
-
-    fn quarter(&self, number: u32) -> Self {
-        let half = |[low, high]: [f64; 2], upper: bool| {
-            let middle = 0.5 * (low + high);
-            if upper { [middle, high] } else { [low, middle] }
-        };
-        let bounds = [half(self.bounds[0], number % 2 == 1), half(self.bounds[1], number / 2 == 1)];
-        Self { bounds, ..*self }
-    }
 }
 
 /// Polygons in a tile, up to a range in metres.
 struct Tile {
     square: Square,
-    level: u32,
-    parent: u32,
-    /// The first of four.
-    parts: u32,
     radius: f64,
-    /// How often it was asked for.
-    asked: u32,
     candidates: Vec<TilePolygon>,
-    /// The polygon that covers all of it, and what was a candidate of the tile around but is behind that one.
+    /// The polygon that covers all of it, and what is behind that one.
     cover: u32,
     behind: Vec<TilePolygon>,
     /// Greatest product of those behind with a corner.
@@ -172,26 +140,12 @@ struct Tile {
 }
 
 impl Tile {
-    fn is_worth_quartering(&self) -> bool {
-        self.candidates.len() > FEW && self.level < MOST_LEVELS && self.asked >= OFTEN
-    }
-
     /// A tile of some polygons, of which it takes those that cover a ray of it.
     fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = TilePolygon>) -> Self {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
-        let mut tile = Self {
-            square,
-            level: 0,
-            parent: NONE,
-            parts: NONE,
-            radius,
-            asked: 0,
-            candidates: Vec::new(),
-            cover: NONE,
-            behind: Vec::new(),
-            most_behind: 0.0,
-        };
+        let mut tile =
+            Self { square, radius, candidates: Vec::new(), cover: NONE, behind: Vec::new(), most_behind: 0.0 };
         let mut nearest: Option<(f64, [f64; 4], u32)> = None;
         for candidate in some.filter(|c| c.bounds.meets(&bounds)) {
             let known = &faces.known[candidate.face as usize];
@@ -238,10 +192,10 @@ impl Tiles {
     /// For a sensor whose neighbouring rays are about that far apart, radians.
     pub fn new(pixel_angle: f64) -> Self {
         let across = (2.0 / (PIXELS * pixel_angle)).ceil().clamp(1.0, MAX_ACROSS);
-        Self { across, roots: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
+        Self { across, numbers: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
     }
 
-    /// The large tile of a place that is not the sensor's: its number, and where it is.
+    /// The tile of a place that is not the sensor's: its number, and where it is.
     #[inline]
     pub fn of(&self, at: DVec3) -> (u32, Square) {
         let size = at.abs();
@@ -256,82 +210,44 @@ impl Tiles {
         ((side * across + numbers[0]) * across + numbers[1], square)
     }
 
-    /// True if the index need not be asked for what is in a large tile.
+    /// True if the index need not be asked for what is in a tile.
     pub fn knows(&self, number: u32, farthest: f64) -> bool {
-        self.roots.get(&number).is_some_and(|root| self.tiles[*root as usize].radius >= farthest)
+        self.numbers.get(&number).is_some_and(|tile| self.tiles[*tile as usize].radius >= farthest)
     }
 
-    /// The smallest tile of a place, with what may hide something in its large tile up to a range in metres at least.
-    pub fn leaf(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
+    /// The tile of a place, with what may hide something in it up to a range in metres at least.
+    pub fn tile(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
         let (number, square) = self.of(at);
         if !self.knows(number, farthest) {
             let tile = self.find(frame, faces, square, FARTHER * farthest);
-            self.roots.insert(number, self.tiles.len() as u32);
+            self.numbers.insert(number, self.tiles.len() as u32);
             self.tiles.push(tile);
         }
-        let mut leaf = self.roots[&number];
-        loop {
-            let tile = &mut self.tiles[leaf as usize];
-            if tile.parts == NONE {
-                tile.asked += 1;
-                if !tile.is_worth_quartering() {
-                    return leaf;
-                }
-                self.quarter(faces, leaf);
-            }
-            let tile = &self.tiles[leaf as usize];
-            leaf = tile.parts + tile.square.quarter_of(at);
-        }
+        self.numbers[&number]
     }
 
-    /// True if a smallest tile is also that of another place, and known as far as that.
-    pub fn is_leaf_of(&mut self, leaf: u32, at: DVec3, range: f64) -> bool {
-        let tile = &mut self.tiles[leaf as usize];
-        let holds = tile.square.holds(at) && tile.radius >= range && !tile.is_worth_quartering();
-        tile.asked += u32::from(holds);
-        holds
-    }
-
-    /// Where a tile is.
-    pub fn square(&self, tile: u32) -> &Square {
-        &self.tiles[tile as usize].square
-    }
-
-    /// Polygons that may hide what lies between some places of a smallest tile: those that are nearer than one of them, meet
-    /// the box around them, and are not the feature's own.
+    /// Polygons, by number among the faces, that may hide something at some places of a tile, or between them: those that meet
+    /// the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
+    /// feature's own.
     pub fn between<'s>(
         &'s self,
-        leaf: u32,
-        places: &'s [DVec3],
+        tile: u32,
+        places: &[DVec3],
         own: &'s FeatureSurface<'_>,
         faces: &'s Faces,
-    ) -> impl Iterator<Item = &'s PreparedPolygon> + use<'s> {
-        let around = std::iter::successors(Some(leaf), |tile| {
-            let parent = self.tiles[*tile as usize].parent;
-            (parent != NONE).then_some(parent)
-        });
-        let leaf = &self.tiles[leaf as usize];
-        let bounds = Bounds::of(places, &leaf.square);
-        let reach = places.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
-        let behind = around
-            .map(|tile| &self.tiles[tile as usize])
-            .filter(move |tile| reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot));
-        let all = leaf.candidates.iter().chain(behind.flat_map(|tile| &tile.behind));
-        all.filter(move |c| c.bounds.meets(&bounds) && places.iter().any(|p| c.inverse.dot(*p) > 1.0))
-            .map(|c| &faces.known[c.face as usize])
-            .filter(|known| !own.holds(known.slot))
-    }
-
-    fn quarter(&mut self, faces: &Faces, whole: u32) {
-        let first = self.tiles.len() as u32;
-        for number in 0..4 {
-            let tile = &self.tiles[whole as usize];
-            let some = tile.candidates.iter().copied();
-            let part = Tile::new(tile.square.quarter(number), tile.radius, faces, some);
-            let part = Tile { level: tile.level + 1, parent: whole, ..part };
-            self.tiles.push(part);
-        }
-        self.tiles[whole as usize].parts = first;
+    ) -> impl Iterator<Item = u32> + use<'s> {
+        let tile = &self.tiles[tile as usize];
+        let bounds = Bounds::of(places, &tile.square);
+        let Aabb { min, max } = Aabb::of(places.iter().copied());
+        let reach = min.abs().max(max.abs()).max_element();
+        let look_behind =
+            tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot);
+        let behind = if look_behind { tile.behind.as_slice() } else { &[] };
+        let greatest = move |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
+        let all = tile.candidates.iter().chain(behind);
+        all.filter(move |c| c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0)
+            .map(|c| c.face)
+            .filter(|face| !own.holds(faces.known[*face as usize].slot))
     }
 
     fn find(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
@@ -359,7 +275,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// What is between two places in a tile is in the tile's pyramid, and so are both; so it is with its quarters.
+        /// What is between two places in a tile is in the tile's pyramid, and so are both.
         #[test]
         fn tiles_are_convex(
             a in proptest::array::uniform3(-1.0..1.0f64),
@@ -370,21 +286,14 @@ mod tests {
             let tiles = Tiles::new(angle);
             let (a, b) = (DVec3::from(a), 3.0 * (DVec3::from(a) + angle * DVec3::from(near)));
             prop_assume!(a.length() > 0.1 && tiles.of(a).0 == tiles.of(b).0);
-            let mut square = tiles.of(a).1;
-            for _ in 0..=MOST_LEVELS {
-                let corners = square.corners();
-                let middle: DVec3 = corners.iter().sum();
-                for k in 0..4 {
-                    let normal = corners[k].cross(corners[(k + 1) % 4]);
-                    let inward = normal.dot(middle).signum() * normal.normalize();
-                    for p in [a, b, a.lerp(b, share)] {
-                        prop_assert!(inward.dot(p) >= 0.0, "{inward} {p}");
-                    }
+            let corners = tiles.of(a).1.corners();
+            let middle: DVec3 = corners.iter().sum();
+            for k in 0..4 {
+                let normal = corners[k].cross(corners[(k + 1) % 4]);
+                let inward = normal.dot(middle).signum() * normal.normalize();
+                for p in [a, b, a.lerp(b, share)] {
+                    prop_assert!(inward.dot(p) >= 0.0, "{inward} {p}");
                 }
-                if square.quarter_of(a) != square.quarter_of(b) {
-                    break;
-                }
-                square = square.quarter(square.quarter_of(a));
             }
         }
 
@@ -400,7 +309,7 @@ mod tests {
             let tiles = Tiles::new(angle);
             let square = tiles.of(a).1;
             let share = square.left_at(a, b);
-            prop_assert!((share == 1.0) == square.holds(b));
+            prop_assert!((share == 1.0) == square.sides(b).iter().all(|s| *s >= 0.0));
             let most = square.sides(a.lerp(b, share)).into_iter().fold(f64::INFINITY, f64::min);
             prop_assert!(most >= -1e-12 && (share == 1.0 || most <= 1e-12), "{share} {most}");
         }
@@ -420,7 +329,7 @@ mod tests {
                     middle[(axis + 1) % 3] = at(number / across);
                     middle[(axis + 2) % 3] = at(number % across);
                     let (number, square) = tiles.of(middle);
-                    assert!(square.holds(middle));
+                    assert!(square.sides(middle).iter().all(|s| *s >= 0.0));
                     assert!(seen.insert(number));
                 }
             }

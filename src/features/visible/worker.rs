@@ -2,17 +2,17 @@
 
 use super::area::Span;
 use super::polygon::Faces;
+use super::straight::BLOCKS_APART;
 use super::tally::{SampleState, Tally, share};
 use super::tiles::Tiles;
 use super::undecided::{Line, UndecidedSample, hide_along};
 use super::{Visibility, VisibilityContext};
 use crate::environment::{Appearance, FeatureShape};
 use crate::features::sample::{Piece, Sample};
-use crate::features::{FeatureStats, PlacedFeature, Reason, SeenFeature};
+use crate::features::{FeatureStats, Hidden, HiddenInterval, PlacedFeature, Reason, SeenFeature};
 use crate::geometry::plane_of_polygon;
 use crate::index::{QueryResult, Region};
 use glam::{DMat3, DVec2, DVec3};
-use std::collections::HashMap;
 use std::ops::Range;
 
 /// How many ids are kept in mind while pixels are looked through.
@@ -54,7 +54,8 @@ impl FeatureSurface<'_> {
 }
 
 pub(super) struct FeatureResult {
-    pub seen: SeenFeature,
+    /// `None` if nothing is seen, and only what is seen is asked for.
+    pub seen: Option<SeenFeature>,
     pub stats: FeatureStats,
     pub pixels: Vec<u32>,
 }
@@ -138,7 +139,18 @@ impl<'a> Worker<'a> {
             }
             tally
         });
-        let (visible, hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        self.stats.asked = 1;
+        match frame.options.hidden {
+            Hidden::Count if visible.is_empty() => {
+                return FeatureResult { seen: None, stats: self.stats, pixels: Vec::new() };
+            }
+            Hidden::Reason if visible.is_empty() => {
+                let last = hidden.iter().map(|h| h.reason).max();
+                hidden = last.map(|reason| HiddenInterval { t: [0.0, 1.0], reason, by: None }).into_iter().collect();
+            }
+            _ => {}
+        }
         let world_from_object = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
         let in_world = |p: &DVec3| world_from_object.map_or(*p, |pose| pose.transform_point(*p));
         let seen = SeenFeature {
@@ -159,7 +171,7 @@ impl<'a> Worker<'a> {
             roi_flag: None,
             image_covariance: None,
         };
-        FeatureResult { seen, stats: self.stats, pixels: tally.pixels }
+        FeatureResult { seen: Some(seen), stats: self.stats, pixels: tally.pixels }
     }
 
     /// What is known of a feature, and its points in the image frame.
@@ -296,7 +308,7 @@ impl<'a> Worker<'a> {
         told: Option<&[Option<u32>]>,
     ) {
         if self.frame.options.visibility == Visibility::Rays {
-            return self.by_rays(own, 0..self.open.len());
+            return (0..self.open.len()).for_each(|i| self.by_ray(i, own));
         }
         let line = match shape {
             FeatureShape::Segment { .. } => Some(Line { a: points[0], d: points[1] - points[0] }),
@@ -340,7 +352,13 @@ impl<'a> Worker<'a> {
         self.begin();
         match told {
             Some(told) => self.take_told(told, own),
-            None => (0..self.open.len()).for_each(|i| self.gather(self.pixel_of(i), own)),
+            None => {
+                let apart = (BLOCKS_APART / self.frame.options.step) as usize;
+                (0..self.open.len()).step_by(apart.max(1)).for_each(|i| self.gather(self.pixel_of(i), own));
+                if let Some(last) = self.open.len().checked_sub(1) {
+                    self.gather(self.pixel_of(last), own);
+                }
+            }
         }
         for face in &self.near {
             let known = &self.faces.known[*face as usize];
@@ -471,66 +489,56 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// Whatever has a point between the sensor and a part of a segment, by one query of the index for all of it.
+    /// Whatever may hide samples of a segment, tile by tile.
     fn space_along(&mut self, line: Line, left: Range<usize>, own: &FeatureSurface<'_>) {
-        let ends = [self.open[left.start].at, self.open[left.end - 1].at];
-        let farthest = self.open[left.clone()].iter().map(|o| o.range).fold(0.0, f64::max);
-        if left.len() < 3 || !self.query_triangle(ends, farthest, own) {
-            return self.by_rays(own, left);
+        let mut near = std::mem::take(&mut self.near);
+        let mut start = left.start;
+        while start < left.end {
+            let number = self.tiles.of(self.open[start].at).0;
+            let more = self.open[start..left.end].iter().position(|o| self.tiles.of(o.at).0 != number);
+            let end = more.map_or(left.end, |more| start + more);
+            let some = &mut self.open[start..end];
+            if some.iter().any(|o| o.by.is_none()) {
+                let farthest = some.iter().map(|o| o.range).fold(0.0, f64::max);
+                let ends = [some[0].at, some[some.len() - 1].at];
+                let tile = self.tiles.tile(self.frame, &mut self.faces, ends[0], farthest);
+                near.clear();
+                near.extend(self.tiles.between(tile, &ends, own, &self.faces));
+                for face in &near {
+                    let known = &self.faces.known[*face as usize];
+                    hide_along(known, self.faces.planes_of(known), line, some, own.rounding);
+                }
+            }
+            start = end;
         }
-        for face in &self.near {
-            let known = &self.faces.known[*face as usize];
-            hide_along(known, self.faces.planes_of(known), line, &mut self.open[left.clone()], own.rounding);
-        }
+        self.near = near;
     }
 
-    /// Fills `near` with all polygons that may have a point in the triangle of the sensor and two places; false if it has no
-    /// area.
-    fn query_triangle(&mut self, [a, b]: [DVec3; 2], farthest: f64, own: &FeatureSurface<'_>) -> bool {
-        /// Below this angle the plane of the sensor and the segment is not known well enough.
-        const LEAST_SINE: f64 = 1e-6;
-        let normal = a.cross(b);
-        if !(normal.length() > LEAST_SINE * a.length() * b.length()) {
-            return false;
-        }
-        let normal = normal.normalize();
-        let planes = [normal, -normal, normal.cross(a).normalize(), b.cross(normal).normalize()];
-        let frame = self.frame;
-        let planes = planes.map(|plane| frame.image_from_world.transpose() * plane);
-        self.begin();
-        let region = Region::frustum(frame.world_from_sensor.translation, &planes, farthest * (1.0 + 1e-9));
-        self.gather_from(&region, own);
-        true
-    }
-
-    /// Whatever may hide samples of a point or a patch, one by one: by tiles, unless these would serve very few.
+    /// Whatever may hide samples of a point or a patch: by tiles, unless these would serve very few.
     pub(super) fn space_at_samples(&mut self, left: Range<usize>, own: &FeatureSurface<'_>) {
         const VERY_FEW: usize = 9;
-        let mut farthest: HashMap<u32, f64> = HashMap::new();
-        for open in self.open[left.clone()].iter().filter(|o| o.by.is_none()) {
-            let at = farthest.entry(self.tiles.of(open.at).0).or_insert(0.0);
-            *at = open.range.max(*at);
-        }
-        if left.len() < VERY_FEW && !farthest.iter().all(|(tile, farthest)| self.tiles.knows(*tile, *farthest)) {
-            return self.by_rays(own, left);
-        }
-        let mut leaf = None;
-        for i in left {
-            let open = &mut self.open[i];
-            if open.by.is_some() {
+        let open = |i: &usize| self.open[*i].by.is_none();
+        let mut by_tile: Vec<(u32, usize)> = left.filter(open).map(|i| (self.tiles.of(self.open[i].at).0, i)).collect();
+        by_tile.sort_unstable();
+        let (mut near, mut places) = (std::mem::take(&mut self.near), Vec::new());
+        for some in by_tile.chunk_by(|a, b| a.0 == b.0) {
+            places.clear();
+            places.extend(some.iter().map(|(_, i)| self.open[*i].at));
+            let farthest = some.iter().map(|(_, i)| self.open[*i].range).fold(0.0, f64::max);
+            if by_tile.len() < VERY_FEW && !self.tiles.knows(some[0].0, farthest) {
+                some.iter().for_each(|(_, i)| self.by_ray(*i, own));
                 continue;
             }
-            let known = leaf.filter(|leaf| self.tiles.is_leaf_of(*leaf, open.at, open.range));
-            let here = known.unwrap_or_else(|| {
-                let farthest = farthest[&self.tiles.of(open.at).0];
-                self.tiles.leaf(self.frame, &mut self.faces, open.at, farthest)
-            });
-            leaf = Some(here);
-            let at = [open.at];
-            for known in self.tiles.between(here, &at, own, &self.faces) {
-                open.hide_by(known, &self.faces, own.rounding);
+            let tile = self.tiles.tile(self.frame, &mut self.faces, places[0], farthest);
+            near.clear();
+            near.extend(self.tiles.between(tile, &places, own, &self.faces));
+            for (_, i) in some {
+                for face in &near {
+                    self.open[*i].hide_by(&self.faces.known[*face as usize], &self.faces, own.rounding);
+                }
             }
         }
+        self.near = near;
     }
 
     /// Fills `near` with the polygons in a region that may hide what is asked for.
@@ -545,19 +553,14 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// A ray from the sensor to every sample that nothing hides yet, through the index.
-    fn by_rays(&mut self, own: &FeatureSurface<'_>, some: Range<usize>) {
+    /// A ray from the sensor to a sample, through the index.
+    fn by_ray(&mut self, i: usize, own: &FeatureSurface<'_>) {
         let frame = self.frame;
-        for i in some {
-            let UndecidedSample { at, range, by, .. } = self.open[i];
-            if by.is_some() {
-                continue;
-            }
-            self.begin();
-            let direction = frame.image_from_world.transpose() * (at / range);
-            let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
-            self.gather_from(&region, own);
-            self.hide_sample(i, own);
-        }
+        let UndecidedSample { at, range, .. } = self.open[i];
+        self.begin();
+        let direction = frame.image_from_world.transpose() * (at / range);
+        let region = Region::ray(frame.world_from_sensor.translation, direction, range * (1.0 + 1e-9));
+        self.gather_from(&region, own);
+        self.hide_sample(i, own);
     }
 }

@@ -99,7 +99,9 @@ impl RoiPlan {
             _ => None,
         };
         let mut room = BoxScratch::default();
-        for (i, (seen, placed)) in prediction.features.iter_mut().zip(placed).enumerate() {
+        for i in 0..prediction.features.len() {
+            let placed = &placed[prediction.given_at(i)];
+            let seen = &mut prediction.features[i];
             // What is not seen is not looked for.
             if seen.visible.is_empty() {
                 continue;

@@ -160,7 +160,9 @@ impl Case {
         let turn = self.sensor.columns_of_a_turn().unwrap_or(0.0);
         let holds = |reach: &Reach| {
             let Some(r) = reach else { return false };
-            let across = |shift: f64| r[0] + shift >= bounds[0] - 1e-9 && r[2] + shift <= bounds[2] + 1e-9;
+            let all_around = turn > 0.0 && bounds[2] - bounds[0] >= turn - 1e-9;
+            let across =
+                |shift: f64| all_around || r[0] + shift >= bounds[0] - 1e-9 && r[2] + shift <= bounds[2] + 1e-9;
             flag == "whole_image"
                 || r[0] > r[2]
                 || [-turn, 0.0, turn].into_iter().any(across) && r[1] >= bounds[1] - 1e-9 && r[3] <= bounds[3] + 1e-9

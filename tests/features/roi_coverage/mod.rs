@@ -130,6 +130,33 @@ fn extreme_boxes_hold_as_often_as_they_say() {
     );
 }
 
+/// Edges 2, 8 and 20 degrees off the pole, level and slanting, which errors may bring to its other side: the box then goes all
+/// around, and to the pole.
+#[test]
+fn edges_beside_a_pole_are_held() {
+    let mut cases = Vec::new();
+    for degrees in [2.0f64, 8.0, 20.0] {
+        let off = 3.0 * degrees.to_radians().tan();
+        let level = segment(DVec3::new(off, -0.4, 3.0), DVec3::new(off, 0.5, 3.0), 0.01);
+        let slanting = segment(DVec3::new(off, 0.3, 2.4), DVec3::new(off, -0.4, 3.3), 0.01);
+        for (name, shape, sign) in
+            [("level", level, 1.0), ("slanting", slanting.clone(), 1.0), ("below", slanting, -1.0)]
+        {
+            let shape = match shape {
+                FeatureShape::Segment { ends, covariances, cross } => {
+                    let ends = ends.map(|p| DVec3::new(p.x, p.y, sign * p.z));
+                    FeatureShape::Segment { ends, covariances, cross }
+                }
+                other => other,
+            };
+            let covariance = diagonal([0.05, 0.05, 0.02, 0.02, 0.02, 5f64.to_radians()]);
+            let [_, case] = both(&format!("{name}, {degrees} degrees off the pole"), covariance, shape, None);
+            cases.push(case);
+        }
+    }
+    assert_all(&cases);
+}
+
 /// Round the pole columns say little or nothing, but rows do: only those are taken that the point may come to.
 #[test]
 fn at_a_pole_few_rows_are_taken() {

@@ -8,8 +8,10 @@
 #![allow(clippy::print_stderr)] // What agrees is worth reading.
 
 use presight_testkit as common;
+mod counted;
 mod occluders;
 mod patches;
+mod thin;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, scenes};

@@ -9,7 +9,7 @@ use presight::features::{BoxOptions, Piece, PlacedFeature, Sampler, add_boxes};
 use presight::{Angles, Environment, Geometry, Pose, Scanner, Sensor, SensorSpec, World};
 
 /// The same places as patches (the polygons) and points (their corners).
-fn patches_and_points(environment: &Environment, random: &mut Random) -> Vec<PlacedFeature> {
+pub(super) fn patches_and_points(environment: &Environment, random: &mut Random) -> Vec<PlacedFeature> {
     let mut all = Vec::new();
     for _ in 0..40 {
         let slot = random.below(environment.slot_count() as usize) as u32;

@@ -4,7 +4,7 @@ use super::{INSIDE, OUTSIDE, cube, sensors, ways, world};
 use glam::{DMat3, DVec3};
 use presight::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{FeatureOptions, Reason, SeenFeature, Visibility, place};
+use presight::features::{FeatureOptions, Hidden, Reason, SeenFeature, Visibility, place};
 use presight::{Backend, NewObject, Options, Pose, Predictor, Request, World};
 
 /// Points on the walls at x = 2 and x = 3, off the middle so that no pixel's ray meets them by chance; a patch on either.
@@ -31,6 +31,7 @@ fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visib
     let (camera, _) = sensors().swap_remove(0);
     let pose = Pose { translation: from, ..Pose::IDENTITY };
     let options = FeatureOptions::default().with_visibility(visibility).with_placed(place(world, &layer()).unwrap());
+    let options = options.with_hidden(Hidden::Full);
     let request = Request::default().with_features(options);
     predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap().features
 }

@@ -10,8 +10,8 @@ use super::{PathNotes, Row, how, regions};
 use glam::DVec3;
 use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{
-    FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, PlacedFeatures, STEP, SeenFeature, Visibility,
-    place, predict_features,
+    FeatureOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, STEP, SeenFeature,
+    Visibility, place, predict_features,
 };
 use presight::geometry::{Aabb, Pose};
 use presight::plan::Stats;
@@ -146,6 +146,7 @@ impl FeaturePath {
         let (world, pose) = (&one.scene.world, case.pose);
         let predictor = one.engines.predictor(self.which)?;
         let options = FeatureOptions::default().with_visibility(self.visibility).with_step(self.step);
+        let options = options.with_hidden(Hidden::Full);
         let request = Request::default().with_features(options.with_placed(case.placed.clone()));
         match &mut self.found {
             Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,

@@ -1,0 +1,171 @@
+//! Which features may be seen: those with a point in view that no single polygon hides as a whole.
+//!
+//! Boxes of many features are tested first, from the root of their tree down. What hides a box or a feature is looked for where
+//! the image shows its middle: the polygon there hides it if all of its corners are in the polygon's cone and behind its
+//! plane, by the same bounds as samples. Of a feature the rest is then looked at in the same way, until all of it is hidden, or
+//! the image shows nothing there that could hide it. The image only proposes, so that no feature is left out of which a sample
+//! is seen.
+
+use super::VisibilityContext;
+use super::polygon::{Faces, PreparedPolygon};
+use crate::features::PlacedFeature;
+use crate::features::place::clip;
+use crate::features::tree::{FeatureTree, Group, Node};
+use crate::features::view::View;
+use glam::{DMat3, DVec3};
+
+/// By this part of its size something has to be inside a cone: samples on it may be off by rounding.
+const INSIDE: f64 = 1e-12;
+
+/// Parts of a feature that are looked at, at most.
+const MOST_PARTS: usize = 24;
+
+/// Numbers of the features that may be seen, rising.
+pub(super) fn select(frame: &VisibilityContext<'_>, tree: &FeatureTree, placed: &[PlacedFeature]) -> Vec<u32> {
+    let view = View::new(frame.sensor);
+    let (faces, points, some) = (Faces::new(frame), Vec::new(), Vec::new());
+    let mut selection = Selection { frame, tree, placed, view, faces, points, some };
+    tree.groups.iter().for_each(|group| selection.group(group));
+    let mut some = selection.some;
+    some.sort_unstable();
+    some
+}
+
+struct Selection<'s, 'a> {
+    frame: &'s VisibilityContext<'a>,
+    tree: &'s FeatureTree,
+    placed: &'s [PlacedFeature],
+    view: View,
+    faces: Faces,
+    points: Vec<DVec3>,
+    some: Vec<u32>,
+}
+
+impl Selection<'_, '_> {
+    fn group(&mut self, group: &Group) {
+        let tree = self.tree;
+        let (image_from_object, shift) = self.frame.image_from(group.object);
+        let mut nodes = vec![group.root];
+        while let Some(number) = nodes.pop() {
+            let node = &tree.nodes[number as usize];
+            if self.is_out(node, group, image_from_object, shift) {
+                continue;
+            }
+            match node.second {
+                Some(second) => nodes.extend([second, number + 1]),
+                None => node.some.clone().for_each(|at| {
+                    let feature = tree.order[at as usize];
+                    if !self.is_hidden(&self.placed[feature as usize], image_from_object, shift) {
+                        self.some.push(feature);
+                    }
+                }),
+            }
+        }
+    }
+
+    /// True if nothing of a box is in view, or one polygon hides all of it.
+    fn is_out(&mut self, node: &Node, group: &Group, image_from_object: DMat3, shift: DVec3) -> bool {
+        let reach = node.bounds.min.abs().max(node.bounds.max.abs()).length();
+        let rounding = self.frame.rounding(reach, group.object);
+        let [middle, half] = node.middle(rounding);
+        let middle = image_from_object * middle + shift;
+        let axes = [0, 1, 2].map(|k| image_from_object.col(k) * half[k]);
+        if !self.view.meets(middle, &axes) {
+            return true;
+        }
+        let Some(face) = self.face_at(middle) else { return false };
+        let known = &self.faces.known[face];
+        hides_box(known, self.faces.planes_of(known), middle, &axes, rounding)
+            && !self.tree.carries(known.slot, &node.some)
+    }
+
+    /// True if nothing of a feature is in view, or one polygon that it does not lie on hides all of it.
+    fn is_hidden(&mut self, placed: &PlacedFeature, image_from_object: DMat3, shift: DVec3) -> bool {
+        let points = placed.feature.shape.points();
+        self.points.clear();
+        self.points.extend(points.iter().map(|p| image_from_object * *p + shift));
+        let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
+        let rounding = self.frame.rounding(reach, placed.object);
+        let (low, high) =
+            self.points.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
+        let half = 0.5 * (high - low) + rounding;
+        let (middle, axes) = (0.5 * (low + high), [DVec3::X * half.x, DVec3::Y * half.y, DVec3::Z * half.z]);
+        if !self.view.meets(middle, &axes) {
+            return true;
+        }
+        if self.hides_whole(middle, placed, rounding) {
+            return true;
+        }
+        self.is_hidden_in_parts(placed, rounding)
+    }
+
+    /// True if the polygon that the image shows in the middle of the points hides all of them.
+    fn hides_whole(&mut self, middle: DVec3, placed: &PlacedFeature, rounding: f64) -> bool {
+        let Some(face) = self.face_at(middle) else { return false };
+        let known = &self.faces.known[face];
+        !placed.slots.contains(&known.slot) && hides_points(known, self.faces.planes_of(known), &self.points, rounding)
+    }
+
+    /// True if polygons that the image shows in front of parts of the hull of the points hide all of it together.
+    fn is_hidden_in_parts(&mut self, placed: &PlacedFeature, rounding: f64) -> bool {
+        let mut rest = vec![self.points.clone()];
+        for _ in 0..MOST_PARTS {
+            let Some(part) = rest.pop() else { return true };
+            let middle = part.iter().sum::<DVec3>() / part.len() as f64;
+            let Some(face) = self.face_at(middle) else { return false };
+            let known = &self.faces.known[face];
+            if placed.slots.contains(&known.slot) {
+                return false;
+            }
+            let far = part.iter().map(|p| p.length()).fold(0.0, f64::max);
+            let mut inside = part;
+            for e in self.faces.planes_of(known) {
+                let beyond = INSIDE * far * e.length();
+                let out = clip(&inside, |p| -e.dot(*p));
+                if out.iter().any(|p| e.dot(*p) < -beyond) {
+                    rest.push(out);
+                }
+                inside = clip(&inside, |p| e.dot(*p));
+            }
+            let least = inside.iter().map(|p| known.inverse.dot(*p)).fold(f64::INFINITY, f64::min);
+            if inside.is_empty() || !known.hides_all(least, far, rounding) {
+                return false;
+            }
+        }
+        false
+    }
+
+    /// The polygon that the image shows in a direction, by its number among the faces, if it covers rays.
+    fn face_at(&mut self, at: DVec3) -> Option<usize> {
+        let frame = self.frame;
+        let (u, v) = frame.sensor.project(at)?;
+        let (w, h) = (frame.images.width, frame.images.height);
+        let within = |x: f64, n: u32| x >= -0.5 && x <= f64::from(n) - 0.5;
+        if !within(v, h) || !(frame.sampler.turn().is_some() || within(u, w)) {
+            return None;
+        }
+        let (column, row) = frame.sampler.nearest_pixel((u, v).into());
+        let id = frame.images.polygon_id[row as usize * w as usize + column as usize];
+        let slot = if id == 0 { None } else { frame.slot_of_id(id) };
+        self.faces.of_slot(frame, slot?).filter(|face| self.faces.known[*face].covers)
+    }
+}
+
+/// True if a polygon hides all of a box, given by its middle and half of its edges.
+fn hides_box(known: &PreparedPolygon, planes: &[DVec3], middle: DVec3, axes: &[DVec3; 3], rounding: f64) -> bool {
+    let reach = |n: DVec3| axes.iter().map(|a| n.dot(*a).abs()).sum::<f64>();
+    let far = middle.length() + axes.iter().map(|a| a.length()).sum::<f64>();
+    known.hides_all(known.inverse.dot(middle) - reach(known.inverse), far, rounding)
+        && planes.iter().all(|e| e.dot(middle) - reach(*e) > INSIDE * far * e.length())
+}
+
+/// True if a polygon hides the convex hull of some points.
+fn hides_points(known: &PreparedPolygon, planes: &[DVec3], points: &[DVec3], rounding: f64) -> bool {
+    let far = points.iter().map(|p| p.length()).fold(0.0, f64::max);
+    let least = points.iter().map(|p| known.inverse.dot(*p)).fold(f64::INFINITY, f64::min);
+    known.hides_all(least, far, rounding)
+        && planes.iter().all(|e| {
+            let least = points.iter().map(|p| e.dot(*p)).fold(f64::INFINITY, f64::min);
+            least > (INSIDE * far + rounding) * e.length()
+        })
+}

@@ -1,0 +1,132 @@
+//! Faces that are nearer to each other than a layer's tolerance, and polygons that a feature leans through.
+//!
+//! The truth of each scene is a plane's side: worked out beside it.
+
+use super::common::{plan, reference, scenes};
+use super::{FeatureSettings, PlacedFeature, predict_features};
+use glam::{DMat3, DVec3, Vec3};
+use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight::features::{Hidden, SeenFeature, Visibility, place};
+use presight::{NewObject, Pose, Sensor, World};
+use std::sync::Arc;
+
+/// A world of polygons, each an object.
+fn world(polygons: &[&[[f32; 3]]]) -> World {
+    let mut environment = scenes::empty();
+    for (i, polygon) in polygons.iter().enumerate() {
+        let mesh = scenes::mesh(&[polygon.iter().map(|p| Vec3::from(*p)).collect()]);
+        environment.insert(NewObject::new(format!("{i}"), Pose::IDENTITY, Arc::new(mesh))).unwrap();
+    }
+    World::new(environment)
+}
+
+fn try_place(world: &World, shape: FeatureShape) -> presight::Result<Vec<PlacedFeature>> {
+    let (existence, properties) = (Existence::default(), Properties::default());
+    let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
+    let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![feature], ..Default::default() };
+    place(world, &layer)
+}
+
+fn segment(ends: [[f64; 3]; 2]) -> FeatureShape {
+    FeatureShape::Segment { ends: ends.map(DVec3::from), covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO }
+}
+
+/// One feature in a world; images and rays say the same of it.
+fn see(world: &World, sensor: &Sensor, pose: &Pose, shape: FeatureShape) -> SeenFeature {
+    let placed = try_place(world, shape).unwrap();
+    let images = reference(&plan(world, sensor, pose));
+    let [image, rays] = [Visibility::Image, Visibility::Rays].map(|visibility| {
+        let options = FeatureSettings { visibility, hidden: Hidden::Full, ..FeatureSettings::default() };
+        predict_features(world, sensor, pose, &images, &placed, &options).unwrap().features.remove(0)
+    });
+    // Of large patches the image asks about other samples.
+    let near = if placed[0].feature.shape.is_area() { 0.02 } else { 1e-9 };
+    assert!((image.visible_fraction - rays.visible_fraction).abs() < near, "{image:?} {rays:?}");
+    image
+}
+
+fn both() -> [Sensor; 2] {
+    [scenes::camera(400, 300), scenes::scanner(1440, 361)]
+}
+
+/// A book's face at x = 3 with its upper edge at z = 0.2, from y = -0.5 to 0.5. A cover this far in front of it begins at y = 0, the height
+/// of the sensor's x-z plane, and reaches beyond the edge: what is to the left of y = 0 is hidden, whatever the gap.
+#[test]
+fn a_cover_hides_the_book_behind_it() {
+    for gap in [0.2e-3f32, 0.5e-3, 0.9e-3, 2e-3, 5e-3] {
+        let x = 3.0 - gap;
+        let world = world(&[
+            &[[3.0, -0.5, -0.5], [3.0, 0.5, -0.5], [3.0, 0.5, 0.2], [3.0, -0.5, 0.2]],
+            &[[x, 0.0, -0.6], [x, 0.7, -0.6], [x, 0.7, 0.6], [x, 0.0, 0.6]],
+        ]);
+        for sensor in both() {
+            let seen = see(&world, &sensor, &Pose::IDENTITY, segment([[3.0, -0.5, 0.2], [3.0, 0.5, 0.2]]));
+            let name = &sensor.spec().name;
+            assert!((seen.visible_fraction - 0.5).abs() < 0.01, "{name}, {gap}: {}", seen.visible_fraction);
+            assert!((seen.visible[0].t[1] - 0.5).abs() < 0.01, "{name}, {gap}: {:?}", seen.visible);
+            // The book's face as a patch: the same half of it.
+            let corners = [[3.0, -0.5, -0.5], [3.0, 0.5, -0.5], [3.0, 0.5, 0.2], [3.0, -0.5, 0.2]].map(DVec3::from);
+            let patch = FeatureShape::Patch { corners: corners.to_vec(), covariance: DMat3::ZERO };
+            let seen = see(&world, &sensor, &Pose::IDENTITY, patch);
+            assert!((seen.visible_fraction - 0.5).abs() < 0.02, "{name}, {gap}: {}", seen.visible_fraction);
+        }
+    }
+}
+
+/// A wall of sheet metal, both faces, and a box that touches it from behind: its upper edge on the wall is seen from behind, over
+/// the box, and not through the sheet.
+#[test]
+fn a_sheet_hides_what_touches_it_from_behind() {
+    for thickness in [0.1e-3f32, 0.5e-3, 1e-3, 2e-3, 5e-3] {
+        let back = 3.0 + thickness;
+        let face = |x: f32| [[x, -2.0, -2.0], [x, 2.0, -2.0], [x, 2.0, 2.0], [x, -2.0, 2.0]];
+        let top = [[back, -0.5, 0.0], [back, 0.5, 0.0], [3.5, 0.5, 0.0], [3.5, -0.5, 0.0]];
+        let world = world(&[&face(3.0), &face(back), &top]);
+        // As f32 has it: the edge lies on the box and on the wall's back within rounding.
+        let x = f64::from(back);
+        let edge = || segment([[x, -0.5, 0.0], [x, 0.5, 0.0]]);
+        for sensor in both() {
+            let name = &sensor.spec().name;
+            let front = see(&world, &sensor, &Pose::from_xyz_rpy(DVec3::Z * 0.3, 0.0, 0.0, 0.0), edge());
+            assert_eq!(front.visible_fraction, 0.0, "{name}, {thickness}");
+            assert_eq!(front.hidden[0].by.map(|by| by.object), Some(0), "{name}, {thickness}");
+            let turned = Pose::from_xyz_rpy(DVec3::new(5.0, 0.0, 0.3), 0.0, 0.0, std::f64::consts::PI);
+            assert_eq!(see(&world, &sensor, &turned, edge()).visible_fraction, 1.0, "{name}, {thickness}");
+        }
+    }
+}
+
+/// The lower edge of a face that leans through the floor (z = 0) in the middle: the half below the floor is hidden, however little it leans.
+#[test]
+fn the_floor_hides_what_leans_through_it() {
+    for degrees in [0.1f64, 0.5, 1.0, 3.0, 5.0, 10.0] {
+        let rise = 0.5 * degrees.to_radians().tan();
+        let low = rise as f32;
+        let world = world(&[
+            &[[0.5, -3.0, 0.0], [6.0, -3.0, 0.0], [6.0, 3.0, 0.0], [0.5, 3.0, 0.0]],
+            &[[2.0, -0.5, -low], [2.0, 0.5, low], [2.0, 0.5, 1.0], [2.0, -0.5, 1.0]],
+        ]);
+        let low = f64::from(low);
+        let pose = Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.4, 0.0);
+        for sensor in both() {
+            let name = &sensor.spec().name;
+            let seen = see(&world, &sensor, &pose, segment([[2.0, -0.5, -low], [2.0, 0.5, low]]));
+            let [visible] = &seen.visible[..] else { panic!("{name}, {degrees}: {:?}", seen.visible) };
+            assert!((visible.t[0] - 0.5).abs() < 0.01 && visible.t[1] == 1.0, "{name}, {degrees}: {visible:?}");
+        }
+    }
+}
+
+/// Two floors with a gap of 6 mm, and a ramp of 10 degrees that crosses their level in the middle of it: nowhere is the segment 1 mm off all
+/// polygons, but in the gap only the ramp is near, and that does not lie along it.
+#[test]
+fn a_refusal_does_not_say_that_less_is_off_than_is_allowed() {
+    let floor = |from: f32, to: f32| [[from, -1.0, 0.0], [to, -1.0, 0.0], [to, 1.0, 0.0], [from, 1.0, 0.0]];
+    let rise = 0.2 * 10f32.to_radians().tan();
+    let ramp = [[0.303, -1.0, -rise], [0.703, -1.0, rise], [0.703, 1.0, rise], [0.303, 1.0, -rise]];
+    let world = world(&[&floor(0.0, 0.5), &floor(0.506, 1.0), &ramp]);
+    let said = try_place(&world, segment([[0.1, 0.0, 0.0], [0.9, 0.0, 0.0]])).unwrap_err().to_string();
+    assert!(said.contains("lies on no polygon at") && said.contains("within 0.001 m only touch or cross it"), "{said}");
+    let said = try_place(&world, segment([[0.1, 0.0, 0.5], [0.9, 0.0, 0.5]])).unwrap_err().to_string();
+    assert!(said.contains("m off its polygons") && said.contains("0.001 m is allowed"), "{said}");
+}
