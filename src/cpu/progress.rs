@@ -74,7 +74,8 @@ impl<'a> FrameProgress<'a> {
         if waves > 1 {
             return;
         }
-        let stopped = self.bands.iter().any(|band| band.has_stopped);
+        // Of a wave that was not set up nothing is learnt either.
+        let stopped = self.bands.iter().any(|band| band.has_stopped) || self.wave.is_some_and(|(_, w)| w.polygons == 0);
         let (Some(watch), Some((begun, wave))) = (&self.plan.watch, &mut self.wave) else { return };
         let threads = rayon::current_num_threads().max(1) as u32;
         let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / threads;

@@ -121,9 +121,11 @@ impl Controller {
             self.learn(timed, Forecast::Access, &WorkCounts::default(), access);
             return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + images.upper));
         }
-        // Where nothing was learnt yet, half of the time is kept for the images at most.
-        let after = Duration::from_secs_f64(images.upper.min(1e6)) + MARGIN;
-        let after = if images.frames == 0 { after.min(left / 2) } else { after };
+        // Half of the time is kept for the images at most, unless they take longer on average: a slow frame that may come is no reason
+        // to give up all.
+        let seconds = |s: f64| Duration::from_secs_f64(s.min(1e6)) + MARGIN;
+        let mean = if images.frames == 0 { Duration::ZERO } else { seconds(1.25 * images.mean) };
+        let after = seconds(images.upper).min(mean.max(left / 2));
         let features = self.reserve(timed, left.saturating_sub(after));
         timed.watch.stop_after(timed.limit.saturating_sub(after + features));
         timed.counts = counts_of(&plan.runs);

@@ -194,6 +194,20 @@ fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().columns, None);
 }
 
+/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Kept free for that, nothing would be left of 3500 to
+/// draw in; half of it is.
+#[test]
+fn slow_frames_that_may_come_do_not_stop_all_others() {
+    let mut replay = Replay::new();
+    for k in 0..100 {
+        let images = if k % 20 == 0 { 10.0 * RECORDED.images } else { RECORDED.images };
+        replay.frame(1e9, 100 + 17 * (k % 19), Recorded { images, ..RECORDED }).unwrap();
+    }
+    let frame = replay.frame(3500.0, 300, RECORDED).unwrap();
+    assert!(frame.drawn >= 120, "{}", frame.drawn);
+    assert!(frame.took_us <= 3500.0, "{}", frame.took_us);
+}
+
 #[test]
 fn a_machine_that_gets_busy_is_planned_for_in_a_few_frames() {
     let mut replay = Replay::new();
