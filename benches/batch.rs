@@ -1,10 +1,11 @@
 //! Batches beside single predictions: `cargo bench --bench batch [-- FOLDER]`.
 //!
 //! - A real scan weighed at 360 headings of many places of its map, by pose; the panoramas are counted.
+//! - Peak memory after 1,000 poses and after 100,000 (Linux).
 //! - A sensed image weighed at free poses of two scenes (`PRESIGHT_POSES`, default 1000), by the batch and by single predictions
 //!   of range and cos_incidence with the weighing after each.
 //!
-//! Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`, default 2. With a FOLDER the poses are written there as
+//! `PRESIGHT_GPU=1` takes the GPU engine. Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`, default 2. With a FOLDER the poses are written there as
 //! SCENE.tum, for `benches/peers/batch.py`.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
@@ -34,7 +35,8 @@ fn world(name: &str) -> World {
 
 fn predictor() -> Predictor {
     let threads = number("PRESIGHT_THREADS", 2);
-    Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
+    let backend = if std::env::var_os("PRESIGHT_GPU").is_some() { Backend::Gpu } else { Backend::Cpu };
+    Predictor::new(Options::new(backend).with_threads(threads)).expect("an engine")
 }
 
 fn noisy(spec: &SensorSpec) -> Sensor {
@@ -128,7 +130,40 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     );
 }
 
+/// The most memory of this process so far, KiB.
+fn peak() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix(" kB")?.trim().parse().ok()
+}
+
+/// Images and weights of few poses, then of many: a batch may hold no more for these.
+fn memory() {
+    let world = world("env/factory_hall.glb");
+    let sensor = noisy(presight::preset("laser-scanner").expect("a preset").spec());
+    let place = free_poses(&world, 1, 1).expect("a free pose")[0];
+    let range = vec![2.0; 361];
+    let request = BatchRequest {
+        images: Some(Outputs::of(&[Output::Range]).into()),
+        likelihood: Some(RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a sound image")),
+        ..BatchRequest::default()
+    };
+    let mut predictor = predictor();
+    let mut run = |count: usize| {
+        let turned = |i: usize| place * Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, i as f64);
+        let batch = predictor.batch(&world, &sensor, (0..count).map(turned), &request).expect("a sound request");
+        assert_eq!(batch.map(|item| item.expect("a pose")).count(), count);
+        peak()
+    };
+    if let (Some(few), Some(many)) = (run(1_000), run(100_000)) {
+        println!(
+            "Peak memory: {few} KiB after 1,000 poses, {many} KiB after 100,000: {:.2} % more",
+            100.0 * (many / few - 1.0)
+        );
+    }
+}
+
 fn main() {
+    memory();
     let folder = std::env::args().skip(1).find(|a| !a.starts_with("--")).map(PathBuf::from);
     malaga();
     println!("\n| scene | sensor | poses | batch, ms a pose | single, ms a pose | times as fast | sums differ by |");

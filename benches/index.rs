@@ -7,6 +7,7 @@ use glam::{DVec2, DVec3, Vec3};
 use parry3d_f64::bounding_volume::Aabb as ParryBox;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
 use presight::index::{Params, QueryResult, Rect, Region, Scheme, Sector, SpatialIndex, WorldIndex, build};
+use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Aabb, Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use rstar::{AABB, RTree, RTreeObject, SelectionFunction};
@@ -37,11 +38,8 @@ fn machine(random: &mut Random, polygons: usize) -> Arc<Mesh> {
         let at = Vec3::new(unit() * 2.0, unit() * 2.0, unit() * 2.0);
         let size = Vec3::new(unit(), unit(), unit()) * 0.3 + 0.02;
         let first = vertices.len() as u32;
-        for i in 0..8 {
-            let pick = |bit: u32, low: f32, high: f32| if i >> bit & 1 == 0 { low } else { high };
-            vertices.push(Vec3::new(pick(0, 0.0, 1.0), pick(1, 0.0, 1.0), pick(2, 0.0, 1.0)) * size + at);
-        }
-        for f in [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]] {
+        vertices.extend(cuboid_corners(at, size + at));
+        for f in CUBOID_FACES {
             faces.push(Polygon::new(f.map(|c| c + first).to_vec(), 0));
         }
     }

@@ -4,7 +4,7 @@ use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_mai
 use glam::{DVec3, Vec3};
 use presight::index::{Params, Scheme, WorldIndex};
 use presight::io::store::{self, Note, Store};
-use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -40,14 +40,13 @@ fn moves(c: &mut Criterion) {
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let path = folder.path().join("moves.presight");
     store::create(&path, &machines(), &Note::new("bench", 0.0)).expect("a store");
-    let (mut store, environment) = Store::open(&path).expect("it opens");
-    let mut world = World::new(environment);
+    let mut store = Store::open(&path).expect("it opens");
     let mut random = 1u64;
     let mut group = c.benchmark_group("store");
     group.sample_size(20).throughput(Throughput::Elements(TOGETHER as u64));
     group.bench_function("100 moves, one transaction", |b| {
         b.iter(|| {
-            let mut batch = store.batch(&mut world).expect("the lock is ours");
+            let mut batch = store.batch().expect("the lock is ours");
             for _ in 0..TOGETHER {
                 random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 let name = format!("hall/machine {}", (random >> 33) as usize % OBJECTS);

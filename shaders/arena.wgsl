@@ -17,7 +17,7 @@ fn polygon_word(instance: Instance, polygon: u32, word: u32) -> u32 {
 }
 
 fn polygon_normal(instance: Instance, polygon: u32) -> vec3f {
-    let at = instance.polygons_at + polygon * POLYGON_WORDS + 3u;
+    let at = instance.polygons_at + polygon * POLYGON_WORDS + POLYGON_NORMAL;
     return vec3f(bitcast<f32>(arena[at]), bitcast<f32>(arena[at + 1u]), bitcast<f32>(arena[at + 2u]));
 }
 

@@ -113,24 +113,43 @@ const ONE_SIDED: u32 = 2u;
 const GROUP: u32 = 64u;
 const MAX_GROUPS: u32 = 65535u;
 
-// A polygon in the arena: words first_corner, corner_count | material << 8, source, normal.xyz, spread (how far its
-// corners are apart along the normal, metres).
+// Words of a polygon in the arena. CORNERS: count | material << 8. NORMAL: three words. SPREAD: how far its corners are
+// apart along the normal, metres.
+const POLYGON_FIRST_CORNER: u32 = 0u;
+const POLYGON_CORNERS: u32 = 1u;
+const POLYGON_SOURCE: u32 = 2u;
+const POLYGON_NORMAL: u32 = 3u;
+const POLYGON_SPREAD: u32 = 6u;
 const POLYGON_WORDS: u32 = 7u;
 // A corner: its vertex.
 const CORNER_WORDS: u32 = 1u;
 const VERTEX_WORDS: u32 = 3u;
-// A record: m.xyz, slot, edge count, cap axis.xyz, squared chord of the cap (negative: no cap), then edges of 3 words.
+// Words of a record, then edges of 3 words. M and CAP_AXIS: three words. CAP_CHORD: squared; negative is no cap.
+const RECORD_M: u32 = 0u;
+const RECORD_SLOT: u32 = 3u;
+const RECORD_EDGE_COUNT: u32 = 4u;
+const RECORD_CAP_AXIS: u32 = 5u;
+const RECORD_CAP_CHORD: u32 = 8u;
 const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
-// An item: record, then first line | count << 16 (line grids) or supertile (ray grids).
+// Words of an item. PART: first line | count << 16 (line grids) or supertile (ray grids).
+const ITEM_RECORD: u32 = 0u;
+const ITEM_PART: u32 = 1u;
 const ITEM_WORDS: u32 = 2u;
 // The most items that one polygon is cut into, and the fewest lines that make one.
 const ITEMS_PER_POLYGON: u32 = 256u;
 const LINES_PER_ITEM: u32 = 4u;
 
-// A slot that has a record: |d| of the unit normal, object id, number of the source triangle + 1, and where the record
-// is, or, with the highest bit set, the stamp of the last frame in which the CPU set it up.
+// Words of a slot that has a record. DISTANCE: |d| of the unit normal. SOURCE: number of the source triangle + 1. RECORD:
+// where the record is, or, with the highest bit set, the stamp of the last frame in which the CPU set it up.
+const SLOT_DISTANCE: u32 = 0u;
+const SLOT_OBJECT: u32 = 1u;
+const SLOT_SOURCE: u32 = 2u;
+const SLOT_RECORD: u32 = 3u;
 const SLOT_WORDS: u32 = 4u;
+
+// Where stages that read Counters as plain words find `items`.
+const COUNTED_ITEMS: u32 = 2u;
 
 // Stands for infinity where comparisons must stay well-defined.
 const HUGE: f32 = 3.0e38;

@@ -12,6 +12,10 @@ override PLAIN: bool = false;
 @group(0) @binding(7) var<uniform> few_instances: array<Instance, FEW_INSTANCES>;
 
 // A run in `work`: start, instance, first polygon, near.
+const RUN_START: u32 = 0u;
+const RUN_INSTANCE: u32 = 1u;
+const RUN_POLYGON: u32 = 2u;
+const RUN_NEAR: u32 = 3u;
 const RUN_WORDS: u32 = 4u;
 
 // Lines that a polygon may reach, as first | count << 16; 0 if it covers no ray.
@@ -32,19 +36,19 @@ fn cull(
         return;
     }
     var run = work[params.groups_at + g];
-    while i >= work[(run + 1u) * RUN_WORDS] {
+    while i >= work[(run + 1u) * RUN_WORDS + RUN_START] {
         run++;
     }
-    let instance = work[run * RUN_WORDS + 1u];
-    let polygon = work[run * RUN_WORDS + 2u] + (i - work[run * RUN_WORDS]);
-    let near = work[run * RUN_WORDS + 3u] != 0u;
+    let instance = work[run * RUN_WORDS + RUN_INSTANCE];
+    let polygon = work[run * RUN_WORDS + RUN_POLYGON] + (i - work[run * RUN_WORDS + RUN_START]);
+    let near = work[run * RUN_WORDS + RUN_NEAR] != 0u;
     examine(instance, polygon, near);
 }
 
 fn examine(index: u32, polygon: u32, near: bool) {
     let instance = instance_at(index);
-    let first_corner = instance.corners_at + polygon_word(instance, polygon, 0u) * CORNER_WORDS;
-    let packed = polygon_word(instance, polygon, 1u);
+    let first_corner = instance.corners_at + polygon_word(instance, polygon, POLYGON_FIRST_CORNER) * CORNER_WORDS;
+    let packed = polygon_word(instance, polygon, POLYGON_CORNERS);
     let corner_count = packed & 0xffu;
     var flags = select(0u, NEAR, near);
     if !PLAIN {

@@ -43,6 +43,6 @@ fn write_cap(at: u32, instance: Instance, first_corner: u32, corner_count: u32) 
         // A little wider than rounding; a cap of a quarter turn and more need not hold the polygon.
         chord = select(-1.0, chord * 1.00001 + 1.0e-11, chord < 1.9);
     }
-    put(at + 5u, axis);
-    records[at + 8u] = bitcast<u32>(chord);
+    put(at + RECORD_CAP_AXIS, axis);
+    records[at + RECORD_CAP_CHORD] = bitcast<u32>(chord);
 }

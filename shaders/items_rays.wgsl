@@ -15,8 +15,8 @@ fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32,
     }
     // A cap of less than a quarter turn around the vertices is convex and holds the polygon; a wider one is not.
     squared = select(-1.0, squared * 1.00001 + 1.0e-11, squared < 1.9);
-    put(at + 5u, axis);
-    records[at + 8u] = bitcast<u32>(squared);
+    put(at + RECORD_CAP_AXIS, axis);
+    records[at + RECORD_CAP_CHORD] = bitcast<u32>(squared);
 
     let chord = cap_chord(squared);
     // Triangles are most of all: more edges than three would leave out little more.

@@ -10,11 +10,11 @@
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    // Word 2 of Counters: items. No more than fit were written.
-    let count = min(counted[2], params.item_room);
+    // No more than fit were written.
+    let count = min(counted[COUNTED_ITEMS], params.item_room);
     for (var i = id.x; i < count; i += groups.x * GROUP) {
-        let what = items[i * ITEM_WORDS + 1u];
-        rasterize(items[i * ITEM_WORDS], what & 0xffffu, what >> 16u);
+        let part = items[i * ITEM_WORDS + ITEM_PART];
+        rasterize(items[i * ITEM_WORDS + ITEM_RECORD], part & 0xffffu, part >> 16u);
     }
 }
 
@@ -22,13 +22,16 @@ fn float_of(at: u32) -> f32 {
     return bitcast<f32>(records[at]);
 }
 
+fn vector_of(at: u32) -> vec3f {
+    return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
+}
+
 fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
     // What is not there limits nothing.
     if k >= edge_count {
         return vec3f();
     }
-    let at = record + RECORD_WORDS + k * EDGE_WORDS;
-    return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
+    return vector_of(record + RECORD_WORDS + k * EDGE_WORDS);
 }
 
 // The positions that an edge leaves of an interval. Both owners of an edge compute the same bits here.
@@ -41,11 +44,11 @@ fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
 }
 
 fn rasterize(record: u32, first: u32, count: u32) {
-    let m = vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u));
-    let slot = records[record + 3u];
-    let edge_count = records[record + 4u];
-    let axis = vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u));
-    let chord = float_of(record + 8u);
+    let m = vector_of(record + RECORD_M);
+    let slot = records[record + RECORD_SLOT];
+    let edge_count = records[record + RECORD_EDGE_COUNT];
+    let axis = vector_of(record + RECORD_CAP_AXIS);
+    let chord = float_of(record + RECORD_CAP_CHORD);
     // Most polygons have no more than four edges: these stay in registers over all lines.
     let e0 = edge_at(record, edge_count, 0u);
     let e1 = edge_at(record, edge_count, 1u);

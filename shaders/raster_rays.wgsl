@@ -11,14 +11,18 @@ const TILES_PER_SUPERTILE: u32 = 8u;
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let count = min(counted[2], params.item_room);
+    let count = min(counted[COUNTED_ITEMS], params.item_room);
     for (var i = id.x; i < count; i += groups.x * GROUP) {
-        supertile(polygon_at(items[i * ITEM_WORDS]), items[i * ITEM_WORDS + 1u]);
+        supertile(polygon_at(items[i * ITEM_WORDS + ITEM_RECORD]), items[i * ITEM_WORDS + ITEM_PART]);
     }
 }
 
 fn float_of(at: u32) -> f32 {
     return bitcast<f32>(records[at]);
+}
+
+fn vector_of(at: u32) -> vec3f {
+    return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
 }
 
 // A record in registers, but for edges from the fifth on: most polygons have no more than four.
@@ -37,12 +41,12 @@ struct Polygon {
 }
 
 fn polygon_at(record: u32) -> Polygon {
-    let edge_count = records[record + 4u];
+    let edge_count = records[record + RECORD_EDGE_COUNT];
     return Polygon(
-        vec3f(float_of(record), float_of(record + 1u), float_of(record + 2u)),
-        records[record + 3u],
-        vec3f(float_of(record + 5u), float_of(record + 6u), float_of(record + 7u)),
-        float_of(record + 8u),
+        vector_of(record + RECORD_M),
+        records[record + RECORD_SLOT],
+        vector_of(record + RECORD_CAP_AXIS),
+        float_of(record + RECORD_CAP_CHORD),
         edge_at(record, edge_count, 0u),
         edge_at(record, edge_count, 1u),
         edge_at(record, edge_count, 2u),
@@ -57,8 +61,7 @@ fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
     if k >= edge_count {
         return vec3f();
     }
-    let at = record + RECORD_WORDS + k * EDGE_WORDS;
-    return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
+    return vector_of(record + RECORD_WORDS + k * EDGE_WORDS);
 }
 
 fn supertile(p: Polygon, index: u32) {
@@ -100,7 +103,7 @@ fn tile(p: Polygon, first_column: u32, first_row: u32) {
                 && dot(p.e0, ray) >= 0.0 && dot(p.e1, ray) >= 0.0 && dot(p.e2, ray) >= 0.0 && dot(p.e3, ray) >= 0.0;
             for (var e = 4u; inside && e < p.edge_count; e++) {
                 let at = p.edges_at + e * EDGE_WORDS;
-                inside = dot(vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u)), ray) >= 0.0;
+                inside = dot(vector_of(at), ray) >= 0.0;
             }
             if inside {
                 offer(pixel, k, p.slot);

@@ -96,17 +96,17 @@ fn resolved(column: u32, row: u32, index: u32) -> Pixel {
     }
     let slot = ~key.x;
     let seen = slot * SLOT_WORDS;
-    let cosine = min(1.0, k * bitcast<f32>(seen_slots[seen]) / scale.ray);
+    let cosine = min(1.0, k * bitcast<f32>(seen_slots[seen + SLOT_DISTANCE]) / scale.ray);
     var id = slot + 1u;
     if params.source_ids != 0u {
-        id = seen_slots[seen + 2u];
+        id = seen_slots[seen + SLOT_SOURCE];
     }
     let below = range < params.range_min;
     return Pixel(
         select(bitcast<u32>(range), MINUS_INFINITY, below),
         select(bitcast<u32>(scale.depth / k), MINUS_INFINITY, below),
         id,
-        seen_slots[seen + 1u],
+        seen_slots[seen + SLOT_OBJECT],
         bitcast<u32>(cosine),
     );
 }

@@ -26,8 +26,8 @@ const EDGE_ON_CENTER: f32 = 2.9e-14; // 2^-45
 
 fn set_up(survivor: Survivor) {
     let instance = instance_at(survivor.instance);
-    let first_corner = instance.corners_at + polygon_word(instance, survivor.polygon, 0u) * CORNER_WORDS;
-    let corner_count = polygon_word(instance, survivor.polygon, 1u) & 0xffu;
+    let first_corner = instance.corners_at + polygon_word(instance, survivor.polygon, POLYGON_FIRST_CORNER) * CORNER_WORDS;
+    let corner_count = polygon_word(instance, survivor.polygon, POLYGON_CORNERS) & 0xffu;
     let normal = polygon_normal(instance, survivor.polygon);
 
     // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
@@ -49,13 +49,13 @@ fn set_up(survivor: Survivor) {
         return;
     }
     let near = (survivor.flags & NEAR) != 0u;
-    let stamp = (instance.first_slot + survivor.polygon) * SLOT_WORDS + 3u;
+    let stamp = (instance.first_slot + survivor.polygon) * SLOT_WORDS + SLOT_RECORD;
     if near && seen_slots[stamp] == params.stamp {
         // Flat, around the sensor: the CPU has set it up in f64.
         return;
     }
     // Within its corners' own spread the edges span no cone.
-    let spread = bitcast<f32>(polygon_word(instance, survivor.polygon, 6u));
+    let spread = bitcast<f32>(polygon_word(instance, survivor.polygon, POLYGON_SPREAD));
     let doubt = sqrt(nearest) * EDGE_ON + length(instance.center_high) * EDGE_ON_CENTER + spread;
     // Written so that what is not a number is doubtful.
     if !(abs(distance) > doubt) {
@@ -97,16 +97,16 @@ fn put(at: u32, v: vec3f) {
 
 fn write_head(at: u32, instance: Instance, polygon: u32, corner_count: u32, normal: vec3f, distance: f32) {
     let slot = instance.first_slot + polygon;
-    put(at, to_line(normal / distance));
-    records[at + 3u] = slot;
-    records[at + 4u] = corner_count;
+    put(at + RECORD_M, to_line(normal / distance));
+    records[at + RECORD_SLOT] = slot;
+    records[at + RECORD_EDGE_COUNT] = corner_count;
     // What the resolve stage asks of the winner, and where the visible stage finds it.
     let seen = slot * SLOT_WORDS;
-    seen_slots[seen] = bitcast<u32>(abs(distance) / length(normal));
-    seen_slots[seen + 1u] = instance.object_id;
-    seen_slots[seen + 3u] = at;
+    seen_slots[seen + SLOT_DISTANCE] = bitcast<u32>(abs(distance) / length(normal));
+    seen_slots[seen + SLOT_OBJECT] = instance.object_id;
+    seen_slots[seen + SLOT_RECORD] = at;
     if params.source_ids != 0u {
-        seen_slots[seen + 2u] = instance.first_source + polygon_word(instance, polygon, 2u) + 1u;
+        seen_slots[seen + SLOT_SOURCE] = instance.first_source + polygon_word(instance, polygon, POLYGON_SOURCE) + 1u;
     }
 }
 
@@ -141,9 +141,9 @@ fn reserve_items(wanted: u32) -> u32 {
     return first;
 }
 
-fn put_item(index: u32, record: u32, what: u32) {
+fn put_item(index: u32, record: u32, part: u32) {
     if index < params.item_room {
-        items[index * ITEM_WORDS] = record;
-        items[index * ITEM_WORDS + 1u] = what;
+        items[index * ITEM_WORDS + ITEM_RECORD] = record;
+        items[index * ITEM_WORDS + ITEM_PART] = part;
     }
 }

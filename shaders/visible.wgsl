@@ -12,7 +12,14 @@
 @group(0) @binding(5) var<storage, read_write> answers: array<u32>;
 
 const SAMPLES_AT: u32 = 4u;
+// Words of a sample. PLACE: three words. SLOTS: where its list of slots is.
+const SAMPLE_PLACE: u32 = 0u;
+const SAMPLE_PIXEL: u32 = 3u;
+const SAMPLE_SLOTS: u32 = 4u;
 const SAMPLE_WORDS: u32 = 5u;
+// Words of the head.
+const ASKED_COUNT: u32 = 0u;
+const ASKED_ROUND: u32 = 1u;
 // Answers that are no slot.
 const DOUBT: u32 = 0xffffffffu;
 const SEEN: u32 = 0xfffffffeu;
@@ -26,17 +33,18 @@ fn visible(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let index = (group.y * groups.x + group.x) * GROUP + lane;
-    if index < asked[0] {
+    if index < asked[ASKED_COUNT] {
         answers[index] = answer(SAMPLES_AT + index * SAMPLE_WORDS);
     }
 }
 
 fn answer(at: u32) -> u32 {
-    let place = vec3f(bitcast<f32>(asked[at]), bitcast<f32>(asked[at + 1u]), bitcast<f32>(asked[at + 2u]));
-    let column = asked[at + 3u] % params.width;
-    let row = asked[at + 3u] / params.width;
-    let own = asked[at + 4u];
-    let round = asked[1] != 0u;
+    let p = at + SAMPLE_PLACE;
+    let place = vec3f(bitcast<f32>(asked[p]), bitcast<f32>(asked[p + 1u]), bitcast<f32>(asked[p + 2u]));
+    let column = asked[at + SAMPLE_PIXEL] % params.width;
+    let row = asked[at + SAMPLE_PIXEL] / params.width;
+    let own = asked[at + SAMPLE_SLOTS];
+    let round = asked[ASKED_ROUND] != 0u;
     var best = 1.0;
     var by = DOUBT;
     var covered = false;
@@ -58,12 +66,12 @@ fn answer(at: u32) -> u32 {
             continue;
         }
         last = slot;
-        let record = seen_slots[slot * SLOT_WORDS + 3u];
+        let record = seen_slots[slot * SLOT_WORDS + SLOT_RECORD];
         if record >= STAMPED {
             beside = true;
             continue;
         }
-        let share = dot(word3(record), place);
+        let share = dot(word3(record + RECORD_M), place);
         let holds = covers(record, place);
         if lies_on(own, slot) {
             covered = covered || holds;
@@ -83,7 +91,7 @@ fn word3(at: u32) -> vec3f {
 }
 
 fn covers(record: u32, place: vec3f) -> bool {
-    let count = records[record + 4u];
+    let count = records[record + RECORD_EDGE_COUNT];
     for (var k = 0u; k < count; k++) {
         if dot(word3(record + RECORD_WORDS + k * EDGE_WORDS), place) < 0.0 {
             return false;

@@ -149,18 +149,12 @@ mod tests {
     use crate::plan::{FramePlan, ImageRequest, Images};
     use crate::reference;
     use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
-    use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    use crate::{Environment, Material, Mesh, NewObject};
     use glam::Vec3;
     use std::sync::Arc;
 
     fn hall() -> World {
-        let corner = |i: u32| {
-            let pick = |bit: u32, most: f32| if i & bit == 0 { 0.0 } else { most };
-            Vec3::new(pick(1, 4.0), pick(2, 3.0), pick(4, 2.5))
-        };
-        let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let polygons = faces.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect();
-        let mesh = Mesh::new("hall", (0..8).map(corner).collect(), polygons, PolygonOrder::Given).unwrap();
+        let mesh = Mesh::cuboid("hall", Vec3::ZERO, Vec3::new(4.0, 3.0, 2.5), 0).unwrap();
         let mut environment = Environment::new();
         environment.add_material(Material::named("m")).unwrap();
         environment.insert(NewObject::new("hall", Pose::IDENTITY, Arc::new(mesh))).unwrap();

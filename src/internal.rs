@@ -1,7 +1,7 @@
 //! What the command, the studies and the test kit of this repository share with the library. It is no part of the API.
 
 pub use crate::engine::add_boxes;
-pub use crate::environment::check_covariance;
+pub use crate::environment::{CUBOID_FACES, check_covariance, cuboid_corners};
 pub use crate::io::atomic::{is_given, target_of};
 pub use crate::io::png::preview_size;
 pub use crate::printable::{clipped, printable};
@@ -33,8 +33,8 @@ pub mod text {
 /// Rows of changes.
 #[cfg(feature = "store")]
 pub mod row {
-    /// From now on many changes are made to a world one by one, and nobody reads its feature layers in between.
-    pub fn begin(world: &mut crate::World) {
-        world.begin_row();
+    /// From now on many changes are made to a store one by one, and nobody reads its feature layers in between.
+    pub fn begin(store: &mut crate::io::store::Store) {
+        store.begin_row();
     }
 }

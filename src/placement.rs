@@ -62,14 +62,51 @@ pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) ->
     place(world, &layer).err().map(|e| e.at(format!("class {class:?}")))
 }
 
-/// Applies a change and returns its inverse. New and altered features must lie on polygons at the end of the change. Restored
-/// features are checked only with `restored_too`, because they may have lost their surface before they were deleted. The features
-/// `lost` (class, id) are known to have lost theirs and are not checked. A world without an index gets the default one.
-///
-/// # Errors
-/// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] naming class and feature if one does not; content and
-/// version then stay as they are.
-pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(String, u32)]) -> Result<Change> {
+impl World {
+    /// Applies a change, which makes the next version, and returns its inverse. New and altered features must lie on polygons
+    /// at the end of the change; restored ones need not, because they may have lost their surface before they were deleted.
+    ///
+    /// Environment and index change together, in place unless a clone still holds this version. If features have to be checked,
+    /// a world without an index gets the default one. Apply an inverse with [`World::apply_unchecked`].
+    ///
+    /// ```
+    /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
+    /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+    /// let mut environment = Environment::new();
+    /// let paint = environment.add_material(Material::named("paint"))?;
+    /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();
+    /// let mesh = Mesh::new("sign", corners, vec![Polygon::new(vec![0, 1, 2], paint)], PolygonOrder::Given)?;
+    /// let mut world = World::new(environment);
+    /// world.apply(Change::InsertObject(NewObject::new("sign", Pose::IDENTITY, mesh.into())))?;
+    /// let dot = |id, z| Change::InsertFeature {
+    ///     class: "video".into(),
+    ///     feature: Feature {
+    ///         id,
+    ///         name: None,
+    ///         object: None,
+    ///         shape: FeatureShape::Point(glam::DVec3::new(0.2, 0.2, z)),
+    ///         covariances: Vec::new(),
+    ///         cross_covariance: None,
+    ///         existence: Existence::default(),
+    ///         properties: Properties::default(),
+    ///     },
+    /// };
+    /// world.apply(dot(1, 0.0))?;
+    /// assert!(world.apply(dot(2, 0.5)).is_err(), "half a metre above the sign");
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`World::apply_unchecked`], and [`crate::ErrorKind::Invalid`] naming class and feature if a feature lies on no
+    /// polygon; content and version then stay as they are.
+    pub fn apply(&mut self, change: Change) -> Result<Change> {
+        apply(self, change, false, &[])
+    }
+}
+
+/// As [`World::apply`]. Restored features are checked, too, with `restored_too`. The features `lost` (class, id) are known to
+/// have lost their surface and are not checked.
+pub(crate) fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(String, u32)]) -> Result<Change> {
     let mut named = Vec::new();
     name_features(&change, restored_too, &mut named);
     if !lost.is_empty() {
@@ -77,7 +114,7 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
         named.retain(|feature| !lost.contains(feature));
     }
     if named.is_empty() {
-        return world.apply(change);
+        return world.apply_unchecked(change);
     }
     if world.index().scheme() == Scheme::None {
         let scheme = Scheme::default();
@@ -89,7 +126,7 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
     | Change::RestoreFeature { class, feature } = &change
     {
         check(world, class, feature)?;
-        return world.apply(change);
+        return world.apply_unchecked(change);
     }
     world.apply_if(change, |world| {
         let mut all = named.iter().filter_map(|(class, id)| Some((class, world.environment().feature(class, *id)?)));
@@ -161,7 +198,7 @@ mod tests {
     #[test]
     fn new_features_must_lie_on_polygons_when_all_is_done() {
         let mut world = world();
-        apply(&mut world, insert(1, 0.5), false, &[]).unwrap();
+        world.apply(insert(1, 0.5)).unwrap();
         assert_eq!(world.index().scheme(), Scheme::default());
         let alter = |x| Change::SetFeature { class: "video".into(), feature: point(1, x) };
         let restore = Change::RestoreFeature { class: "video".into(), feature: point(9, 3.0) };
@@ -175,7 +212,7 @@ mod tests {
         ];
         let before = (world.environment().content_hash(), world.version());
         for change in refused {
-            let e = apply(&mut world, change.clone(), false, &[]).unwrap_err();
+            let e = world.apply(change.clone()).unwrap_err();
             let said = e.to_string();
             assert!(said.starts_with("class \"video\": feature ") && said.contains("off its polygons"), "{said}");
             assert!(!e.remedy().is_empty());
@@ -192,16 +229,16 @@ mod tests {
             move_to("far", 7.0),
         ];
         for change in taken {
-            apply(&mut world, change.clone(), false, &[]).unwrap_or_else(|e| panic!("{change:?}: {e}"));
+            world.apply(change.clone()).unwrap_or_else(|e| panic!("{change:?}: {e}"));
         }
     }
 
     #[test]
     fn what_lost_its_surface_is_set_apart_and_told() {
         let mut world = world();
-        apply(&mut world, Change::Group(vec![insert(1, 0.5), insert(2, 5.5), insert(3, 5.25)]), false, &[]).unwrap();
+        world.apply(Change::Group(vec![insert(1, 0.5), insert(2, 5.5), insert(3, 5.25)])).unwrap();
         assert_eq!(lost(world.environment()).unwrap(), []);
-        apply(&mut world, move_to("far", 9.0), false, &[]).unwrap();
+        world.apply(move_to("far", 9.0)).unwrap();
         let layer = world.environment().layer("video").unwrap();
         let found = find(&world, layer).unwrap();
         assert_eq!((found.placed[0].feature.id, found.placed.len(), found.off), (1, 1, vec![2, 3]));

@@ -8,6 +8,7 @@ use crate::geometry::{Pose, sin_cos_deg};
 use crate::row::is_level;
 use crate::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use glam::{DQuat, DVec3};
+use std::array;
 
 /// The headings of a scanner and the panorama that shows them all.
 #[derive(Clone, Debug)]
@@ -131,7 +132,7 @@ struct Row {
     near: Vec<u32>,
 }
 
-/// A row of the panorama, as factors of the density of anything, once and a sensed row more round.
+/// A row of the panorama, once and a sensed row more round. Peaks and densities are in units of the density of anything.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Panorama {
     range: Vec<f32>,
@@ -166,43 +167,114 @@ impl HeadingWeights {
 
     /// Log-likelihoods by heading, from the images of the panorama.
     pub fn weigh(&self, range: &[f32], cos_incidence: &[f32], panorama: &mut Panorama) -> Vec<f32> {
+        let arch = pulp::Arch::new();
         let count = self.headings.count as usize;
-        let mut sums = vec![self.ranged as f64 * self.model.beam(f32::INFINITY, 1.0).any.ln(); count];
+        let mut sums = vec![self.ranged as f64 * self.model.any.ln(); count];
         for (r, row) in self.rows.iter().enumerate() {
             let part = r * self.headings.beams..(r + 1) * self.headings.beams;
-            panorama.fill(&self.model, &range[part.clone()], &cos_incidence[part], row.sensed.len());
-            pulp::Arch::new().dispatch(Shift { weigher: self, row, panorama, sums: &mut sums });
+            let (range, cos_incidence) = (&range[part.clone()], &cos_incidence[part]);
+            arch.dispatch(Fill { weigher: self, row, range, cos_incidence, panorama });
+            arch.dispatch(Shift { weigher: self, row, panorama, sums: &mut sums });
         }
         sums.iter().map(|sum| (sum / self.model.mixture.beam_dependence) as f32).collect()
     }
 }
 
-impl Panorama {
-    fn fill(&mut self, model: &BeamModel, range: &[f32], cos_incidence: &[f32], more: usize) {
+/// Makes a row of the panorama. A type, so that it is compiled for each vector width.
+struct Fill<'a> {
+    weigher: &'a HeadingWeights,
+    row: &'a Row,
+    range: &'a [f32],
+    cos_incidence: &'a [f32],
+    panorama: &'a mut Panorama,
+}
+
+impl pulp::WithSimd for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let Self { weigher, row, range, cos_incidence, panorama } = self;
+        let model = &weigher.model;
         let n = range.len();
-        for part in [&mut self.range, &mut self.peak, &mut self.sharpness, &mut self.short] {
+        for part in panorama.parts() {
             part.clear();
         }
-        self.none.clear();
-        self.near.clear();
-        let mut most: f64 = 2.0;
-        for (range, cos) in range.iter().zip(cos_incidence) {
-            let beam = model.beam(*range, *cos);
-            most = most.max(1.0 + (beam.peak + beam.short) / beam.any);
-            self.range.push(beam.range as f32);
-            self.peak.push((beam.peak / beam.any) as f32);
-            // For powers of two.
-            self.sharpness.push((-beam.sharpness * std::f64::consts::LOG2_E) as f32);
-            self.short.push((beam.short / beam.any) as f32);
-            self.none.push(beam.none.ln() as f32);
-            self.near.push(beam.near.ln() as f32);
+        let mut most = 2f32;
+        let (near, none) =
+            (!row.near.is_empty(), [0.0, model.mixture.hit].map(|p| (model.mixture.none + p).ln() as f32));
+        for at in (0..n).step_by(LANES) {
+            let lanes = |image: &[f32]| array::from_fn(|l| image.get(at + l).copied().unwrap_or(f32::INFINITY).into());
+            let (range, cos) = (lanes(range), lanes(cos_incidence));
+            let beams = Beams::of(simd, model, &range, &cos);
+            for l in 0..LANES.min(n - at) {
+                most = most.max(panorama.push(model, range[l], &beams, l));
+                panorama.none.push(if range[l] == f64::INFINITY { none[1] } else { none[0] });
+                // Logarithms take long, and scanners without a range_min sense nothing too near.
+                panorama.near.push(if near { beams.near[l].ln() as f32 } else { 0.0 });
+            }
         }
-        for part in [&mut self.range, &mut self.peak, &mut self.sharpness, &mut self.short] {
-            for i in 0..more {
+        for part in panorama.parts() {
+            for i in 0..row.sensed.len() {
                 part.push(part[i % n]);
             }
         }
-        self.steps = (125.0 / most.log2()).max(1.0) as usize;
+        panorama.steps = (125.0 / most.log2()).max(1.0) as usize;
+    }
+}
+
+/// What some beams may sense.
+struct Beams {
+    peak: [f64; LANES],
+    sharpness: [f64; LANES],
+    short: [f64; LANES],
+    near: [f64; LANES],
+}
+
+impl Beams {
+    #[inline(always)]
+    fn of<S: pulp::Simd>(simd: S, model: &BeamModel, range: &[f64; LANES], cos_incidence: &[f64; LANES]) -> Self {
+        let none = [0.0; LANES];
+        let mut ours = Self { peak: none, sharpness: none, short: none, near: none };
+        {
+            let [range, cos] = [range, cos_incidence].map(|lanes| S::as_simd_f64s(lanes).0);
+            let Self { peak, sharpness, short, near } = &mut ours;
+            let [peak, sharpness, short, near] =
+                [peak, sharpness, short, near].map(|lanes| S::as_mut_simd_f64s(lanes).0);
+            for i in 0..LANES / S::F64_LANES {
+                let surface = model.surface(simd, range[i], cos[i]);
+                (peak[i], sharpness[i], short[i]) = (surface.peak, surface.sharpness, surface.short);
+                near[i] = model.near(simd, range[i], surface.short);
+            }
+        }
+        ours
+    }
+}
+
+impl Panorama {
+    fn parts(&mut self) -> [&mut Vec<f32>; 6] {
+        let Self { range, peak, sharpness, short, none, near, .. } = self;
+        [range, peak, sharpness, short, none, near]
+    }
+
+    /// Takes a beam; the largest factor that it may have.
+    #[inline(always)]
+    fn push(&mut self, model: &BeamModel, range: f64, beams: &Beams, l: usize) -> f32 {
+        let peak = (beams.peak[l] / model.any) as f32;
+        let short = (beams.short[l] / model.any) as f32;
+        // For powers of two.
+        let sharpness = (-beams.sharpness[l] * std::f64::consts::LOG2_E) as f32;
+        let [range, peak, sharpness, short] = match range {
+            // Whatever is sensed is nearer than nothing, and nothing is nearer than what is too near.
+            f64::INFINITY => [(2.0 * model.range_max) as f32, 0.0, 0.0, short],
+            f64::NEG_INFINITY => [0.0; 4],
+            range => [range as f32, peak, sharpness, short],
+        };
+        self.range.push(range);
+        self.peak.push(peak);
+        self.sharpness.push(sharpness);
+        self.short.push(short);
+        1.0 + peak + short
     }
 }
 
@@ -223,7 +295,7 @@ impl pulp::WithSimd for Shift<'_> {
         let (beams, stride) = (weigher.headings.beams, weigher.headings.stride);
         for (k, sum) in sums.iter_mut().enumerate() {
             let first = k * stride % beams;
-            let table = |table: &[f32], i: &u32| f64::from(table[(first + *i as usize) % beams]);
+            let table = |table: &[f32], i: &u32| f64::from(table[first + *i as usize]);
             *sum += ranges(row, panorama, first);
             *sum += row.none.iter().map(|i| table(&panorama.none, i)).sum::<f64>();
             *sum += row.near.iter().map(|i| table(&panorama.near, i)).sum::<f64>();

@@ -1,17 +1,21 @@
 //! How likely a sensed range image is at a pose, given the image predicted there (the formula: `docs/batches.md`).
 
 use super::PoseCell;
+use super::weigh::HeadingModel;
 use crate::error::{Error, Result};
 use crate::sensor::{Mixture, Sensor, SensorSpec};
 
 /// Below this cosine of incidence a beam counts as one that meets the surface at it: the spread of its range has no end.
-pub(super) const LEAST_COS: f64 = 0.05;
+const LEAST_COS: f64 = 0.05;
 
 /// Something unknown is spread over no less than this, metres, so that its density has a bound.
 const LEAST_RANGE: f64 = 1e-6;
 
 /// No probability is less: a `range_min` may be all but 0, a likelihood not.
 const LEAST: f64 = 1e-30;
+
+/// A larger variance of directions, radians squared, says no less: a beam may go anywhere.
+const ANY_TURN: f64 = 1e12;
 
 /// A sensed range image of a sensor, ready to be compared with predictions.
 #[derive(Clone, Debug)]
@@ -82,20 +86,8 @@ impl RangeLikelihood {
     /// If the images are not of the sensor's size.
     pub fn log_likelihood(&self, range: &[f32], cos_incidence: &[f32]) -> f64 {
         assert!(range.len() == self.range.len() && cos_incidence.len() == range.len(), "the sensor's images");
-        // A logarithm now and then, of a product that is far from the ends of f64.
-        const ENDS: std::ops::Range<f64> = 1e-150..1e150;
-        let (mut sum, mut product) = (0.0, 1.0);
-        for ((&sensed, &range), &cos) in self.range.iter().zip(range).zip(cos_incidence) {
-            if sensed.is_nan() || range.is_nan() {
-                continue;
-            }
-            product *= self.model.beam(range, cos).density(sensed);
-            if !ENDS.contains(&product) {
-                sum += product.ln();
-                product = 1.0;
-            }
-        }
-        (sum + product.ln()) / self.model.mixture.beam_dependence
+        let weigh = HeadingModel { model: &self.model, sensed: &self.range, range, cos_incidence };
+        pulp::Arch::new().dispatch(weigh) / self.model.mixture.beam_dependence
     }
 }
 
@@ -111,23 +103,21 @@ pub(super) struct BeamModel {
     place: f64,
     range_min: f64,
     pub range_max: f64,
+    /// Density of anything, 1 / metre.
+    pub any: f64,
+    /// Probability that anything is nearer than `range_min`.
+    below: f64,
 }
 
-/// What a beam may sense, given its prediction: a mixture of densities over ranges, 1 / metre, and of two outcomes without one.
+/// What beams may sense of the surfaces predicted, as densities, 1 / metre.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Beam {
-    /// Predicted, metres.
-    pub range: f64,
-    /// Density of a hit at the predicted range, and what its distance squared is multiplied by in the exponent.
-    pub peak: f64,
-    pub sharpness: f64,
-    /// Density nearer than predicted, of something that the model does not have.
-    pub short: f64,
-    /// Density of anything.
-    pub any: f64,
-    /// Probability of nothing, and of something nearer than `range_min`.
-    pub none: f64,
-    pub near: f64,
+pub(super) struct Surface<V> {
+    /// Density of a hit at the predicted range, and what its distance squared is multiplied by in the exponent. Without a meaning
+    /// where no range is predicted.
+    pub peak: V,
+    pub sharpness: V,
+    /// Density nearer than predicted, of something that the model does not have. Without a meaning where that is predicted.
+    pub short: V,
 }
 
 impl BeamModel {
@@ -150,72 +140,47 @@ impl BeamModel {
         }
         // Variance of what lies anywhere within a width.
         let variance = |width: f64| width * width / 12.0;
+        let any = spec.noise.mixture.any / spec.range_max;
         Ok(Self {
             mixture: spec.noise.mixture,
             range_sigma: spec.noise.range_sigma,
             quadratic: spec.noise.range_sigma_quadratic,
-            turn: spec.noise.angle_sigma * spec.noise.angle_sigma + variance(cell.turn),
+            turn: (spec.noise.angle_sigma * spec.noise.angle_sigma + variance(cell.turn)).min(ANY_TURN),
             place: variance(cell.side),
             range_min: spec.range_min,
             range_max: spec.range_max,
+            any: any.max(f64::MIN_POSITIVE),
+            below: any * spec.range_min,
         })
     }
 
-    /// The beam whose prediction is this.
-    pub fn beam(&self, range: f32, cos_incidence: f32) -> Beam {
-        let Mixture { hit, short, none, any, .. } = self.mixture;
-        let anywhere = any / self.range_max;
-        let below = any * self.range_min / self.range_max;
-        if range == f32::INFINITY {
-            let (peak, sharpness, short_at) = (0.0, 0.0, short / self.range_max);
-            let near = (below + short_at * self.range_min).max(LEAST);
-            return Beam {
-                range: 2.0 * self.range_max,
-                peak,
-                sharpness,
-                short: short_at,
-                any: anywhere,
-                none: none + hit,
-                near,
-            };
-        }
-        if range == f32::NEG_INFINITY {
-            let near = below + short + hit;
-            return Beam { range: 0.0, peak: 0.0, sharpness: 0.0, short: 0.0, any: anywhere, none, near };
-        }
-        let r = f64::from(range);
-        let cos_squared = f64::from(cos_incidence).max(LEAST_COS).powi(2);
-        let own = self.range_sigma + self.quadratic * r * r;
-        let variance = own * own + (r * r * self.turn * (1.0 - cos_squared) + self.place) / cos_squared;
-        let sharpness = 0.5 / variance;
-        let peak = hit * (sharpness / std::f64::consts::PI).sqrt();
-        let short = if r > 0.0 { short / r.max(LEAST_RANGE) } else { 0.0 };
-        Beam {
-            range: r,
-            peak,
-            sharpness,
-            short,
-            any: anywhere,
-            none,
-            near: (below + short * self.range_min).max(LEAST),
+    /// The surfaces at predicted ranges.
+    #[inline(always)]
+    pub fn surface<S: pulp::Simd>(&self, simd: S, range: S::f64s, cos_incidence: S::f64s) -> Surface<S::f64s> {
+        const PER_TWO_PI: f64 = 0.5 / std::f64::consts::PI;
+        let (of, add, mul) = (|v| simd.splat_f64s(v), |a, b| simd.add_f64s(a, b), |a, b| simd.mul_f64s(a, b));
+        let cos = simd.max_f64s(cos_incidence, of(LEAST_COS));
+        let cos_squared = mul(cos, cos);
+        let squared = mul(range, range);
+        let own = add(of(self.range_sigma), mul(of(self.quadratic), squared));
+        let turned = mul(mul(squared, of(self.turn)), simd.sub_f64s(of(1.0), cos_squared));
+        // The variance times the square of the cosine: one division makes its inverse.
+        let spread = add(add(mul(mul(own, own), cos_squared), turned), of(self.place));
+        let inverse = simd.div_f64s(cos_squared, spread);
+        let far = simd.max_f64s(simd.min_f64s(range, of(self.range_max)), of(LEAST_RANGE));
+        Surface {
+            peak: mul(of(self.mixture.hit), simd.sqrt_f64s(mul(inverse, of(PER_TWO_PI)))),
+            sharpness: mul(of(0.5), inverse),
+            short: simd.div_f64s(of(self.mixture.short), far),
         }
     }
-}
 
-impl Beam {
-    /// The density of a reading, or the probability of what has none.
-    fn density(&self, sensed: f32) -> f64 {
-        match sensed {
-            f32::INFINITY => self.none,
-            f32::NEG_INFINITY => self.near,
-            sensed => {
-                let away = f64::from(sensed) - self.range;
-                let exponent = away * away * self.sharpness;
-                // Less than a rounding of what is added.
-                let hit = if exponent < 700.0 { self.peak * (-exponent).exp() } else { 0.0 };
-                let short = if away < 0.0 { self.short } else { 0.0 };
-                hit + short + self.any
-            }
-        }
+    /// Probabilities of something nearer than `range_min`.
+    #[inline(always)]
+    pub fn near<S: pulp::Simd>(&self, simd: S, range: S::f64s, short: S::f64s) -> S::f64s {
+        let near = simd.add_f64s(simd.splat_f64s(self.below), simd.mul_f64s(short, simd.splat_f64s(self.range_min)));
+        let is_near = simd.equal_f64s(range, simd.splat_f64s(f64::NEG_INFINITY));
+        let near_there = simd.splat_f64s(self.below + self.mixture.short + self.mixture.hit);
+        simd.max_f64s(simd.select_f64s(is_near, near_there, near), simd.splat_f64s(LEAST))
     }
 }

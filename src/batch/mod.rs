@@ -6,14 +6,17 @@
 
 mod headings;
 mod likelihood;
+mod panoramas;
+mod weigh;
 
 pub use headings::Headings;
 pub use likelihood::RangeLikelihood;
+pub use panoramas::Panoramas;
 
 use crate::engine::Engine;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::plan::{CountName, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
+use crate::plan::{CountName, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats};
 use crate::predict::Predictor;
 use crate::request::Request;
 use crate::row::{RowCuts, RowView, is_level};
@@ -24,6 +27,7 @@ use headings::{HeadingWeights, Panorama};
 use rayon::prelude::*;
 use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 /// How far apart poses are that are tried, as widths of the cells that they stand for. A hit is expected anywhere within.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -79,6 +83,8 @@ pub struct Batch<'p, I: Iterator> {
     threads: Option<Threads>,
     lanes: Vec<Mutex<Lane>>,
     chunk: usize,
+    /// Memory of plans.
+    buffers: Vec<PlanBuffers>,
     next: usize,
     done: std::vec::IntoIter<Result<BatchItem>>,
     ended: bool,
@@ -119,13 +125,15 @@ struct Lane {
 const CHUNK_BYTES: usize = 64 << 20;
 /// Most poses of a chunk.
 const MOST: usize = 512;
+/// Poses that are planned before an engine draws them together.
+const TOGETHER: usize = 64;
 
 impl Predictor {
     /// Predicts at many poses of a sensor (body axes, in the world): an iterator in their order that keeps no more than a chunk of
     /// them in memory. Images are those of [`Predictor::predict`], bit for bit. Results do not depend on chunks or threads.
     ///
     /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height
-    /// ([`BatchRequest::height`]), which is kept for the version of the world. The GPU engine makes single predictions, one after the other.
+    /// ([`BatchRequest::height`]), which is kept for the version of the world. On the GPU many poses go out in one submission.
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
@@ -180,6 +188,7 @@ impl Predictor {
             threads,
             lanes,
             chunk,
+            buffers: Vec::new(),
             next: 0,
             done: Vec::new().into_iter(),
             ended: false,
@@ -254,7 +263,7 @@ impl Task {
             *buffers = plan.into_buffers();
             rendered?;
         }
-        Ok(self.finish(index, pose, stats, lane))
+        Ok(self.finish(index, pose, stats, &mut lane.images, &mut lane.panorama))
     }
 
     /// Fills a lane's range and cos_incidence by a cut of the world; false where none serves.
@@ -269,9 +278,15 @@ impl Task {
         true
     }
 
-    /// Weighs a lane's images and keeps of them what was asked for.
-    fn finish(&self, index: usize, world_from_sensor: Pose, stats: Stats, lane: &mut Lane) -> BatchItem {
-        let Lane { images, panorama, .. } = lane;
+    /// Weighs images and keeps of them what was asked for.
+    fn finish(
+        &self,
+        index: usize,
+        world_from_sensor: Pose,
+        stats: Stats,
+        images: &mut Images,
+        panorama: &mut Panorama,
+    ) -> BatchItem {
         let (mut log_likelihood, mut headings) = (None, Vec::new());
         match &self.weigh {
             Some(HeadingModel::Pose(sensed)) => {
@@ -320,25 +335,71 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
                 };
                 threads.run(|| poses.par_iter().map(work).collect())
             }
-            None => {
-                Ok(poses.iter().map(|given| self.single(given.0, &given.1).map_err(|e| placed(given, e))).collect())
-            }
+            None => Ok(self.by_engine(&poses)),
         };
         self.done = done.unwrap_or_else(|e| vec![Err(e)]).into_iter();
         true
     }
 
-    /// One pose by the predictor's own engine.
-    fn single(&mut self, index: usize, given: &Pose) -> Result<BatchItem> {
-        let Self { predictor, task, lanes, .. } = self;
-        let lane = lanes[0].get_mut().unwrap_or_else(PoisonError::into_inner);
-        let pose = task.pose(given)?;
-        let mut stats = Stats::default();
-        if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
-            return Ok(task.finish(index, pose, stats, lane));
+    /// Poses by the predictor's own engine, up to the first error.
+    fn by_engine(&mut self, poses: &[(usize, Pose)]) -> Vec<Result<BatchItem>> {
+        let mut done = Vec::with_capacity(poses.len());
+        for some in poses.chunks(TOGETHER) {
+            let before = done.len();
+            if let Err(e) = self.some_by_engine(some, &mut done) {
+                let (index, _) = some[done.len() - before];
+                done.push(Err(e.at(format!("pose {index}"))));
+                break;
+            }
         }
-        let stats = predictor.predict_images(&task.world, &task.sensor, &pose, task.request, &mut lane.images)?;
-        Ok(task.finish(index, pose, stats, lane))
+        done
+    }
+
+    /// Adds the items of some poses; with an error, those before it.
+    fn some_by_engine(&mut self, poses: &[(usize, Pose)], done: &mut Vec<Result<BatchItem>>) -> Result<()> {
+        let Self { predictor, task, lanes, buffers, .. } = self;
+        let lane = lanes[0].get_mut().unwrap_or_else(PoisonError::into_inner);
+        let (mut items, mut plans, mut planned) = (Vec::new(), Vec::new(), Vec::new());
+        let mut fault = Ok(());
+        for (index, given) in poses {
+            let start = Instant::now();
+            let mut stats = Stats::default();
+            let pose = match task.pose(given) {
+                Ok(pose) => pose,
+                Err(e) => {
+                    fault = Err(e);
+                    break;
+                }
+            };
+            if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
+                items.push(Some(task.finish(*index, pose, stats, &mut lane.images, &mut lane.panorama)));
+                continue;
+            }
+            let buffers = buffers.pop().unwrap_or_default();
+            match FramePlan::within(buffers, &task.world, &task.sensor, &pose, task.request) {
+                Ok(plan) => plans.push(plan),
+                Err(e) => {
+                    fault = Err(e);
+                    break;
+                }
+            }
+            stats.index = task.world.index().scheme().name();
+            stats.stage(StageName::Selection, start);
+            planned.push((items.len(), *index, pose, stats));
+            items.push(None);
+        }
+        let mut planned = planned.into_iter();
+        let Lane { images, panorama, .. } = lane;
+        let drawn = predictor.render_many(&plans, images, |images, stats| {
+            if let Some((at, index, pose, planned)) = planned.next() {
+                let stages_ms = [planned.stages_ms, stats.stages_ms].concat();
+                let stats = Stats { index: planned.index, stages_ms, ..stats };
+                items[at] = Some(task.finish(index, pose, stats, images, panorama));
+            }
+        });
+        buffers.extend(plans.into_iter().map(FramePlan::into_buffers));
+        done.extend(items.into_iter().map_while(|item| item.map(Ok)));
+        drawn.and(fault)
     }
 }
 

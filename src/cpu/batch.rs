@@ -46,6 +46,10 @@ pub(super) struct Batch {
     /// Ray tables: edge planes.
     pub edges: Vec<DVec3>,
     pub edge_on: usize,
+    /// Polygons left out behind what was drawn before.
+    pub hidden: usize,
+    /// Polygons left out between the samples.
+    pub between: usize,
     /// Metres: none of its polygons is nearer.
     pub nearest: f32,
     /// False if the time was up before.
@@ -90,7 +94,7 @@ impl Batch {
         self.slots.clear();
         self.bounds.clear();
         self.edges.clear();
-        self.edge_on = 0;
+        (self.edge_on, self.hidden, self.between) = (0, 0, 0);
     }
 
     /// Sorts the polygons into bands, keeping their order.

@@ -21,9 +21,11 @@ pub(super) struct Footprint {
     pub lines: LineCover,
     /// Samples on each of them.
     pub samples: Range<u32>,
+    /// No point is nearer in depth, metres; 0 if nothing is known of it.
+    pub nearest: f64,
 }
 
-pub(super) const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0 };
+pub(super) const NOTHING: Footprint = Footprint { lines: [0..0, 0..0], samples: 0..0, nearest: 0.0 };
 
 /// Bounds for one sensor.
 pub(super) struct Bounds<'a> {
@@ -146,7 +148,7 @@ impl<'a> Bounds<'a> {
     }
 
     /// The footprints of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
-    /// repeating their last one.
+    /// repeating one of their own.
     #[inline(always)]
     pub fn cover<S: Simd>(&self, simd: S, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         match &self.kind {
@@ -174,13 +176,14 @@ fn camera(grid: &LineGrid, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [F
             continue;
         }
         if e.least[1][l] <= 0.0 {
-            footprints[l] = Footprint { lines: [0..lines.len() as u32, 0..0], samples: 0..samples.len() as u32 };
+            let (lines, samples) = ([0..lines.len() as u32, 0..0], 0..samples.len() as u32);
+            footprints[l] = Footprint { lines, samples, nearest: 0.0 };
             continue;
         }
         let rows = pixels_between(e.low[0][l], e.high[0][l], lines[0][0], per_stride, lines.len());
         let columns = pixels_between(e.low[1][l], e.high[1][l], samples[0], per_stride, samples.len());
         if !columns.is_empty() {
-            footprints[l] = Footprint { lines: [rows, 0..0], samples: columns };
+            footprints[l] = Footprint { lines: [rows, 0..0], samples: columns, nearest: e.least[1][l] };
         }
     }
     footprints
@@ -211,15 +214,13 @@ impl ScannerBounds<'_> {
     #[inline(always)]
     fn cover<S: Simd>(&self, simd: S, range_max_squared: f64, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         let mut e = Extent::new();
-        for (i, corner) in corners.iter().enumerate() {
+        for corner in corners {
             e.hold(corner);
             let [x, y, _] = corner;
             for l in 0..LANES {
                 e.axis_distance_squared[l] = e.axis_distance_squared[l].max(x[l] * x[l] + y[l] * y[l]);
             }
-            unwrap_azimuth(&mut e, i, x, y);
         }
-        unwrap_azimuth(&mut e, corners.len(), &corners[0][0], &corners[0][1]);
         let (distance_squared, axis_squared) = e.box_distances_squared();
         let (mut from, mut to) = ([0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
@@ -235,18 +236,36 @@ impl ScannerBounds<'_> {
         }
         let t = self.grid.positions();
         let samples = self.grid.samples_around(simd, &from, &to);
-        let columns = self.uniform.map(|(start, step)| columns_of(&e, start, step));
-        let mut footprints = [const { NOTHING }; LANES];
+        let (mut first, mut end) = (samples[0], samples[1]);
+        let mut any = false;
         for l in 0..LANES {
-            let (first, end) = (samples[0][l], samples[1][l]);
-            if distance_squared[l] > range_max_squared || first >= end {
+            if distance_squared[l] > range_max_squared || first[l] >= end[l] {
+                end[l] = first[l];
                 continue;
             }
             // One more at either side is possible, and most polygons that cover no ray end here.
-            let first = first + u32::from(t[first as usize] < from[l]);
-            let end = end - u32::from(t[end as usize - 1] > to[l]);
-            if first < end {
-                footprints[l] = Footprint { lines: self.columns(&e, columns.as_ref(), l), samples: first..end };
+            (first[l], end[l]) = (
+                first[l] + u32::from(t[first[l] as usize] < from[l]),
+                end[l] - u32::from(t[end[l] as usize - 1] > to[l]),
+            );
+            any |= first[l] < end[l];
+        }
+        let mut footprints = [const { NOTHING }; LANES];
+        if !any {
+            return footprints;
+        }
+        let mut columns = None;
+        if let Some((start, step)) = self.uniform {
+            for (i, [x, y, _]) in corners.iter().enumerate() {
+                unwrap_azimuth(&mut e, i, x, y);
+            }
+            unwrap_azimuth(&mut e, corners.len(), &corners[0][0], &corners[0][1]);
+            columns = Some(columns_of(&e, start, step));
+        }
+        for l in 0..LANES {
+            if first[l] < end[l] {
+                let (lines, nearest) = (self.columns(&e, columns.as_ref(), l), distance_squared[l].sqrt());
+                footprints[l] = Footprint { lines, samples: first[l]..end[l], nearest };
             }
         }
         footprints

@@ -1,23 +1,27 @@
 //! The CPU engine: exact spans in f64 on all cores, the default where no hardware GPU is.
 //!
-//! | stage | in | out |
-//! |---|---|---|
-//! | `setup` | runs of the plan | batches: polygons that may cover a ray, with planes, edges and bounds |
-//! | `spans` or `rays` | batches | a band of the z-buffer: inverse depth and winner per ray |
-//! | `resolve` | the band | the asked images |
+//! | stage | in | out | its twin on the GPU |
+//! |---|---|---|---|
+//! | `cull` | runs of the plan | runs that no earlier wave hides | `cull.wgsl` drops single polygons: out of view, facing away, material |
+//! | `setup` | runs | batches: polygons that may cover a ray, with planes, edges and bounds | `setup.wgsl` |
+//! | `raster_lines` or `raster_rays` | batches | a band of the z-buffer: inverse depth and winner per ray | `raster_lines.wgsl`, `raster_rays.wgsl` |
+//! | `resolve` | the band | the requested images | `resolve.wgsl` |
+//!
+//! Times and what was left out are reported as `hidden`, `setup`, `rasterization` and `resolve`.
 //!
 //! Nearest wins, bit-equal inverse depths go to the lower slot: the order of work, and with it the number of
 //! threads, cannot change a bit.
 
 mod batch;
 mod bounds;
-mod hidden;
+mod cull;
+mod lanes;
 mod progress;
+mod raster_lines;
+mod raster_rays;
 mod ray_bounds;
-mod rays;
 mod resolve;
 mod setup;
-mod spans;
 mod thinning;
 
 use crate::deadline::{DeadlineOutcome, Watch};
@@ -28,9 +32,10 @@ use crate::sensor::{ImagePart, LineAxis, PixelGrid};
 use crate::threads::Threads;
 use batch::{Batch, Winners};
 use bounds::Bounds;
+use cull::Occlusion;
 use progress::FrameProgress;
+use raster_lines::Buffer;
 use rayon::prelude::*;
-use spans::Buffer;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -165,6 +170,8 @@ impl CpuEngine {
                 Drawn::Thinned(stride) => return Some(stride),
             };
             stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
+            stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());
+            stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
             stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
             None
         });
@@ -232,7 +239,8 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let left_out = set_up(plan, bands, least, &runs, batches, &mut used);
+        let occlusion = (waves > 0).then_some(Occlusion { canvas, bands });
+        let left_out = set_up(plan, bands, occlusion, least, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -240,12 +248,11 @@ fn draw_waves(
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
-        if waves == 0 {
-            let stride = progress.begin_wave(batches, beyond, times[0] + times[1]);
-            if stride > 1 {
-                stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
-                return Drawn::Thinned(stride);
-            }
+        if waves == 0
+            && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1])
+        {
+            stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
+            return Drawn::Thinned(stride);
         }
         let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
         parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
@@ -291,6 +298,7 @@ fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
+    occlusion: Option<Occlusion<'_>>,
     least: usize,
     runs: &[Run],
     batches: &mut Vec<Batch>,
@@ -307,7 +315,7 @@ fn set_up(
         batch.nearest = runs[group.start].nearest_below();
         batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
         if batch.is_set_up {
-            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands });
+            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, occlusion });
         }
     });
     let left_out = new.iter().position(|batch| !batch.is_set_up);
@@ -342,7 +350,7 @@ impl pulp::WithSimd for Cull<'_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) -> Vec<Run> {
         let bounds = Bounds::new(&self.plan.sensor);
-        hidden::visible(simd, self.plan, &bounds, self.runs, self.canvas, self.bands)
+        cull::visible(simd, self.plan, &bounds, self.runs, self.canvas, self.bands)
     }
 }
 
@@ -352,6 +360,8 @@ struct SetUp<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
     bands: &'a Bands,
+    /// After the first wave.
+    occlusion: Option<Occlusion<'a>>,
 }
 
 impl pulp::WithSimd for SetUp<'_> {
@@ -359,7 +369,7 @@ impl pulp::WithSimd for SetUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        setup::fill(simd, self.batch, self.plan, self.runs, self.bands);
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands, self.occlusion);
     }
 }
 
@@ -389,7 +399,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
         let (slots, grid) = (&winners.slots, plan.sensor.grid());
         match grid {
             PixelGrid::Lines(_) if clear => buffer.clear(bands.axis, bands.lines(band).len(), bands.samples),
-            PixelGrid::Rays(grid) if clear => rays::clear(buffer, grid, bands, band),
+            PixelGrid::Rays(grid) if clear => raster_rays::clear(buffer, grid, bands, band),
             _ => {}
         }
         progress.complete_to = beyond;
@@ -401,14 +411,14 @@ impl pulp::WithSimd for Draw<'_, '_> {
                 break;
             }
             progress.tested += match grid {
-                PixelGrid::Lines(grid) => spans::rasterize(simd, buffer, grid, some, slots, bands, band),
-                PixelGrid::Rays(grid) => rays::rasterize(simd, buffer, grid, some, slots, bands, band),
+                PixelGrid::Lines(grid) => raster_lines::rasterize(simd, buffer, grid, some, slots, bands, band),
+                PixelGrid::Rays(grid) => raster_rays::rasterize(simd, buffer, grid, some, slots, bands, band),
             };
         }
         if let Some(target) = target {
             Resolve { buffer, target, plan, winners, bands, band, progress }.with_simd(simd);
         } else if matches!(grid, PixelGrid::Lines(_)) {
-            hidden::measure(buffer, bands.lines(band).len(), bands.samples);
+            cull::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }
 }
@@ -440,7 +450,7 @@ impl pulp::WithSimd for Resolve<'_, '_> {
     }
 }
 
-const _: () = assert!(resolve::TOGETHER.is_multiple_of(hidden::TILE));
+const _: () = assert!(resolve::TOGETHER.is_multiple_of(cull::TILE));
 
 /// How the image is cut into bands of lines, each one task.
 pub(crate) struct Bands {
@@ -456,8 +466,8 @@ impl Bands {
             PixelGrid::Lines(g) if g.axis() == LineAxis::Columns => {
                 (g.axis(), g.lines().len(), g.weights().len(), resolve::TOGETHER)
             }
-            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), hidden::TILE),
-            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, rays::BAND_MULTIPLE),
+            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), cull::TILE),
+            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, raster_rays::BAND_MULTIPLE),
         };
         let fair = lines.div_ceil(4 * threads);
         let per_band = (BAND_PIXELS / samples).max(1).min(fair).max(8).div_ceil(multiple) * multiple;

@@ -22,18 +22,24 @@ pub(super) fn cover<S: Simd>(
 }
 
 fn everything(grid: &RayGrid) -> Footprint {
-    Footprint { lines: [0..grid.height(), 0..0], samples: 0..grid.width() }
+    Footprint { lines: [0..grid.height(), 0..0], samples: 0..grid.width(), nearest: 0.0 }
 }
 
 /// Of rows and columns of tiles.
 #[inline(always)]
-fn of_tiles(grid: &RayGrid, [first_row, end_row]: [u32; 2], [first_column, end_column]: [u32; 2]) -> Footprint {
+fn of_tiles(
+    grid: &RayGrid,
+    [first_row, end_row]: [u32; 2],
+    [first_column, end_column]: [u32; 2],
+    nearest: f64,
+) -> Footprint {
     if first_row >= end_row || first_column >= end_column {
         return NOTHING;
     }
     Footprint {
         lines: [first_row * TILE_SIDE..(end_row * TILE_SIDE).min(grid.height()), 0..0],
         samples: first_column * TILE_SIDE..(end_column * TILE_SIDE).min(grid.width()),
+        nearest,
     }
 }
 
@@ -82,7 +88,7 @@ fn ahead<S: Simd>(
             footprints[l] = everything(grid);
             continue;
         }
-        let found = of_tiles(grid, [rows[0][l], rows[1][l]], [columns[0][l], columns[1][l]]);
+        let found = of_tiles(grid, [rows[0][l], rows[1][l]], [columns[0][l], columns[1][l]], e.least[1][l]);
         if !found.samples.is_empty() {
             let caps = caps.get_or_insert_with(|| Caps::around(corners));
             footprints[l] = narrowed(simd, grid, found, caps.axis(l), caps.cosine[l]);
@@ -209,7 +215,8 @@ fn around<S: Simd>(
         let (axis, cosine) = (caps.axis(l), caps.cosine[l]);
         if cosine > WIDEST {
             let [rows, columns] = tree.tiles_met(simd, axis, cosine);
-            let found = of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end]);
+            let found =
+                of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end], distance_squared[l].sqrt());
             if !found.samples.is_empty() {
                 footprints[l] = narrowed(simd, grid, found, axis, cosine);
             }

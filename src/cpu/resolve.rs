@@ -2,7 +2,7 @@
 
 use super::Bands;
 use super::batch::Shade;
-use super::spans::{Buffer, EIGHT};
+use super::raster_lines::{Buffer, EIGHT};
 use crate::plan::{FramePlan, Images};
 use crate::sensor::{LineAxis, LineGrid, PixelGrid, RayGrid};
 use std::ops::Range;

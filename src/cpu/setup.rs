@@ -2,11 +2,13 @@
 
 use super::Bands;
 use super::batch::{Batch, PolygonSetup, Shade};
-use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::bounds::{Bounds, Footprint, LANES};
+use super::cull::Occlusion;
+use super::lanes::PolygonLanes;
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
-use crate::sensor::PixelGrid;
+use crate::sensor::{LineGrid, PixelGrid};
 use glam::{DMat3, DVec3};
 use pulp::Simd;
 use std::ops::Range;
@@ -16,12 +18,12 @@ pub(super) struct RayInstance<'a> {
     pub mesh: &'a Mesh,
     pub ray_from_mesh: DMat3,
     /// Turns a mesh normal over its plane distance into m.
-    m_from_normal: DMat3,
+    pub m_from_normal: DMat3,
     normal_from_mesh: DMat3,
     /// What [`RayInstance::length_per_distance`] is for every normal, if it is.
     uniform: Option<f64>,
     pub center: DVec3,
-    mirrored: bool,
+    pub mirrored: bool,
     plain: bool,
     object: u32,
     first_slot: u32,
@@ -68,13 +70,20 @@ fn uniform_scale(m: &DMat3) -> Option<f64> {
     (alike && skew.iter().all(|s| s.abs() <= rounding)).then(|| squares[0].sqrt())
 }
 
-/// Sets up the polygons of some runs.
+/// Sets up the polygons of some runs, but for those behind what is drawn.
 #[inline(always)]
-pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
+pub(super) fn fill<S: Simd>(
+    simd: S,
+    batch: &mut Batch,
+    plan: &FramePlan,
+    runs: &[Run],
+    bands: &Bands,
+    occlusion: Option<Occlusion<'_>>,
+) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
-    let mut corners: CornerLanes = [[[0.0; LANES]; 3]; limits::MAX_CORNERS];
-    let mut outline = Outline::new();
+    let mut lanes = PolygonLanes::new();
+    let mut room = Room::default();
     let mut placed: Option<(u32, RayInstance<'_>)> = None;
     for run in runs {
         let known = placed.take().filter(|(i, _)| *i == run.instance);
@@ -84,124 +93,119 @@ pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: 
         let end = run.first + run.count;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
-            let footprints = cover_lanes(simd, &bounds, at, records, &mut corners);
-            for (i, footprint) in footprints.into_iter().take(records.len()).enumerate() {
-                if !footprint.lines[0].is_empty() {
-                    let corners = |k: usize| DVec3::from(corners[k].map(|lanes| lanes[i]));
-                    set_up(batch, plan, at, first + i as u32, footprint, corners, &mut outline);
-                }
+            lanes.load(at, records);
+            let footprints = bounds.cover(simd, lanes.corners());
+            let mut left = 0u32;
+            for (i, footprint) in footprints[..records.len()].iter().enumerate() {
+                left |= u32::from(!footprint.lines[0].is_empty()) << i;
+            }
+            if left == 0 {
+                continue;
+            }
+            lanes.measure(at, first, records.len());
+            left = visible_lanes(batch, plan, at, (records, left), &lanes, &footprints, occlusion);
+            if left == 0 {
+                continue;
+            }
+            lanes.set_up(at);
+            if let PixelGrid::Lines(_) = plan.sensor.grid() {
+                lanes.bound();
+            }
+            while left != 0 {
+                let i = left.trailing_zeros() as usize;
+                left &= left - 1;
+                push(batch, plan, at, (first + i as u32, i), &lanes, &footprints[i], &mut room);
             }
         }
     }
     batch.bin(bands);
 }
 
-/// Room for one polygon's corners, edge planes and bounds, kept from polygon to polygon: clearing it costs more than
-/// filling it.
-struct Outline {
-    corners: [DVec3; limits::MAX_CORNERS],
-    planes: [DVec3; limits::MAX_CORNERS],
-    lower: [[f64; 2]; limits::MAX_CORNERS],
-    upper: [[f64; 2]; limits::MAX_CORNERS],
-}
-
-impl Outline {
-    fn new() -> Self {
-        let (points, bounds) = ([DVec3::ZERO; limits::MAX_CORNERS], [[0.0; 2]; limits::MAX_CORNERS]);
-        Self { corners: points, planes: points, lower: bounds, upper: bounds }
-    }
-}
-
-/// Corners of [`LANES`] polygons, x, y and z apart.
-type CornerLanes = [[Lanes; 3]; limits::MAX_CORNERS];
-
-/// The footprints of up to [`LANES`] polygons; lanes without one repeat the last.
+/// Of the lanes with a footprint, a bit each, those of polygons that may show.
 #[inline(always)]
-fn cover_lanes<S: Simd>(
-    simd: S,
-    bounds: &Bounds<'_>,
-    at: &RayInstance<'_>,
-    records: &[PolygonRecord],
-    corners: &mut CornerLanes,
-) -> [Footprint; LANES] {
-    let (vertices, all_corners) = (at.mesh.vertices(), at.mesh.all_corners());
-    let record = |l: usize| &records[l.min(records.len() - 1)];
-    let first: [u32; LANES] = std::array::from_fn(|l| record(l).first_corner);
-    let last: [u32; LANES] = std::array::from_fn(|l| u32::from(record(l).corner_count) - 1);
-    let count = last.iter().max().map_or(0, |&m| m as usize + 1);
-    let (m, center) = (at.ray_from_mesh, at.center);
-    for (i, corner) in corners[..count].iter_mut().enumerate() {
-        let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        for l in 0..LANES {
-            let p = vertices[all_corners[(first[l] + last[l].min(i as u32)) as usize] as usize];
-            (x[l], y[l], z[l]) = (f64::from(p.x), f64::from(p.y), f64::from(p.z));
-        }
-        for l in 0..LANES {
-            let (x, y, z) = (x[l] - center.x, y[l] - center.y, z[l] - center.z);
-            corner[0][l] = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
-            corner[1][l] = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
-            corner[2][l] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
-        }
-    }
-    bounds.cover(simd, &corners[..count])
-}
-
-#[inline(always)]
-fn set_up(
+fn visible_lanes(
     batch: &mut Batch,
     plan: &FramePlan,
     at: &RayInstance<'_>,
-    polygon: u32,
-    footprint: Footprint,
-    corner_in_ray_frame: impl Fn(usize) -> DVec3,
-    outline: &mut Outline,
+    (records, with_footprint): (&[PolygonRecord], u32),
+    lanes: &PolygonLanes,
+    footprints: &[Footprint; LANES],
+    occlusion: Option<Occlusion<'_>>,
+) -> u32 {
+    let (mut left, mut visible) = (with_footprint, 0);
+    while left != 0 {
+        let i = left.trailing_zeros() as usize;
+        left &= left - 1;
+        let facing = if at.plain { None } else { Some(plan.facings[usize::from(records[i].material)]) };
+        if facing.is_some_and(|f| !f.opaque) {
+            continue;
+        }
+        if lanes.edge_on[i] {
+            batch.edge_on += 1;
+            continue;
+        }
+        if facing.is_some_and(|f| f.one_sided) && lanes.distance[i] > 0.0 {
+            continue;
+        }
+        // Rounding may draw others nearer than they are.
+        if lanes.clear[i] && occlusion.is_some_and(|occlusion| occlusion.hides(&footprints[i])) {
+            batch.hidden += 1;
+            continue;
+        }
+        visible |= 1 << i;
+    }
+    visible
+}
+
+/// Room for one polygon's bounds, lower and upper ones.
+struct Room([[[f64; 2]; limits::MAX_CORNERS]; 2]);
+
+impl Default for Room {
+    fn default() -> Self {
+        Self([[[0.0; 2]; limits::MAX_CORNERS]; 2])
+    }
+}
+
+/// Adds a polygon, of which the lane is given, to the batch, unless it covers no sample.
+#[inline(always)]
+fn push(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    at: &RayInstance<'_>,
+    (polygon, i): (u32, usize),
+    lanes: &PolygonLanes,
+    footprint: &Footprint,
+    room: &mut Room,
 ) {
-    let record = &at.mesh.polygons()[polygon as usize];
-    let facing = if at.plain { None } else { Some(plan.facings[usize::from(record.material)]) };
-    if facing.is_some_and(|f| !f.opaque) {
-        return;
-    }
-    let indices = corner_indices(at, record);
-    let vertices = at.mesh.vertices();
-    let plane = at.mesh.planes()[polygon as usize];
-    // The plane's distance from the sensor, along the mesh normal; its sign is the side, and must be proven. Taken at the
-    // nearest corner, and the sensor must be farther off the plane than the corners are: else the edges span no cone.
-    let from_center = |i: &u32| vertices[*i as usize].as_dvec3() - at.center;
-    let mut nearest = from_center(&indices[0]);
-    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-    for p in indices.iter().map(from_center) {
-        let off = plane.normal.dot(p);
-        (least, most) = (least.min(off), most.max(off));
-        nearest = if p.length_squared() < nearest.length_squared() { p } else { nearest };
-    }
-    let d = plane.normal.dot(nearest);
-    let reach = nearest.abs().element_sum();
-    let rounding = 16.0 * f64::EPSILON * reach + if indices.len() > 3 { most - least } else { 0.0 };
-    if d.abs() <= rounding {
-        batch.edge_on += 1;
-        return;
-    }
-    if facing.is_some_and(|f| f.one_sided) && d > 0.0 {
-        return;
-    }
-    for (k, corner) in outline.corners[..indices.len()].iter_mut().enumerate() {
-        *corner = corner_in_ray_frame(k);
-    }
-    let outward = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
     let (first_edge, [lower, upper, steep]) = match plan.sensor.grid() {
-        PixelGrid::Lines(_) => (batch.bounds.len() as u32, line_edges(batch, indices, outline, outward)),
-        PixelGrid::Rays(_) => (batch.edges.len() as u32, plane_edges(batch, indices, outline, outward)),
+        PixelGrid::Lines(grid) => {
+            let first = batch.bounds.len();
+            let counts = push_bounds(batch, lanes, i, room);
+            if lanes.clear[i] && covers_nothing(grid, footprint, &batch.bounds[first..], counts) {
+                batch.bounds.truncate(first);
+                batch.between += 1;
+                return;
+            }
+            (first as u32, counts)
+        }
+        PixelGrid::Rays(_) => {
+            let (first, count) = (batch.edges.len() as u32, lanes.corner_counts[i]);
+            let edges = lanes.edges[..count as usize].iter();
+            batch.edges.extend(edges.map(|e| DVec3::new(e[0][i], e[1][i], e[2][i])));
+            (first, [0, 0, count as u8])
+        }
     };
+    let normal = at.mesh.planes()[polygon as usize].normal;
     let shade = Shade {
-        distance: d.abs() * at.length_per_distance(plane.normal),
+        distance: lanes.distance[i].abs() * at.length_per_distance(normal),
         polygon_id: plan.polygon_id(at.object, polygon),
         object_id: at.object + 1,
     };
-    let m = at.m_from_normal * plane.normal / d;
+    let m = DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]);
     let slot = at.first_slot + polygon;
     let Range { start: first_sample, end: end_sample } = footprint.samples;
-    for lines in footprint.lines.into_iter().filter(|lines| !lines.is_empty()) {
-        let Range { start: first_line, end: end_line } = lines;
+    for lines in footprint.lines.iter().filter(|lines| !lines.is_empty()) {
+        let Range { start: first_line, end: end_line } = *lines;
         batch.polygons.push(PolygonSetup {
             m,
             first_line,
@@ -218,52 +222,62 @@ fn set_up(
     }
 }
 
-#[inline(always)]
-fn corner_indices<'a>(at: &RayInstance<'a>, record: &PolygonRecord) -> &'a [u32] {
-    let first = record.first_corner as usize;
-    &at.mesh.all_corners()[first..first + usize::from(record.corner_count)]
-}
-
-/// The plane through the centre and edge k, inside positive. Computed from the lower vertex index to the higher, sign
-/// afterwards, so that neighbours get exactly opposite planes and no ray falls between them.
-#[inline(always)]
-fn edge_plane(indices: &[u32], corners: &[DVec3], k: usize, outward: f64) -> DVec3 {
-    let l = if k + 1 == corners.len() { 0 } else { k + 1 };
-    let (a, b, sign) = if indices[k] < indices[l] { (k, l, outward) } else { (l, k, -outward) };
-    corners[a].cross(corners[b] - corners[a]) * sign
-}
-
 /// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
 #[inline(always)]
-fn line_edges(batch: &mut Batch, indices: &[u32], outline: &mut Outline, outward: f64) -> [u8; 3] {
-    let n = indices.len();
-    let (corners, planes) = (&outline.corners, &mut outline.planes);
-    for (k, plane) in planes[..n].iter_mut().enumerate() {
-        *plane = edge_plane(indices, &corners[..n], k, outward);
-    }
+fn push_bounds(batch: &mut Batch, lanes: &PolygonLanes, i: usize, room: &mut Room) -> [u8; 3] {
+    let n = lanes.corner_counts[i] as usize;
+    let edges = || lanes.edges[..n].iter().map(|e| DVec3::new(e[0][i], e[1][i], e[2][i]));
     // Without a branch on the sign, which no processor can foresee: each bound is written to both lists, and counted in one.
     let (mut lower, mut upper, mut steep) = (0, 0, 0);
     let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
-    for e in &planes[..n] {
-        let bound = [-e.x / e.z, -e.y / e.z];
-        (outline.lower[lower], outline.upper[upper]) = (bound, bound);
-        let flat = is_steep(*e);
+    let [lowers, uppers] = &mut room.0;
+    for (e, bound) in edges().zip(&lanes.bounds) {
+        let bound = [bound[0][i], bound[1][i]];
+        (lowers[lower], uppers[upper]) = (bound, bound);
+        let flat = is_steep(e);
         lower += usize::from(!flat & (e.z > 0.0));
         upper += usize::from(!flat & (e.z < 0.0));
         steep += usize::from(flat);
     }
-    batch.bounds.extend_from_slice(&outline.lower[..lower]);
-    batch.bounds.extend_from_slice(&outline.upper[..upper]);
+    batch.bounds.extend_from_slice(&lowers[..lower]);
+    batch.bounds.extend_from_slice(&uppers[..upper]);
     if steep > 0 {
-        batch.bounds.extend(planes[..n].iter().filter(|e| is_steep(**e)).map(|e| [e.x, e.y]));
+        batch.bounds.extend(edges().filter(|e| is_steep(*e)).map(|e| [e.x, e.y]));
     }
     [lower as u8, upper as u8, steep as u8]
 }
 
-/// Appends the edge planes as they are.
+/// Samples of a footprint up to which they are tested at once.
+const FEW: usize = 6;
+
+/// True if a small polygon lies between the samples. Those of its footprint are tested as spans are drawn, with one more at
+/// either side of each line for rounding.
 #[inline(always)]
-fn plane_edges(batch: &mut Batch, indices: &[u32], outline: &Outline, outward: f64) -> [u8; 3] {
-    let n = indices.len();
-    batch.edges.extend((0..n).map(|k| edge_plane(indices, &outline.corners[..n], k, outward)));
-    [0, 0, n as u8]
+fn covers_nothing(grid: &LineGrid, footprint: &Footprint, bounds: &[[f64; 2]], [lower, upper, steep]: [u8; 3]) -> bool {
+    let (samples, [lines, more]) = (&footprint.samples, &footprint.lines);
+    if lines.len() * samples.len() > FEW || !more.is_empty() {
+        return false;
+    }
+    let all = grid.positions();
+    let positions = &all[samples.start.saturating_sub(1) as usize..all.len().min(samples.end as usize + 1)];
+    let (lower, rest) = bounds.split_at(usize::from(lower));
+    let (upper, rest) = rest.split_at(usize::from(upper));
+    for &[a, b] in &grid.lines()[lines.start as usize..lines.end as usize] {
+        let (mut least, mut greatest) = (f64::NEG_INFINITY, f64::INFINITY);
+        for e in lower {
+            let t = e[0] * a + e[1] * b;
+            least = if t > least { t } else { least };
+        }
+        for e in upper {
+            let t = e[0] * a + e[1] * b;
+            greatest = if t < greatest { t } else { greatest };
+        }
+        for e in &rest[..usize::from(steep)] {
+            greatest = if e[0] * a + e[1] * b < 0.0 { f64::NEG_INFINITY } else { greatest };
+        }
+        if positions.iter().any(|&t| t >= least && t <= greatest) {
+            return false;
+        }
+    }
+    true
 }

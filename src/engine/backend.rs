@@ -65,6 +65,15 @@ mod with_gpu {
             Self::render(self, plan, images, stats)
         }
 
+        fn render_many(
+            &mut self,
+            plans: &[FramePlan],
+            images: &mut Images,
+            each: &mut dyn FnMut(&mut Images, Stats),
+        ) -> Result<()> {
+            Self::render_many(self, plans, images, each)
+        }
+
         fn device(&mut self) -> Option<&mut dyn Device> {
             Some(self)
         }

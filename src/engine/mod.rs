@@ -45,6 +45,25 @@ pub trait Engine: Any + Send {
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
+    /// Draws plans of one sensor and hands over each one's images, in their order. After an error those that were handed over are
+    /// right.
+    ///
+    /// # Errors
+    /// As [`Engine::render`].
+    fn render_many(
+        &mut self,
+        plans: &[FramePlan],
+        images: &mut Images,
+        each: &mut dyn FnMut(&mut Images, Stats),
+    ) -> Result<()> {
+        for plan in plans {
+            let mut stats = Stats::default();
+            self.render(plan, images, &mut stats)?;
+            each(images, stats);
+        }
+        Ok(())
+    }
+
     /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
     /// `None` for an engine that cannot be one of several.
     fn for_task(&self) -> Option<Box<dyn Engine>> {

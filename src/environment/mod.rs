@@ -1,6 +1,7 @@
 //! The environment: objects in groups, meshes, materials and feature layers (paper section 2.1).
 
 mod content_hash;
+mod cuboid;
 mod feature;
 mod feature_check;
 mod groups;
@@ -12,6 +13,8 @@ mod paths;
 mod revert;
 
 pub use content_hash::ContentHash;
+#[doc(hidden)]
+pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 #[doc(hidden)]
 pub use feature_check::check_covariance;

@@ -43,6 +43,7 @@ pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use range::{MeasuredPoint, RangeSource, measured_points};
+pub(crate) use solve::drawn;
 pub use solve::{EstimateOptions, Estimator, Prior};
 
 use crate::geometry::Pose;

@@ -30,6 +30,8 @@ const CHUNK: usize = 512;
 pub struct RangeSource<'a> {
     expected: &'a ExpectedImage,
     noise: RangeNoise,
+    /// Variance of each surface along its normal, square metres.
+    surface: f64,
     robot_from_image: Pose,
     /// Measured points that are worth looking at, image frame.
     points: &'a [MeasuredPoint],
@@ -70,7 +72,12 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
             let slope = |before: Vec3, after: Vec3| after - before;
             const N: usize = 2;
             let across = slope(at(c.saturating_sub(N), r), at((c + N).min(width - 1), r));
-            let down = slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)));
+            // One row shows surfaces as lines: they are taken to stand upright on it.
+            let down = if height == 1 && !sensor.is_camera() {
+                Vec3::Z
+            } else {
+                slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)))
+            };
             let n = across.cross(down).normalize_or_zero();
             let n = if n.is_nan() {
                 Vec3::ZERO
@@ -120,7 +127,14 @@ impl<'a> RangeSource<'a> {
     /// mount.
     pub fn new(expected: &'a ExpectedImage, points: &'a [MeasuredPoint], noise: RangeNoise) -> Self {
         let mount = expected.sensor.spec().mount;
-        Self { expected, noise, robot_from_image: mount * body_from_image(&expected.sensor), points, only: None }
+        let robot_from_image = mount * body_from_image(&expected.sensor);
+        Self { expected, noise, surface: 0.0, robot_from_image, points, only: None }
+    }
+
+    /// Surfaces may be off along their normals, at each point by its own, one standard deviation, metres.
+    #[must_use]
+    pub fn with_model_sigma(self, sigma: f64) -> Self {
+        Self { surface: sigma * sigma, ..self }
     }
 
     /// Only the surfaces of one object count: for a pose relative to it.
@@ -215,7 +229,7 @@ impl<'a> RangeSource<'a> {
         let cos = normal.dot(sight).abs() / sight.length();
         // A neighbour's point may be as far as the pixels are apart on the surface.
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
-        let sigma = self.noise.variance_along_normal(range, cos).max(1e-12).sqrt();
+        let sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt();
         let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
         if !(f64::from(apart) <= within * within) || cos < FLATTEST {
             sum.cost += constant;

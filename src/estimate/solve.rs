@@ -94,11 +94,20 @@ impl Default for EstimateOptions {
     }
 }
 
+impl EstimateOptions {
+    /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much
+    /// that they leave out.
+    pub fn planar() -> Self {
+        let (freedom, model_sigma) = (Freedom::Planar, 0.03);
+        Self { freedom, model_sigma, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
+    }
+}
+
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
-    predictor: Predictor,
+    pub(crate) predictor: Predictor,
     surfaces: Surfaces,
-    options: EstimateOptions,
+    pub(crate) options: EstimateOptions,
     /// Learnt standard deviation of the offsets of polygon groups, metres.
     offset_sigma: f64,
 }
@@ -149,6 +158,7 @@ impl Minimum {
 struct Run<'a> {
     world: &'a World,
     measured: Vec<FrameMeasurement<'a>>,
+    model_sigma: f64,
     prior: Prior,
     prior_information: Matrix,
     /// Metres and radians that the pose may be off.
@@ -186,27 +196,7 @@ impl Estimator {
     /// # Errors
     /// [`crate::ErrorKind::Usage`] without a frame, or for a prior that is none; those of [`Predictor::predict_images`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
-        prior.check(self.options.freedom)?;
-        if frames.is_empty() {
-            return Err(Error::usage("an estimate without a frame", "give at least one"));
-        }
-        let measured = frames.iter().map(|frame| {
-            let mut noise = RangeNoise::of(frame.sensor());
-            noise.sigma = noise.sigma.hypot(self.options.model_sigma);
-            FrameMeasurement { frame, points: measured_points(frame), noise }
-        });
-        let axes = self.options.freedom.axes();
-        let sigma =
-            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
-        let mut run = Run {
-            world,
-            measured: measured.collect(),
-            prior: *prior,
-            prior_information: inverse(&prior.covariance, axes),
-            extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
-            only: self.options.only,
-            predictions: 0,
-        };
+        let mut run = self.start(world, frames, prior)?;
         if run.measured.iter().all(|m| m.points.is_empty()) {
             return Ok(self.blind(&run));
         }
@@ -217,7 +207,45 @@ impl Estimator {
             best = self.restart(&mut run, &expected, best)?;
         }
         let others = self.other_minima(&mut run, &best)?;
+        self.learn_offsets(&best.normal);
         self.answer(&run, best, others)
+    }
+
+    /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
+    pub(crate) fn refine(&mut self, world: &World, frame: &Frame, prior: &Prior) -> Result<Estimate> {
+        let mut run = self.start(world, &[frame], prior)?;
+        if run.measured.iter().all(|m| m.points.is_empty()) {
+            return Ok(self.blind(&run));
+        }
+        let expected = self.expected(&mut run, &prior.pose)?;
+        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let end = self.settle(&mut run, &found.pose)?;
+        self.answer(&run, end, Vec::new())
+    }
+
+    fn start<'a>(&self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {
+        prior.check(self.options.freedom)?;
+        if frames.is_empty() {
+            return Err(Error::usage("an estimate without a frame", "give at least one"));
+        }
+        let measured = frames.iter().map(|frame| FrameMeasurement {
+            frame,
+            points: measured_points(frame),
+            noise: RangeNoise::of(frame.sensor()),
+        });
+        let axes = self.options.freedom.axes();
+        let sigma =
+            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+        Ok(Run {
+            world,
+            measured: measured.collect(),
+            model_sigma: self.options.model_sigma,
+            prior: *prior,
+            prior_information: inverse(&prior.covariance, axes),
+            extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
+            only: self.options.only,
+            predictions: 0,
+        })
     }
 
     /// Looks for a second pose that explains the measurement about as well: starts from the far ends of the prior, along the
@@ -309,7 +337,6 @@ impl Estimator {
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
         let freedom = self.options.freedom;
-        self.learn_offsets(&best.normal);
         let offset = self.offset_sigma * self.offset_sigma;
         let stored = |object: u32| best.expected.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
         let shared = |error: CommonError| match error {
@@ -438,7 +465,7 @@ fn descend(
 ) -> Minimum {
     let mut sources = Vec::with_capacity(run.measured.len());
     for (e, m) in expected.iter().zip(&run.measured) {
-        let source = RangeSource::new(e, &m.points, m.noise);
+        let source = RangeSource::new(e, &m.points, m.noise).with_model_sigma(run.model_sigma);
         sources.push(match run.only {
             Some(object) => source.only(object),
             None => source,
@@ -505,7 +532,7 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
 }
 
 /// A pose drawn from the prior.
-fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+pub(crate) fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
     let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
     let mut motion = [0.0; 6];
     for (k, value) in values.iter().enumerate() {

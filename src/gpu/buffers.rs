@@ -143,11 +143,16 @@ impl Uploads {
         }
     }
 
-    /// Writes what was taken to the staging buffer and encodes the copies.
+    /// Copies that wait to be encoded.
+    pub fn waiting(&self) -> usize {
+        self.copies.len()
+    }
+
+    /// Writes what was taken to the staging buffer.
     ///
     /// # Errors
     /// [`ErrorKind::DeviceMemory`], [`ErrorKind::DeviceLost`].
-    pub fn encode(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+    pub fn write(&mut self, gpu: &Gpu) -> Result<()> {
         let bytes = self.bytes.len() as u64;
         if self.staging.reserve(gpu, bytes)? {
             self.mapping = None;
@@ -162,11 +167,25 @@ impl Uploads {
         gpu.done.bytes_written.add_many(bytes);
         drop(view);
         staging.unmap();
-        for copy in self.copies.drain(..) {
-            encoder.copy_buffer_to_buffer(staging, copy.from, &copy.to, copy.at, copy.bytes);
-        }
         self.bytes.clear();
         Ok(())
+    }
+
+    /// Writes what was taken and encodes all copies.
+    ///
+    /// # Errors
+    /// Those of [`Uploads::write`].
+    pub fn encode(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+        self.write(gpu)?;
+        self.encode_some(encoder, self.copies.len());
+        Ok(())
+    }
+
+    /// Encodes the first of the copies that wait.
+    pub fn encode_some(&mut self, encoder: &mut wgpu::CommandEncoder, count: usize) {
+        for copy in self.copies.drain(..count) {
+            encoder.copy_buffer_to_buffer(self.staging.buffer(), copy.from, &copy.to, copy.at, copy.bytes);
+        }
     }
 
     /// Asks for the staging buffer again, after the copies were submitted.

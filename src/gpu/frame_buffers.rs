@@ -124,11 +124,11 @@ impl FrameBuffers {
         uploads.put(&self.work, 0, bytemuck::cast_slice(&frame.work));
         uploads.put(&self.records, 0, bytemuck::cast_slice(&frame.near.records));
         uploads.put(&self.items, 0, bytemuck::cast_slice(&frame.near.items));
-        for (slot, words) in &frame.near.slots {
+        for (slot, content) in &frame.near.slots {
             let at = u64::from(*slot) * 4 * u64::from(SLOT_WORDS);
-            uploads.put(&self.seen_slots, at, bytemuck::bytes_of(words));
+            uploads.put(&self.seen_slots, at, bytemuck::bytes_of(content));
         }
-        let items = frame.near.items.len() as u32 / ITEM_WORDS;
+        let items = frame.near.items.len() as u32;
         let counters = Counters {
             record_words: frame.near.records.len() as u32,
             items,
@@ -160,32 +160,39 @@ impl FrameBuffers {
         Ok(again)
     }
 
-    /// A compute pass that notes its times.
-    pub fn pass(&self, stage: u32) -> wgpu::ComputePassDescriptor<'_> {
+    /// A compute pass that notes its times, if the frame is alone.
+    pub fn pass(&self, stage: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
         wgpu::ComputePassDescriptor {
             label: Some(NAMES[stage as usize].name()),
-            timestamp_writes: self.times.as_ref().map(|(query_set, _)| wgpu::ComputePassTimestampWrites {
-                query_set,
-                beginning_of_pass_write_index: Some(2 * stage),
-                end_of_pass_write_index: Some(2 * stage + 1),
+            timestamp_writes: self.times.as_ref().filter(|_| !frame.in_company).map(|(query_set, _)| {
+                wgpu::ComputePassTimestampWrites {
+                    query_set,
+                    beginning_of_pass_write_index: Some(2 * stage),
+                    end_of_pass_write_index: Some(2 * stage + 1),
+                }
             }),
         }
     }
 
-    /// Encodes the copies that bring a frame's answers to where they can be mapped.
-    pub fn encode_readback(&self, encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads) {
+    /// Encodes the copies that bring a frame's answers to where they can be mapped, from byte `first` on.
+    pub fn encode_readback(&self, encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads, first: u64) {
         let at = Readback::of(frame);
-        let to = self.readback.buffer();
+        let mut copy = |from: &Growable, to: u64, bytes: u64| {
+            if bytes > 0 {
+                encoder.copy_buffer_to_buffer(from.buffer(), 0, self.readback.buffer(), first + to, bytes);
+            }
+        };
         if frame.on_host {
-            encoder.copy_buffer_to_buffer(self.keys.buffer(), 0, to, 0, at.slots);
-            encoder.copy_buffer_to_buffer(self.seen_slots.buffer(), 0, to, at.slots, at.counters - at.slots);
-        } else if at.counters > 0 {
-            encoder.copy_buffer_to_buffer(self.outputs.buffer(), 0, to, 0, at.counters);
+            copy(&self.keys, 0, at.slots);
+            copy(&self.seen_slots, at.slots, at.counters - at.slots);
+        } else {
+            copy(&self.outputs, 0, at.counters);
         }
-        encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, to, at.counters, size_of::<Counters>() as u64);
-        if let Some((queries, resolved)) = &self.times {
+        copy(&self.counters, at.counters, size_of::<Counters>() as u64);
+        if let Some((queries, resolved)) = self.times.as_ref().filter(|_| !frame.in_company) {
             encoder.resolve_query_set(queries, 0..2 * frame.stages().len() as u32, resolved.buffer(), 0);
-            encoder.copy_buffer_to_buffer(resolved.buffer(), 0, to, at.times, at.bytes - at.times);
+            let (to, bytes) = (first + at.times, at.bytes - at.times);
+            encoder.copy_buffer_to_buffer(resolved.buffer(), 0, self.readback.buffer(), to, bytes);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::buffers::Growable;
 use super::device::Gpu;
-use super::layout::{CORNER_WORDS, POLYGON_WORDS, VERTEX_WORDS};
+use super::layout::{ArenaPolygon, CORNER_WORDS, POLYGON_WORDS, VERTEX_WORDS};
 use crate::environment::Mesh;
 use crate::error::{ErrorKind, Result};
 use glam::DVec3;
@@ -125,18 +125,16 @@ fn words_of(mesh: &Arc<Mesh>) -> u64 {
 fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
     debug_assert_eq!(mesh.polygons().len(), mesh.planes().len());
     for (polygon, plane) in mesh.polygons().iter().zip(mesh.planes()) {
-        let normal = plane.normal.as_vec3();
         let first = polygon.first_corner as usize;
         let corners = &mesh.all_corners()[first..first + usize::from(polygon.corner_count)];
-        words.extend([
-            polygon.first_corner,
-            u32::from(polygon.corner_count) | u32::from(polygon.material) << 8,
-            polygon.source,
-            normal.x.to_bits(),
-            normal.y.to_bits(),
-            normal.z.to_bits(),
-            (spread(mesh, plane.normal, corners) as f32).next_up().to_bits(),
-        ]);
+        let packed = ArenaPolygon {
+            first_corner: polygon.first_corner,
+            corners: u32::from(polygon.corner_count) | u32::from(polygon.material) << 8,
+            source: polygon.source,
+            normal: plane.normal.as_vec3().to_array(),
+            spread: (spread(mesh, plane.normal, corners) as f32).next_up(),
+        };
+        words.extend_from_slice(bytemuck::cast_slice(&[packed]));
     }
     words.extend(mesh.all_corners());
     words.extend(mesh.vertices().iter().flat_map(|v| v.to_array().map(f32::to_bits)));

@@ -103,22 +103,81 @@ pub(super) struct Survivor {
     pub flags: u32,
 }
 
+/// A polygon in the arena; `POLYGON_` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct ArenaPolygon {
+    pub first_corner: u32,
+    /// Number of corners, material in the higher 24 bits.
+    pub corners: u32,
+    pub source: u32,
+    pub normal: [f32; 3],
+    pub spread: f32,
+}
+
+/// A polygon after setup, without its edges; `RECORD_` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Record {
+    pub m: [f32; 3],
+    pub slot: u32,
+    pub edge_count: u32,
+    pub cap_axis: [f32; 3],
+    /// Squared; negative is no cap.
+    pub cap_chord: f32,
+}
+
+/// A slot that has a record; `SLOT_` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Slot {
+    pub distance: f32,
+    pub object: u32,
+    pub source: u32,
+    /// Where its record is, or a stamp.
+    pub record: u32,
+}
+
+/// A run of polygons in the work table; `RUN_` in cull.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct WorkRun {
+    pub start: u32,
+    pub instance: u32,
+    pub polygon: u32,
+    pub near: u32,
+}
+
+/// A part of a polygon's image; `ITEM_` in common.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Item {
+    pub record: u32,
+    /// First line, number of lines in the higher 16 bits; or supertile.
+    pub part: u32,
+}
+
+/// Words of a type that shaders read word by word.
+pub(super) const fn words_of<T>() -> u32 {
+    (size_of::<T>() / size_of::<u32>()) as u32
+}
+
 /// Invocations of a workgroup; `GROUP` in the shaders.
 pub(super) const GROUP: u32 = 64;
 /// What one dispatch dimension holds.
 pub(super) const MAX_GROUPS: u32 = 65_535;
 /// Words of a polygon in the arena.
-pub(super) const POLYGON_WORDS: u32 = 7;
+pub(super) const POLYGON_WORDS: u32 = words_of::<ArenaPolygon>();
 /// Words of a corner in the arena.
 pub(super) const CORNER_WORDS: u32 = 1;
 /// Words of a vertex in the arena.
 pub(super) const VERTEX_WORDS: u32 = 3;
 /// Words of a run in the work table.
-pub(super) const RUN_WORDS: usize = 4;
+pub(super) const RUN_WORDS: usize = words_of::<WorkRun>() as usize;
 /// Words of a record before its edges.
-pub(super) const RECORD_WORDS: u32 = 9;
+pub(super) const RECORD_WORDS: u32 = words_of::<Record>();
 /// Words of a slot that has a record.
-pub(super) const SLOT_WORDS: u32 = 4;
+pub(super) const SLOT_WORDS: u32 = words_of::<Slot>();
 /// Most instances that are read from a uniform buffer.
 pub(super) const FEW_INSTANCES: u32 = 512;
 /// Most words of ray tables, by four, that are read from a uniform buffer.
@@ -126,7 +185,7 @@ pub(super) const SHORT_GRID: u32 = 4096;
 /// Words of an edge.
 pub(super) const EDGE_WORDS: u32 = 3;
 /// Words of an item.
-pub(super) const ITEM_WORDS: u32 = 2;
+pub(super) const ITEM_WORDS: u32 = words_of::<Item>();
 /// Most items of one polygon on a line grid.
 pub(super) const ITEMS_PER_POLYGON: u32 = 256;
 /// Fewest lines of an item.

@@ -1,7 +1,15 @@
 //! The GPU engine: exact spans in compute shaders, by wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Cull, setup, raster, resolve: see `stages`. Features are
-//! asked for afterwards: see `visible`.
+//! Meshes stay on the device; a frame uploads instances and runs. The stages bear the names of those of [`crate::cpu`]:
+//!
+//! | stage | shader | on the CPU |
+//! |---|---|---|
+//! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::cull`, for whole runs |
+//! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
+//! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
+//! | resolve | `resolve.wgsl` | `cpu::resolve`; `resolve` from the device's keys, for software adapters |
+//! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
+//! | roi | `roi.wgsl` | `features::roi` |
 
 mod buffers;
 mod device;
@@ -17,6 +25,7 @@ mod stage;
 mod stages;
 #[doc(hidden)]
 pub mod testing;
+mod together;
 mod uploads;
 mod visible;
 
@@ -59,6 +68,8 @@ pub struct GpuEngine {
     store: FrameBuffers,
     arena: Arena,
     frame: FrameUploads,
+    /// Those of a submission of several.
+    frames: Vec<FrameUploads>,
     /// The sensors of late, the first the one whose tables are on the device; held, so that its address is its identity.
     sensors: Vec<(Sensor, Tables)>,
     /// The tables of the first sensor are on the device.
@@ -97,6 +108,7 @@ impl GpuEngine {
             store,
             arena,
             frame: FrameUploads::default(),
+            frames: Vec::new(),
             sensors: Vec::new(),
             placed: false,
             rebind: true,
@@ -174,7 +186,7 @@ impl GpuEngine {
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
                 plan.finish_noting(images, stats)?;
-                self.report(&counters, reruns, stats);
+                self.report(&self.frame, &counters, reruns, stats);
                 let image_bytes = stats.work.image_bytes;
                 stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
                 return Ok(());
@@ -268,7 +280,7 @@ impl GpuEngine {
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.store.uploads.encode(&self.gpu, &mut encoder)?;
         self.stages.encode(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
-        self.store.encode_readback(&mut encoder, &self.frame);
+        self.store.encode_readback(&mut encoder, &self.frame, 0);
         self.gpu.queue.submit([encoder.finish()]);
         self.placed = true;
         self.store.uploads.recall();
@@ -276,33 +288,50 @@ impl GpuEngine {
     }
 
     fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
-        let at = Readback::of(&self.frame);
-        let params = &self.frame.params;
+        let bytes = Readback::of(&self.frame).bytes;
         // Before the answer is mapped, which an error would leave so.
-        images.try_prepare(params.width, params.height, self.frame.outputs)?;
-        let buffer = self.store.readback.buffer();
-        let mapping = &self.store.readback_mapping;
-        mapping.ask(buffer, wgpu::MapMode::Read, at.bytes);
-        self.gpu.wait()?;
-        mapping.check(&self.gpu, "the answer")?;
+        images.try_prepare(self.frame.params.width, self.frame.params.height, self.frame.outputs)?;
+        self.map_answer(bytes)?;
         stats.stage(StageName::Device, start);
         let start = Instant::now();
-        let view = buffer.get_mapped_range(0..at.bytes);
+        let buffer = self.store.readback.buffer();
+        let view = buffer.get_mapped_range(0..bytes);
         let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
-        let mut counters: Counters =
-            bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()]);
-        self.gpu.done.bytes_read.add_many(at.bytes);
-        self.stage_times(&view[at.times as usize..], stats);
-        if self.frame.on_host {
-            let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
-            let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));
-            counters.lost_ids += self.threads.run(|| resolve::resolve(plan, params, keys, slots, images))?;
-        } else {
-            self.copy_images(&view[..at.counters as usize], images);
-        }
+        self.stage_times(&view[Readback::of(&self.frame).times as usize..], stats);
+        let counters = self.take_answer(&self.frame, &view, plan, images)?;
         drop(view);
         buffer.unmap();
         stats.stage(if self.frame.on_host { StageName::ResolveOnCpu } else { StageName::Readback }, start);
+        Ok(counters)
+    }
+
+    /// Waits for the device, until so many bytes of answers are mapped.
+    fn map_answer(&self, bytes: u64) -> Result<()> {
+        let mapping = &self.store.readback_mapping;
+        mapping.ask(self.store.readback.buffer(), wgpu::MapMode::Read, bytes);
+        self.gpu.wait()?;
+        mapping.check(&self.gpu, "the answer")?;
+        self.gpu.done.bytes_read.add_many(bytes);
+        Ok(())
+    }
+
+    /// A frame's images from its answer.
+    fn take_answer(
+        &self,
+        frame: &FrameUploads,
+        view: &[u8],
+        plan: &FramePlan,
+        images: &mut Images,
+    ) -> Result<Counters> {
+        let at = Readback::of(frame);
+        let mut counters = counters_of(view, at);
+        if frame.on_host {
+            let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
+            let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));
+            counters.lost_ids += self.threads.run(|| resolve::resolve(plan, &frame.params, keys, slots, images))?;
+        } else {
+            copy_images(frame, &view[..at.counters as usize], images);
+        }
         Ok(counters)
     }
 
@@ -318,23 +347,10 @@ impl GpuEngine {
         }
     }
 
-    fn copy_images(&self, bytes: &[u8], images: &mut Images) {
-        let pixels = images.pixels() * 4;
-        for (i, output) in self.frame.outputs.iter().enumerate() {
-            let from = &bytes[i * pixels..][..pixels];
-            match images.samples_mut(output) {
-                SamplesMut::Floats(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
-                SamplesMut::Ids(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
-                // The plan makes those.
-                SamplesMut::Vectors(_) => {}
-            }
-        }
-    }
-
-    fn report(&self, counters: &Counters, reruns: usize, stats: &mut Stats) {
-        self.report_variants(stats);
-        let near = &self.frame.near;
-        stats.count(CountName::PolygonsSelected, self.frame.params.polygon_count as usize);
+    fn report(&self, frame: &FrameUploads, counters: &Counters, reruns: usize, stats: &mut Stats) {
+        self.report_variants(frame, stats);
+        let near = &frame.near;
+        stats.count(CountName::PolygonsSelected, frame.params.polygon_count as usize);
         stats.count(CountName::PolygonsInView, counters.survivors as usize);
         stats.count(CountName::PolygonsSetUpInF64, near.slots.len());
         stats.count(CountName::PolygonsEdgeOn, (counters.edge_on + near.edge_on) as usize);
@@ -347,8 +363,7 @@ impl GpuEngine {
     }
 
     /// Which variants of stages were taken, and which were not.
-    fn report_variants(&self, stats: &mut Stats) {
-        let frame = &self.frame;
+    fn report_variants(&self, frame: &FrameUploads, stats: &mut Stats) {
         if self.store.times.is_none() {
             frame.stages().iter().for_each(|name| stats.take(*name, "within device, which tells no times of stages"));
         }
@@ -379,5 +394,23 @@ impl GpuEngine {
             !frame.near.slots.is_empty(),
             ["no polygon around the sensor is flat to it", "polygons around the sensor are flat to it"],
         );
+    }
+}
+
+fn counters_of(view: &[u8], at: Readback) -> Counters {
+    bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()])
+}
+
+/// The images that the device resolved.
+fn copy_images(frame: &FrameUploads, bytes: &[u8], images: &mut Images) {
+    let pixels = images.pixels() * 4;
+    for (i, output) in frame.outputs.iter().enumerate() {
+        let from = &bytes[i * pixels..][..pixels];
+        match images.samples_mut(output) {
+            SamplesMut::Floats(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
+            SamplesMut::Ids(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
+            // The plan makes those.
+            SamplesMut::Vectors(_) => {}
+        }
     }
 }

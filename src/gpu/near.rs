@@ -4,7 +4,7 @@
 
 use super::geometry::spread;
 use super::grid::Tables;
-use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, LINES_PER_ITEM, RECORD_WORDS, SLOT_WORDS};
+use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, Item, LINES_PER_ITEM, RECORD_WORDS, Record, Slot};
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::verify::SET_UP_FINELY;
@@ -22,9 +22,9 @@ pub(super) const STAMPED: u32 = 1 << 31;
 #[derive(Default)]
 pub(super) struct NearList {
     pub records: Vec<u32>,
-    pub items: Vec<u32>,
+    pub items: Vec<Item>,
     /// Slot of each, and what the resolve stage asks of it.
-    pub slots: Vec<(u32, [u32; SLOT_WORDS as usize])>,
+    pub slots: Vec<(u32, Slot)>,
     /// Number of the frame, with the highest bit set: the shader passes over what carries it.
     pub stamp: u32,
     /// Within the rounding of f64: covers no ray.
@@ -86,15 +86,14 @@ impl NearList {
         let m = line_vector * (normal / distance);
         let slot = object.first_slot + polygon;
         let at = self.records.len() as u32;
-        self.records.extend(m.as_vec3().to_array().map(f32::to_bits));
-        self.records.push(slot);
         let corners: Vec<DVec3> =
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
         let wedge = wedge(&corners, normal.normalize());
-        self.records.push((corners.len() + wedge.len()) as u32);
+        let edge_count = (corners.len() + wedge.len()) as u32;
         // No cap.
-        self.records.extend([1.0f32, 0.0, 0.0, -1.0].map(f32::to_bits));
-        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS);
+        let (cap_axis, cap_chord) = ([1.0, 0.0, 0.0], -1.0);
+        let record = Record { m: m.as_vec3().to_array(), slot, edge_count, cap_axis, cap_chord };
+        self.records.extend_from_slice(bytemuck::cast_slice(&[record]));
         let sign = (distance * instance.image_from_mesh.determinant()).signum();
         for (k, b) in corners.iter().enumerate() {
             let a = corners[(k + corners.len() - 1) % corners.len()];
@@ -103,11 +102,10 @@ impl NearList {
         for e in &wedge {
             self.records.extend(scaled(line_vector * *e).map(f32::to_bits));
         }
-        let edges = (corners.len() + wedge.len()) as u32;
-        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + edges * EDGE_WORDS);
-        let unit_distance = (distance.abs() / normal.length()) as f32;
+        debug_assert_eq!(self.records.len() as u32, at + RECORD_WORDS + edge_count * EDGE_WORDS);
+        let distance = (distance.abs() / normal.length()) as f32;
         let source = object.first_source + mesh.source(polygon) + 1;
-        self.slots.push((slot, [unit_distance.to_bits(), instance.object + 1, source, self.stamp]));
+        self.slots.push((slot, Slot { distance, object: instance.object + 1, source, record: self.stamp }));
         self.add_items(at, tables);
     }
 
@@ -115,12 +113,12 @@ impl NearList {
     fn add_items(&mut self, record: u32, tables: &Tables) {
         let lines = tables.params.line_count;
         if tables.kind == GridKind::Rays {
-            (0..lines).for_each(|supertile| self.items.extend([record, supertile]));
+            self.items.extend((0..lines).map(|part| Item { record, part }));
             return;
         }
         let share = lines.div_ceil(ITEMS_PER_POLYGON).max(LINES_PER_ITEM);
         for first in (0..lines).step_by(share as usize) {
-            self.items.extend([record, first | share.min(lines - first) << 16]);
+            self.items.push(Item { record, part: first | share.min(lines - first) << 16 });
         }
     }
 }

@@ -1,11 +1,8 @@
 //! The CPU twin of resolve.wgsl: from keys to the asked images. On a software adapter it takes the stage's place.
 
-use super::layout::{Params, SLOT_WORDS};
+use super::layout::{Params, Slot};
 use crate::plan::{FramePlan, IdScheme, Images};
 use crate::sensor::{LineAxis, PixelGrid};
-
-/// What setup left of a slot.
-type Slot = [u32; SLOT_WORDS as usize];
 
 /// What a pixel shows.
 enum PixelContent {
@@ -160,11 +157,11 @@ fn fill(keys: &Keys<'_>, slots: &[Slot], mut rows: Rows<'_>) {
                 PixelContent::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
                 PixelContent::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
                 PixelContent::Hit(h) => {
-                    let [distance, object, source_id, _] = slots[h.slot as usize];
-                    let id = if source { source_id } else { h.slot + 1 };
-                    let cosine = (h.k * f32::from_bits(distance) / h.ray).min(1.0);
+                    let slot = slots[h.slot as usize];
+                    let id = if source { slot.source } else { h.slot + 1 };
+                    let cosine = (h.k * slot.distance / h.ray).min(1.0);
                     let limited = |value: f32| if h.below { f32::NEG_INFINITY } else { value };
-                    (limited(h.ray / h.k), limited(h.depth / h.k), [id, object], cosine)
+                    (limited(h.ray / h.k), limited(h.depth / h.k), [id, slot.object], cosine)
                 }
             };
             let i = (row * width + column) as usize;

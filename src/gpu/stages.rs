@@ -1,13 +1,13 @@
 //! The four stages. Each is `prepare` (pipelines), `bind` (buffers), `encode`; none submits or reads back.
 //!
-//! | stage | reads | writes |
-//! |---|---|---|
-//! | cull | instances, work, meshes | survivors |
-//! | setup | survivors, meshes | records, items |
-//! | raster | records, items | keys |
-//! | resolve | keys, slots | outputs |
+//! | stage | reads | writes | its twin in `crate::cpu` |
+//! |---|---|---|---|
+//! | cull | instances, work, meshes | survivors | `cull` drops whole runs that earlier waves hide; single polygons fall out in `setup` |
+//! | setup | survivors, meshes | records, items | `setup` |
+//! | raster | records, items | keys | `raster_lines` or `raster_rays` |
+//! | resolve | keys, slots | outputs | `resolve` |
 //!
-//! Resolve has a CPU twin of the same name, which runs in its place on software adapters.
+//! On software adapters [`super::resolve`] does on the CPU what `resolve.wgsl` does, from the same keys.
 
 use super::device::Gpu;
 use super::frame_buffers::FrameBuffers;
@@ -142,21 +142,21 @@ impl Stages {
         let pixels = frame.params.width * frame.params.height;
         encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));
         let counters = store.counters.buffer();
-        let mut pass = gpu.pass(encoder, &store.pass(0));
+        let mut pass = gpu.pass(encoder, &store.pass(0, frame));
         if self.cull.set(&mut pass, v.cull) {
             gpu.dispatch(&mut pass, layout::groups_for(frame.params.polygon_count));
         }
         drop(pass);
         let groups = offset_of!(Counters, setup_groups) as u64;
         encoder.copy_buffer_to_buffer(counters, groups, store.dispatch.buffer(), 0, 12);
-        let mut pass = gpu.pass(encoder, &store.pass(1));
+        let mut pass = gpu.pass(encoder, &store.pass(1, frame));
         if self.setup.set(&mut pass, v.setup) {
             pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
         }
         drop(pass);
         let groups = offset_of!(Counters, raster_groups) as u64;
         encoder.copy_buffer_to_buffer(counters, groups, store.dispatch.buffer(), 0, 12);
-        let mut pass = gpu.pass(encoder, &store.pass(2));
+        let mut pass = gpu.pass(encoder, &store.pass(2, frame));
         for variant in [Some(v.raster), v.second].into_iter().flatten() {
             if self.raster.set(&mut pass, variant) {
                 pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
@@ -166,7 +166,7 @@ impl Stages {
         if frame.on_host {
             return;
         }
-        let mut pass = gpu.pass(encoder, &store.pass(RESOLVE as u32));
+        let mut pass = gpu.pass(encoder, &store.pass(RESOLVE as u32, frame));
         if self.resolve.set(&mut pass, v.resolve) {
             gpu.dispatch(&mut pass, layout::groups_for(pixels));
         }

@@ -2,7 +2,7 @@
 
 use super::geometry::Arena;
 use super::grid::Tables;
-use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS};
+use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS, WorkRun};
 use super::near::{NearList, is_near};
 use super::stages::{NAMES, RESOLVE};
 use crate::plan::{FramePlan, IdScheme, Output, Outputs, StageName};
@@ -29,6 +29,8 @@ pub(super) struct FrameUploads {
     pub slots: u32,
     /// The images are resolved on the CPU.
     pub on_host: bool,
+    /// Drawn in one submission with others, which tells no times.
+    pub in_company: bool,
 }
 
 impl FrameUploads {
@@ -104,11 +106,11 @@ impl FrameUploads {
             if near {
                 self.near.add(plan, tables, instance, run);
             }
-            let words: [u32; RUN_WORDS] = [start, run.instance, run.first, u32::from(near)];
-            self.work.extend(words);
+            let words = WorkRun { start, instance: run.instance, polygon: run.first, near: u32::from(near) };
+            self.work.extend_from_slice(bytemuck::cast_slice(&[words]));
             start += run.count;
         }
-        self.work.extend([start, 0, 0, 0]);
+        self.work.extend_from_slice(bytemuck::cast_slice(&[WorkRun { start, ..WorkRun::default() }]));
         debug_assert_eq!(self.work.len(), (plan.runs.len() + 1) * RUN_WORDS);
         self.params.polygon_count = start;
         self.params.stamp = self.near.stamp;

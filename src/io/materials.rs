@@ -96,19 +96,9 @@ pub fn sidecar_path(scene: &Path) -> PathBuf {
 }
 
 impl Sidecar {
-    /// Reads the sidecar of a scene. If there is none, the result changes nothing.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the lines of all unknown keys and impossible values,
-    /// [`crate::ErrorKind::Unsupported`] for a newer format.
-    pub fn for_scene(scene: &Path) -> Result<Self> {
-        let sidecar = Self::beside_leniently(scene)?;
-        sidecar.faults.check().map_err(|e| e.in_file(sidecar_path(scene)))?;
-        Ok(sidecar)
-    }
-
-    /// As [`Sidecar::beside`], but wrong keys and values are told by [`Sidecar::apply_to`], with what does not fit the scene.
-    pub(in crate::io) fn beside_leniently(scene: &Path) -> Result<Self> {
+    /// Reads the sidecar of a scene. If there is none, the result changes nothing. [`Sidecar::apply_to`] reports wrong keys and
+    /// values, with what does not fit the scene.
+    pub(in crate::io) fn for_scene(scene: &Path) -> Result<Self> {
         let path = sidecar_path(scene);
         match std::fs::metadata(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
@@ -119,7 +109,8 @@ impl Sidecar {
     /// Reads the text of a sidecar.
     ///
     /// # Errors
-    /// As [`Sidecar::beside`].
+    /// [`crate::ErrorKind::Invalid`] naming the lines of all unknown keys and impossible values,
+    /// [`crate::ErrorKind::Unsupported`] for a newer format.
     pub fn parse(text: &str) -> Result<Self> {
         let sidecar = Self::read(text)?;
         sidecar.faults.check()?;

@@ -2,12 +2,13 @@
 
 use std::fmt;
 
-/// Drops by this many standard deviations are looked for: half of the shift that the test is fastest for.
-const SLACK: f64 = 1.0;
+/// Half of the shift that the test is fastest for, in standard deviations. What is explained changes along the way by one or
+/// two of these, as places differ in what the model leaves out; at a wrong place it halves.
+const SLACK: f64 = 2.5;
 /// A frame counts for no more than so many standard deviations, so that no single one decides.
-const MOST: f64 = 4.0;
-/// Least standard deviation of a share.
-const LEAST_SIGMA: f64 = 0.02;
+const MOST: f64 = 3.75;
+/// Least standard deviation of a share, unless another is given.
+const LEAST_SIGMA: f64 = 0.08;
 /// A mean forgets by this part a frame.
 const FORGET: f64 = 0.05;
 
@@ -27,6 +28,7 @@ const FORGET: f64 = 0.05;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cusum {
     threshold: f64,
+    least_sigma: f64,
     sum: f64,
     mean: f64,
     variance: f64,
@@ -45,13 +47,19 @@ impl Cusum {
             let middle = 0.5 * (low + high);
             if rate(middle) < frames_per_false_alarm { low = middle } else { high = middle }
         }
-        Self { threshold: high, sum: 0.0, mean: 0.0, variance: 0.0, count: 0.0 }
+        Self { threshold: high, least_sigma: LEAST_SIGMA, sum: 0.0, mean: 0.0, variance: 0.0, count: 0.0 }
+    }
+
+    /// Shares differ by no less than this, one standard deviation, however alike those were that it learns from.
+    #[must_use]
+    pub fn with_least_sigma(self, sigma: f64) -> Self {
+        Self { least_sigma: sigma, ..self }
     }
 
     /// Takes in a share; true if it has left its distribution.
     pub fn add(&mut self, share: f64) -> bool {
         if self.count > 0.0 {
-            let sigma = self.variance.sqrt().max(LEAST_SIGMA);
+            let sigma = self.variance.sqrt().max(self.least_sigma);
             let drop = ((self.mean - share) / sigma).min(MOST);
             self.sum = (self.sum + drop - SLACK).max(0.0);
             if self.sum > self.threshold {
@@ -66,7 +74,7 @@ impl Cusum {
             self.mean += gain * off;
             self.variance = (1.0 - gain) * (self.variance + gain * off * off);
             if self.count == 1.0 {
-                self.variance = (5.0 * LEAST_SIGMA).powi(2);
+                self.variance = (2.0 * self.least_sigma).powi(2);
             }
         }
         false
@@ -80,7 +88,7 @@ impl Cusum {
 
 impl fmt::Display for Cusum {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let sigma = self.variance.sqrt().max(LEAST_SIGMA);
+        let sigma = self.variance.sqrt().max(self.least_sigma);
         write!(f, "usually {:.2} +- {:.2}; {:.1} against {:.1}", self.mean, sigma, self.sum, self.threshold)
     }
 }

@@ -1,27 +1,79 @@
 //! Where the robot is, from frame to frame: a state machine around the estimator.
 //!
-//! A [`Localizer`] starts at a pose that is known about. Each frame moves the belief by odometry, or on with the motion of the frame before,
+//! A [`Localizer`] starts at a pose that is known about, or without one: a [`Search`] weighs a scan at all headings of all free
+//! places, and the best places are carried on until one of them leads and explains enough. Each frame moves the belief by odometry, or on with the motion of the frame before,
 //! and updates it with one estimate. It says [`Phase::Lost`] with its reason instead of a pose that it does not know, and looks
-//! around the last pose it knew until several frames in a row agree.
+//! around the last pose it knew, or in the whole map, until several frames in a row agree.
+//!
+//! # Examples
+//! A scanner that nothing is known of, in a room of which no two places look alike:
+//! ```
+//! use presight::estimate::{EstimateOptions, Estimator};
+//! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+//! use presight::simulate::{Disturbances, Simulator};
+//! use presight::{Material, Mesh, NewObject, Noise, Options, Polygon, PolygonOrder, Pose, Predictor, Sensor, World};
+//! use glam::{DVec3, Vec3};
+//! use std::sync::Arc;
+//!
+//! let mut environment = presight::Environment::new();
+//! let paint = environment.add_material(Material::named("paint"))?;
+//! let corners = [[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [3.0, 2.5], [2.0, 4.0], [0.0, 3.0]];
+//! for (k, (a, b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
+//!     let wall = [[a[0], a[1], 0.0], [b[0], b[1], 0.0], [b[0], b[1], 2.0], [a[0], a[1], 2.0]].map(Vec3::from);
+//!     let name = format!("wall {k}");
+//!     let mesh = Mesh::new(&name, wall.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
+//!     environment.insert(NewObject::new(&name, Pose::IDENTITY, Arc::new(mesh)))?;
+//! }
+//! let world = World::new(environment);
+//! let mut spec = presight::preset("laser-scanner")?.spec().clone();
+//! (spec.range_max, spec.mount.translation.z, spec.noise) = (10.0, 1.0, Noise { range_sigma: 0.02, ..Noise::default() });
+//! let scanner = Sensor::new(spec)?;
+//!
+//! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
+//! let coarse = SearchOptions { headings: 72, candidates: 10, ..SearchOptions::default() };
+//! let search = Search::new(&mut estimator, &world, &scanner, coarse)?;
+//! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
+//! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
+//! for k in 0..5 {
+//!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
+//!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
+//!     // One scan is not enough; the fifth is.
+//!     assert_eq!(step.phase, if k < 4 { Phase::Candidates } else { Phase::Tracking }, "{}", step.reason);
+//!     assert!((step.pose.translation - truth.translation).length() < 0.05);
+//! }
+//! # Ok::<(), presight::Error>(())
+//! ```
 
 mod cusum;
+mod doubt;
+mod hypotheses;
+mod likelihood;
+mod search;
+mod unknown;
 
 pub use cusum::Cusum;
+use hypotheses::Hypotheses;
+pub use search::{Candidate, Search, SearchOptions};
 
 use crate::error::{Error, Result};
 use crate::estimate::{Estimate, EstimateState, Estimator, Prior};
-use crate::frame::Frame;
+use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
 use crate::matrix::{Matrix, add_to, sandwich};
 use crate::motion::turn;
+use crate::sensor::Sensor;
+use crate::verdict::{Verdict, Verdicts};
 use crate::world::World;
+
+/// A model that is off by so much, metres, always explains points by the wrong surfaces, too.
+const COARSE: f64 = 0.1;
 
 /// What a localizer knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Not where the robot is; it looks around where it was last.
+    /// Not where the robot is; it is looked for in the whole map, or without a [`Search`] around where it was last.
     Unknown,
-    /// A pose explains a frame; the next ones have to agree.
+    /// One pose or several explain a frame; the next ones have to agree, and to tell which.
     Candidates,
     /// Where the robot is.
     Tracking,
@@ -56,6 +108,15 @@ pub struct Step {
     pub covariance: Matrix,
     /// What the estimator said of the frame.
     pub estimate: Estimate,
+    /// Where the robot may be after an unknown start, the likeliest first. Empty while one pose is followed.
+    pub candidates: Vec<Candidate>,
+}
+
+impl Step {
+    /// True if one pose is followed: it was given at the start, or it was found.
+    pub fn is_known(&self) -> bool {
+        self.phase == Phase::Tracking || (self.phase == Phase::Candidates && self.candidates.is_empty())
+    }
 }
 
 /// How a [`Localizer`] works.
@@ -73,6 +134,23 @@ pub struct LocalizeOptions {
     pub agreeing: usize,
     /// Mean number of frames between false alarms of being lost.
     pub frames_per_false_alarm: f64,
+    /// Where a level scanner's map explains less than this share, or two places explain as much, hypotheses take over from one
+    /// Gaussian.
+    pub little: f64,
+    /// How many hypotheses.
+    pub hypotheses: usize,
+    /// How many beams tell them as much as one independent beam, for a sensor that states 1.
+    pub beam_dependence: f64,
+    /// How far hypotheses may be spread for their mean to count as known, one standard deviation, metres.
+    pub spread: f64,
+    /// After an unknown start: by how much the likeliest candidate has to lead, natural logarithm of the odds.
+    pub lead: f64,
+    /// Likewise: the share of the measured points that it has to explain, in the mean over the frames.
+    pub least_found: f64,
+    /// Likewise: frames that it takes at least.
+    pub least_frames: usize,
+    /// Likewise: frames after which candidates that do not explain as much are given up.
+    pub patience: usize,
 }
 
 impl Default for LocalizeOptions {
@@ -84,6 +162,14 @@ impl Default for LocalizeOptions {
             search_turn: 0.3,
             agreeing: 3,
             frames_per_false_alarm: 30_000.0,
+            little: 0.6,
+            hypotheses: 150,
+            beam_dependence: 60.0,
+            spread: 0.4,
+            lead: 7.0,
+            least_found: 0.73,
+            least_frames: 5,
+            patience: 8,
         }
     }
 }
@@ -98,12 +184,22 @@ pub struct Localizer {
     motion: Pose,
     agreed: usize,
     explained: Cusum,
+    /// Of the surfaces that are decided on, the share that is where it should be.
+    standing: Cusum,
     stamp: Option<f64>,
+    search: Option<Search>,
+    candidates: Vec<Candidate>,
+    /// In place of one Gaussian, where that would settle too soon.
+    hypotheses: Option<Hypotheses>,
+    /// Frames in a row that explain enough for one Gaussian.
+    agreed_again: usize,
 }
 
 impl Localizer {
     /// Starts at a pose that is known as well as the prior says.
     pub fn new(estimator: Estimator, prior: Prior, options: LocalizeOptions) -> Self {
+        let standing = Cusum::new(2.0 * options.frames_per_false_alarm);
+        let coarse = estimator.options.model_sigma >= COARSE;
         Self {
             estimator,
             options,
@@ -111,9 +207,30 @@ impl Localizer {
             phase: Phase::Candidates,
             motion: Pose::IDENTITY,
             agreed: 0,
-            explained: Cusum::new(options.frames_per_false_alarm),
+            // Two tests, each with half of the false alarms.
+            explained: Cusum::new(2.0 * options.frames_per_false_alarm),
+            standing: if coarse { standing.with_least_sigma(0.12) } else { standing },
             stamp: None,
+            search: None,
+            candidates: Vec::new(),
+            hypotheses: None,
+            agreed_again: 0,
         }
+    }
+
+    /// Starts without a pose: `search` looks for the robot in the whole map.
+    pub fn unknown(estimator: Estimator, search: Search, options: LocalizeOptions) -> Self {
+        let nowhere = Prior::of_sigmas(Pose::IDENTITY, options.search, options.search_turn);
+        Self { phase: Phase::Unknown, search: Some(search), ..Self::new(estimator, nowhere, options) }
+    }
+
+    /// From now on a robot that is lost is looked for in the whole map, not only around where it was last.
+    ///
+    /// # Errors
+    /// Those of [`Search::new`].
+    pub fn search_everywhere(&mut self, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<()> {
+        self.search = Some(Search::new(&mut self.estimator, world, sensor, options)?);
+        Ok(())
     }
 
     /// What is known now.
@@ -129,15 +246,26 @@ impl Localizer {
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
         check(self.stamp, frame)?;
         let first = self.stamp.replace(frame.stamp).is_none();
+        let motion = if first { None } else { Some(self.motion_of(frame)) };
+        if self.is_searched() {
+            return self.search_on(world, frame, motion.as_ref());
+        }
         let before = self.belief.pose;
-        if !first {
-            self.move_on(frame);
+        if let Some(motion) = &motion {
+            self.belief = carried(&self.belief, motion);
+        }
+        if self.hypotheses.is_some() {
+            return self.follow_hypotheses(world, frame, motion.as_ref());
         }
         let prior = match self.phase {
             Phase::Tracking | Phase::Candidates => self.belief,
             Phase::Unknown | Phase::Lost => widened(&self.belief, &self.options),
         };
         let estimate = self.estimator.estimate(world, &[frame], &prior)?;
+        if self.is_doubtful(frame, &estimate) {
+            self.doubt(frame, &prior)?;
+            return self.follow_hypotheses(world, frame, None);
+        }
         let reason = self.decide(&estimate);
         if estimate.is_determined() {
             if !first {
@@ -148,40 +276,50 @@ impl Localizer {
             // Going on with a motion that nobody saw would only lead away.
             self.motion = Pose::IDENTITY;
         }
-        Ok(Step {
+        Ok(self.told(frame, reason, estimate))
+    }
+
+    fn told(&self, frame: &Frame, reason: String, estimate: Estimate) -> Step {
+        Step {
             stamp: frame.stamp,
             phase: self.phase,
             reason,
             pose: self.belief.pose,
             covariance: self.belief.covariance,
             estimate,
+            candidates: self.candidates.clone(),
+        }
+    }
+
+    /// The motion that the frame tells, or the last one again.
+    fn motion_of(&self, frame: &Frame) -> Motion {
+        let sigma = |i: usize| if i < 3 { self.options.drift } else { self.options.turn_drift };
+        frame.motion.unwrap_or(Motion {
+            previous_from_current: self.motion,
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 })),
         })
     }
 
-    /// The belief after the motion that the frame tells, or after the last one again.
-    fn move_on(&mut self, frame: &Frame) {
-        let (motion, own) = match &frame.motion {
-            Some(m) => (m.previous_from_current, m.covariance),
-            None => {
-                let sigma = |i: usize| if i < 3 { self.options.drift } else { self.options.turn_drift };
-                (
-                    self.motion,
-                    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 })),
-                )
-            }
-        };
-        let from = self.belief.pose;
-        let to = from * motion;
-        // A rotation of the robot then moves where it is now: t + r cross (to - from).
-        let arm = to.translation - from.translation;
-        let mut lever = [[0.0; 6]; 6];
-        (0..6).for_each(|i| lever[i][i] = 1.0);
-        (lever[0][4], lever[0][5]) = (arm.z, -arm.y);
-        (lever[1][3], lever[1][5]) = (-arm.z, arm.x);
-        (lever[2][3], lever[2][4]) = (arm.y, -arm.x);
-        let mut covariance = sandwich(&lever, &self.belief.covariance);
-        add_to(&mut covariance, &sandwich(&turn(from.rotation), &own));
-        self.belief = Prior { pose: to, covariance };
+    /// Whether what was usual no longer is. A coarse model leaves much out: there only what it has and is not there counts.
+    fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
+        let counts = estimate.verdicts.iter().map(Verdicts::counts);
+        let (confirmed, farther) =
+            counts.fold((0, 0), |(c, f), n| (c + n[Verdict::Confirmed as usize], f + n[Verdict::Farther as usize]));
+        let standing = if confirmed + farther > 0 { confirmed as f64 / (confirmed + farther) as f64 } else { 0.0 };
+        if self.standing.add(standing) {
+            return Some(format!(
+                "the share of surfaces that are still there has left its distribution ({})",
+                self.standing
+            ));
+        }
+        let coarse = self.estimator.options.model_sigma >= COARSE;
+        let usual = coarse || !self.explained.add(estimate.explained);
+        (!usual).then(|| format!("the share of explained points has left its distribution ({})", self.explained))
+    }
+
+    fn restart_tests(&mut self) {
+        self.explained.restart();
+        self.standing.restart();
     }
 
     /// The next phase, and why.
@@ -192,23 +330,19 @@ impl Localizer {
             EstimateState::Undetermined(why) => why.clone(),
         };
         match self.phase {
-            Phase::Tracking => {
-                let alarm = self.explained.add(estimate.explained);
-                if alarm {
+            Phase::Tracking => match self.alarm(estimate) {
+                Some(alarm) => {
                     self.phase = Phase::Lost;
                     self.agreed = 0;
-                    return format!(
-                        "{why}; the share of explained points has left its distribution ({})",
-                        self.explained
-                    );
+                    format!("{why}; {alarm}")
                 }
-                why
-            }
+                None => why,
+            },
             Phase::Lost | Phase::Unknown | Phase::Candidates if estimate.is_determined() => {
                 self.agreed += 1;
                 if self.agreed >= self.options.agreeing {
                     self.phase = Phase::Tracking;
-                    self.explained.restart();
+                    self.restart_tests();
                     return format!("{why}; {} frames in a row agree", self.agreed);
                 }
                 self.phase = Phase::Candidates;
@@ -221,6 +355,22 @@ impl Localizer {
             }
         }
     }
+}
+
+/// What is known of a pose after a motion.
+fn carried(belief: &Prior, motion: &Motion) -> Prior {
+    let from = belief.pose;
+    let to = from * motion.previous_from_current;
+    // A rotation of the robot then moves where it is now: t + r cross (to - from).
+    let arm = to.translation - from.translation;
+    let mut lever = [[0.0; 6]; 6];
+    (0..6).for_each(|i| lever[i][i] = 1.0);
+    (lever[0][4], lever[0][5]) = (arm.z, -arm.y);
+    (lever[1][3], lever[1][5]) = (-arm.z, arm.x);
+    (lever[2][3], lever[2][4]) = (arm.y, -arm.x);
+    let mut covariance = sandwich(&lever, &belief.covariance);
+    add_to(&mut covariance, &sandwich(&turn(from.rotation), &motion.covariance));
+    Prior { pose: to, covariance }
 }
 
 /// At least as wide as a lost robot is looked for.

@@ -82,6 +82,10 @@ words! {
         PolygonsSelected = "polygons selected",
         PolygonsInView = "polygons in view",
         PolygonsSetUp = "polygons set up",
+        /// Single polygons behind what earlier waves drew.
+        PolygonsHidden = "polygons hidden",
+        /// Polygons that no ray of the sensor can meet.
+        PolygonsBetweenSamples = "polygons between samples",
         PolygonsSetUpInF64 = "polygons set up in f64",
         /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
         PolygonsEdgeOn = "polygons edge-on",

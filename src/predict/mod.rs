@@ -348,10 +348,7 @@ impl Predictor {
             self.controller.plan(timed, &mut plan)?;
         }
         let rendered = self.render(&plan, images, &mut stats);
-        let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
-        stats.left_out.extend(by_engine);
-        plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
-        stats.notices.extend(self.notice.clone());
+        tell(&plan, self.notice.as_ref(), &mut stats);
         self.buffers = plan.into_buffers();
         rendered?;
         if let Some(timed) = &mut timed {
@@ -367,6 +364,33 @@ impl Predictor {
     pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
         self.threads = self.threads.started()?;
         self.threads.run(work)
+    }
+
+    /// Draws plans of one sensor together, where the engine can, and hands over each one's images in their order. What a fault
+    /// leaves over is drawn one by one, as single predictions are.
+    pub(crate) fn render_many(
+        &mut self,
+        plans: &[FramePlan],
+        images: &mut Images,
+        mut each: impl FnMut(&mut Images, Stats),
+    ) -> Result<()> {
+        let mut done = 0;
+        let first = plans.iter().find(|plan| plan.polygon_count > 0);
+        if first.is_none_or(|plan| self.prove(plan).is_ok()) {
+            // Its fault comes up again with the first plan that is left.
+            let _ = self.engine.render_many(plans, images, &mut |images, mut stats| {
+                tell(&plans[done], self.notice.as_ref(), &mut stats);
+                done += 1;
+                each(images, stats);
+            });
+        }
+        for plan in &plans[done..] {
+            let mut stats = Stats::default();
+            self.render(plan, images, &mut stats)?;
+            tell(plan, self.notice.as_ref(), &mut stats);
+            each(images, stats);
+        }
+        Ok(())
     }
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
@@ -419,6 +443,14 @@ impl Predictor {
         self.proven.images.push(task);
         Ok(())
     }
+}
+
+/// Adds to an engine's statistics what the plan and the predictor know.
+fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
+    let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
+    stats.left_out.extend(by_engine);
+    plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
+    stats.notices.extend(notice.cloned());
 }
 
 /// A device does something wrong.

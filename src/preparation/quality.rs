@@ -98,14 +98,13 @@ fn is_sliver([a, b, c]: [DVec3; 3]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::environment::{CUBOID_FACES, cuboid_corners};
     use glam::Vec3;
 
     fn cube(turned: bool) -> TriangleMesh {
-        let vertices = (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32)).collect();
+        let vertices = cuboid_corners(Vec3::ZERO, Vec3::ONE).to_vec();
         let mut mesh = TriangleMesh { vertices, ..Default::default() };
-        for [a, b, c, d] in
-            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]] as [[u32; 4]; 6]
-        {
+        for [a, b, c, d] in CUBOID_FACES {
             for t in [[a, b, c], [a, c, d]] {
                 mesh.push(if turned { [t[0], t[2], t[1]] } else { t }, 0);
             }

@@ -108,9 +108,9 @@ impl Probe {
         let mut add = |name: &str, pose: Pose, mesh: Mesh| {
             environment.insert(NewObject::new(name, pose, Arc::new(mesh))).map(|_| ())
         };
-        add("room", Pose::IDENTITY, cuboid("room", Vec3::new(-3.0, -2.5, -1.2), Vec3::new(3.0, 2.5, 1.6), 0)?)?;
+        add("room", Pose::IDENTITY, Mesh::cuboid("room", Vec3::new(-3.0, -2.5, -1.2), Vec3::new(3.0, 2.5, 1.6), 0)?)?;
         let slanting = Pose::from_xyz_rpy(DVec3::new(1.6, 0.3, 0.1), 0.2, -0.3, 0.7);
-        add("pillar", slanting, cuboid("pillar", Vec3::new(-0.3, -0.2, -1.1), Vec3::new(0.3, 0.2, 1.1), 1)?)?;
+        add("pillar", slanting, Mesh::cuboid("pillar", Vec3::new(-0.3, -0.2, -1.1), Vec3::new(0.3, 0.2, 1.1), 1)?)?;
         let corners = [[0.0, -0.4, -0.3], [0.1, 0.3, -0.4], [0.0, 0.45, 0.2], [-0.1, -0.1, 0.5]].map(Vec3::from_array);
         let faces = vec![Polygon::new(vec![0, 1, 2], 1), Polygon::new(vec![0, 2, 3], 1)];
         let plate = Mesh::new("plate", corners.to_vec(), faces, PolygonOrder::Given)?;
@@ -150,16 +150,6 @@ impl Probe {
 /// Where the sensor is.
 fn pose() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.15), 0.03, -0.05, 0.2)
-}
-
-fn cuboid(name: &str, least: Vec3, most: Vec3, material: u16) -> Result<Mesh> {
-    let corner = |i: u32| {
-        let pick = |bit: u32, a: f32, b: f32| if i & bit == 0 { a } else { b };
-        Vec3::new(pick(1, least.x, most.x), pick(2, least.y, most.y), pick(4, least.z, most.z))
-    };
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let polygons = faces.map(|f| Polygon::new(f.to_vec(), material));
-    Mesh::new(name, (0..8).map(corner).collect(), polygons.to_vec(), PolygonOrder::Given)
 }
 
 #[cfg(test)]

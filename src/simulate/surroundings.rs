@@ -1,7 +1,7 @@
 //! What differs between the scene and its model: objects that stand elsewhere, and people who walk through.
 
 use crate::change::Change;
-use crate::environment::{Material, Mesh, NewObject, Polygon, PolygonOrder};
+use crate::environment::{Material, Mesh, NewObject};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::random::SplitMix64;
@@ -130,13 +130,8 @@ fn person(world: &mut World) -> Result<Arc<Mesh>> {
     let cloth = world.environment().materials().len() as u16;
     world.apply(Change::AddMaterial(Material::named("walker's cloth")))?;
     let [x, y, z] = PERSON;
-    let corner = |i: u32| {
-        let side = |bit: u32, half: f32| if i & bit == 0 { -half } else { half };
-        Vec3::new(side(1, x), side(2, y), side(4, z) + z)
-    };
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let polygons = faces.map(|face| Polygon::new(face.to_vec(), cloth)).to_vec();
-    Ok(Arc::new(Mesh::new("walker", (0..8).map(corner).collect(), polygons, PolygonOrder::Given)?))
+    let mesh = Mesh::cuboid("walker", Vec3::new(-x, -y, 0.0), Vec3::new(x, y, 2.0 * z), cloth)?;
+    Ok(Arc::new(mesh))
 }
 
 #[cfg(test)]

@@ -92,11 +92,11 @@ impl World {
         self.stamp
     }
 
-    /// Applies a change, which makes the next version, and returns its inverse. Environment and index change together, in
-    /// place unless a clone still holds this version.
+    /// Applies a change as [`World::apply`] does, but does not check that its features lie on polygons. Use it for inverses:
+    /// they bring back what was there, and a feature of that may have lost its surface.
     ///
-    /// The inverse restores the content ([`Environment::content_hash`]) to the last bit. It does not restore numbers: an object that
-    /// comes back has new slots.
+    /// The inverse of a change restores the content ([`Environment::content_hash`]) to the last bit. It does not restore
+    /// numbers: an object that comes back has new slots.
     ///
     /// ```
     /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
@@ -108,7 +108,7 @@ impl World {
     /// let before = world.environment().content_hash();
     /// let undo = world.apply(Change::InsertObject(NewObject::new("sign", Pose::IDENTITY, mesh.into())))?;
     /// assert_ne!(world.environment().content_hash(), before);
-    /// world.apply(undo)?;
+    /// world.apply_unchecked(undo)?;
     /// assert_eq!(world.environment().content_hash(), before);
     /// # Ok::<(), presight::Error>(())
     /// ```
@@ -117,9 +117,8 @@ impl World {
     /// [`crate::ErrorKind::Invalid`] if there is no such object, group or feature, an id was used before, a feature names an
     /// object that does not exist, or a value is impossible (those of [`Environment::insert`],
     /// [`Environment::set_pose`], [`Environment::set_frame`] and [`Environment::add_material`]). Content and version then
-    /// stay as they are, of all changes of a [`Change::Group`]. That features lie on polygons is not asked here, but by
-    /// [`crate::placement`].
-    pub fn apply(&mut self, change: Change) -> Result<Change> {
+    /// stay as they are, of all changes of a [`Change::Group`].
+    pub fn apply_unchecked(&mut self, change: Change) -> Result<Change> {
         match change {
             Change::Group(_) => self.apply_if(change, |_| Ok(())),
             single => {

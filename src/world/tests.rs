@@ -44,15 +44,15 @@ fn hash(world: &World) -> crate::environment::ContentHash {
 /// Applies and undoes; the answer is the world in between.
 fn there_and_back(world: &mut World, change: Change) -> World {
     let before = hash(world);
-    let undo = world.apply(change).unwrap();
+    let undo = world.apply_unchecked(change).unwrap();
     let between = world.clone();
     world.index().assert_well_formed(world.environment());
-    let redo = world.apply(undo).unwrap();
+    let redo = world.apply_unchecked(undo).unwrap();
     assert_eq!(hash(world), before);
     world.index().assert_well_formed(world.environment());
-    let undo = world.apply(redo).unwrap();
+    let undo = world.apply_unchecked(redo).unwrap();
     assert_eq!(hash(world), hash(&between), "what undoes the undoing is the change");
-    world.apply(undo).unwrap();
+    world.apply_unchecked(undo).unwrap();
     assert_eq!(hash(world), before);
     between
 }
@@ -130,10 +130,10 @@ fn an_object_moves_groups_below_it() {
     let mut world = world();
     let mesh = world.environment().objects()[0].mesh.clone();
     let new = NewObject::new("cart/arm/hand", at(4.0, 0.0), mesh);
-    world.apply(Change::InsertObject(new)).unwrap();
+    world.apply_unchecked(Change::InsertObject(new)).unwrap();
     let frame = Change::SetFrame { name: "cart/arm".into(), world_from_group: Some(at(4.0, 1.0)) };
     there_and_back(&mut world, frame.clone());
-    world.apply(frame).unwrap();
+    world.apply_unchecked(frame).unwrap();
     let to = Pose::from_xyz_rpy(DVec3::new(-3.0, 1.0, 2.0), 0.3, 0.2, 1.1);
     let moved = there_and_back(&mut world, Change::MoveObject { name: "cart".into(), world_from_object: to });
     for path in ["cart/arm", "cart/arm/hand"] {
@@ -144,8 +144,8 @@ fn an_object_moves_groups_below_it() {
 #[test]
 fn a_group_is_deleted_with_all_that_is_below() {
     let mut world = hall();
-    world.apply(insert(3, Some("hall/door/leaf"))).unwrap();
-    world.apply(insert(4, Some("hall/exit"))).unwrap();
+    world.apply_unchecked(insert(3, Some("hall/door/leaf"))).unwrap();
+    world.apply_unchecked(insert(4, Some("hall/exit"))).unwrap();
     let without = there_and_back(&mut world, Change::DeleteObject { name: "hall/door".into() });
     let ids =
         |world: &World| world.environment().layer("video").unwrap().features.iter().map(|f| f.id).collect::<Vec<_>>();
@@ -154,7 +154,7 @@ fn a_group_is_deleted_with_all_that_is_below() {
     let without = there_and_back(&mut world, Change::DeleteObject { name: "hall".into() });
     assert_eq!(without.environment().groups().len(), 0);
     assert!(without.environment().frame("hall door").is_some());
-    assert!(world.apply(Change::DeleteObject { name: "hal".into() }).is_err());
+    assert!(world.apply_unchecked(Change::DeleteObject { name: "hal".into() }).is_err());
 }
 
 /// A path stays movable when its object goes, and takes over what is below when an object comes.
@@ -190,12 +190,12 @@ fn paths_change_between_object_and_group() {
 #[test]
 fn a_deleted_object_takes_its_features_along_and_brings_them_back() {
     let mut world = world();
-    world.apply(insert(3, Some("cart"))).unwrap();
-    world.apply(insert(4, None)).unwrap();
+    world.apply_unchecked(insert(3, Some("cart"))).unwrap();
+    world.apply_unchecked(insert(4, None)).unwrap();
     let mut covariance = [[0.0; 6]; 6];
     covariance[0][0] = 0.25;
     let (class, object) = ("video".to_owned(), "cart".to_owned());
-    world.apply(Change::SetPoseCovariance { class, object, covariance: Some(covariance) }).unwrap();
+    world.apply_unchecked(Change::SetPoseCovariance { class, object, covariance: Some(covariance) }).unwrap();
     let without = there_and_back(&mut world, Change::DeleteObject { name: "cart".into() });
     let layer = without.environment().layer("video").unwrap();
     assert_eq!(layer.features.iter().map(|f| f.id).collect::<Vec<_>>(), [4]);
@@ -205,13 +205,13 @@ fn a_deleted_object_takes_its_features_along_and_brings_them_back() {
 #[test]
 fn ids_are_never_used_again() {
     let mut world = world();
-    world.apply(insert(3, None)).unwrap();
-    world.apply(Change::DeleteFeature { class: "video".into(), id: 3 }).unwrap();
+    world.apply_unchecked(insert(3, None)).unwrap();
+    world.apply_unchecked(Change::DeleteFeature { class: "video".into(), id: 3 }).unwrap();
     let before = hash(&world);
-    assert!(world.apply(insert(3, None)).unwrap_err().to_string().contains("deleted"));
-    assert!(world.apply(Change::DeleteFeature { class: "video".into(), id: 3 }).is_err());
+    assert!(world.apply_unchecked(insert(3, None)).unwrap_err().to_string().contains("deleted"));
+    assert!(world.apply_unchecked(Change::DeleteFeature { class: "video".into(), id: 3 }).is_err());
     assert_eq!(hash(&world), before);
-    world.apply(insert(4, None)).unwrap();
+    world.apply_unchecked(insert(4, None)).unwrap();
     there_and_back(&mut world, Change::SetFeature { class: "video".into(), feature: point(4, Some("cart")) });
     there_and_back(&mut world, Change::SetTolerance { class: "video".into(), tolerance: 0.5 });
     there_and_back(&mut world, insert(5, Some("cartridge")));
@@ -223,7 +223,7 @@ fn a_group_is_all_or_nothing_and_readers_keep_their_version() {
     let (reader, before) = (world.clone(), hash(&world));
     let delete = |name: &str| Change::DeleteObject { name: name.into() };
     let wrong = Change::Group(vec![insert(1, None), delete("cartridge"), delete("cartridge")]);
-    let e = world.apply(wrong).unwrap_err();
+    let e = world.apply_unchecked(wrong).unwrap_err();
     assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("change 3 of the group"), "{e}");
     assert_eq!((hash(&world), world.version()), (before, reader.version()));
     assert!(world.environment().retired("video").next().is_none());
@@ -257,11 +257,12 @@ fn impossible_changes_are_refused() {
     ];
     // Below a path nothing may go too far either.
     let near_the_end = Pose { translation: DVec3::new(9.999_999_999_99e11, 0.0, 0.0), ..Pose::IDENTITY };
-    let e = world.apply(Change::MoveObject { name: "hall".into(), world_from_object: near_the_end }).unwrap_err();
+    let e =
+        world.apply_unchecked(Change::MoveObject { name: "hall".into(), world_from_object: near_the_end }).unwrap_err();
     assert!(e.to_string().contains("object \"hall/") && e.to_string().contains("too far"), "{e}");
     assert_eq!(hash(&world), before);
     for change in wrong {
-        let e = world.apply(change.clone()).unwrap_err();
+        let e = world.apply_unchecked(change.clone()).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && !e.remedy().is_empty(), "{change:?}: {e}");
         assert_eq!(hash(&world), before, "{change:?}");
     }
@@ -277,13 +278,13 @@ fn everything(world: &World) -> String {
 #[test]
 fn a_group_that_fails_leaves_no_trace() {
     let mut world = hall();
-    world.apply(insert(1, Some("hall/exit"))).unwrap();
-    world.apply(insert(2, None)).unwrap();
-    world.apply(Change::DeleteFeature { class: "video".into(), id: 2 }).unwrap();
+    world.apply_unchecked(insert(1, Some("hall/exit"))).unwrap();
+    world.apply_unchecked(insert(2, None)).unwrap();
+    world.apply_unchecked(Change::DeleteFeature { class: "video".into(), id: 2 }).unwrap();
     let covariance = Some([[0.0; 6]; 6]);
     for object in ["cart", "hall/exit", "cartridge"] {
         let (class, object) = ("video".to_owned(), object.to_owned());
-        world.apply(Change::SetPoseCovariance { class, object, covariance }).unwrap();
+        world.apply_unchecked(Change::SetPoseCovariance { class, object, covariance }).unwrap();
     }
     let mesh = world.environment().objects()[0].mesh.clone();
     let new = |name: &str| Change::InsertObject(NewObject::new(name, at(9.0, 0.0), mesh.clone()));
@@ -315,7 +316,7 @@ fn a_group_that_fails_leaves_no_trace() {
         world.step_and_back(changes.clone());
         changes.push(Change::DeleteObject { name: "nothing here".into() });
         let (environment, index) = (Arc::as_ptr(&world.environment), Arc::as_ptr(&world.index));
-        let e = world.apply(Change::Group(changes)).unwrap_err();
+        let e = world.apply_unchecked(Change::Group(changes)).unwrap_err();
         assert!(e.to_string().contains(&format!("change {}", done + 1)), "{e}");
         assert_eq!(everything(&world), before, "after {done} changes");
         world.index().assert_well_formed(world.environment());
@@ -328,7 +329,7 @@ impl World {
     fn step_and_back(&self, changes: Vec<Change>) {
         let mut other = World::new(self.environment().as_ref().clone());
         let empty = changes.is_empty();
-        other.apply(Change::Group(changes)).unwrap();
+        other.apply_unchecked(Change::Group(changes)).unwrap();
         assert_eq!(format!("{:?}", other.environment()) == format!("{:?}", self.environment()), empty);
     }
 }
@@ -376,7 +377,7 @@ fn many_features_at_once_are_as_one_by_one() {
     for seed in 0..40 {
         let (mut one_by_one, mut taken, mut undo) = (world(), Vec::new(), Vec::new());
         for change in many_changes(seed) {
-            if let Ok(inverse) = one_by_one.apply(change.clone()) {
+            if let Ok(inverse) = one_by_one.apply_unchecked(change.clone()) {
                 taken.push(change);
                 undo.push(inverse);
             }
@@ -384,24 +385,25 @@ fn many_features_at_once_are_as_one_by_one() {
         assert!(taken.len() > FEW_FEATURES, "{seed}: {}", taken.len());
         let mut in_a_row = world();
         in_a_row.row = Some(FEW_FEATURES);
-        let done: Vec<Change> = many_changes(seed).into_iter().filter_map(|c| in_a_row.apply(c).ok()).collect();
+        let done: Vec<Change> =
+            many_changes(seed).into_iter().filter_map(|c| in_a_row.apply_unchecked(c).ok()).collect();
         assert!(in_a_row.environment.has_open_layers() && format!("{done:?}") == format!("{undo:?}"), "{seed}");
         Arc::make_mut(&mut in_a_row.environment).close_layers();
         assert_eq!((listed(&in_a_row), hash(&in_a_row)), (listed(&one_by_one), hash(&one_by_one)), "{seed}");
         let mut together = world();
-        let inverse = together.apply(Change::Group(taken.clone())).unwrap();
+        let inverse = together.apply_unchecked(Change::Group(taken.clone())).unwrap();
         assert_eq!(listed(&together), listed(&one_by_one), "{seed}");
         assert_eq!(hash(&together), hash(&one_by_one), "{seed}");
         undo.reverse();
         assert_eq!(format!("{inverse:?}"), format!("{:?}", Change::Group(undo)), "{seed}");
         together.index().assert_well_formed(together.environment());
-        together.apply(inverse).unwrap();
+        together.apply_unchecked(inverse).unwrap();
         assert_eq!(hash(&together), hash(&world()), "{seed}");
         // What is refused at the end leaves nothing behind.
         let refused = Change::DeleteFeature { class: "video".into(), id: 41 };
         let mut together = world();
         let before = everything(&together);
-        let e = together.apply(Change::Group(taken.into_iter().chain([refused]).collect())).unwrap_err();
+        let e = together.apply_unchecked(Change::Group(taken.into_iter().chain([refused]).collect())).unwrap_err();
         assert!(e.to_string().contains("there is no feature 41 for class \"video\""), "{e}");
         assert_eq!(everything(&together), before, "{seed}");
         there_and_back(&mut together, insert(90, Some("cart")));
@@ -439,9 +441,9 @@ fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
         let mut world = World::new(environment);
         let before = hash(&world);
         let start = own_seconds();
-        let undo = world.apply(Change::DeleteObject { name: "hall".into() }).unwrap();
+        let undo = world.apply_unchecked(Change::DeleteObject { name: "hall".into() }).unwrap();
         assert_eq!(world.environment().layer("video").unwrap().features.len(), 0);
-        world.apply(undo).unwrap();
+        world.apply_unchecked(undo).unwrap();
         let seconds = own_seconds() - start;
         assert_eq!(hash(&world), before);
         seconds
@@ -463,11 +465,11 @@ fn a_change_after_a_prediction_copies_nothing() {
     let moved = |name: &str, x| Change::MoveObject { name: name.into(), world_from_object: at(x, 0.2) };
     for change in [moved("cart", 1.5), Change::Group(vec![moved("hall", 2.0), moved("cart", 2.5)])] {
         predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
-        world.apply(change).unwrap();
+        world.apply_unchecked(change).unwrap();
         assert_eq!(place(&world), before, "in place");
     }
     let reader = world.clone();
-    world.apply(moved("cart", 3.0)).unwrap();
+    world.apply_unchecked(moved("cart", 3.0)).unwrap();
     assert_ne!(place(&world).0, before.0);
     assert_eq!(place(&reader), before, "the reader keeps its version");
 }

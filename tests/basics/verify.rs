@@ -205,7 +205,7 @@ fn nan_and_infinity_are_caught() {
             let mut wrong = images.clone();
             wrong.echo[13] = bad;
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);
-            // No component of these normals is as far from its neighbours on the sphere as 0 and 1 are.
+            // In place of what may be a component, the normal on the other side.
             let mut wrong = images.clone();
             wrong.normal[14] = if bad.abs() <= 1.0 { wrong.normal[14].map(|x| -x) } else { [bad, 0.0, 0.0] };
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);

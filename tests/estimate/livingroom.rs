@@ -1,6 +1,7 @@
 //! Real depth images in a real map (../shared/data/rgbd/livingroom). Figures beside each bound are those reached.
 
 use super::*;
+use presight::environment::{Polygon, PolygonOrder};
 use presight::estimate::Prior;
 use presight::io::gltf::import;
 use presight::localize::{LocalizeOptions, Localizer, Phase};
@@ -99,7 +100,6 @@ fn against_the_first_frame() {
             // From where the frame before was.
             let answer = found.estimate(&surface, &[&frame], &Prior::of_sigmas(truth[k - 1], 0.03, 0.02)).unwrap();
             let (metres, degrees) = apart(&answer.pose, &truth[k]);
-            println!("{folder} {k}: {metres} m {degrees} deg {:?} {:?}", answer.explained, answer.state);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
             assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
         }

@@ -2,31 +2,28 @@
 
 mod drives;
 mod livingroom;
+mod malaga;
 mod objects;
 mod rooms;
+mod search;
 mod simulated;
 mod singular;
 mod verdicts;
+mod willow;
 
 use glam::{DVec3, Vec3};
 use presight::estimate::{EstimateOptions, Estimator, moved};
 use presight::frame::{Frame, Measurement};
 use presight::{
-    Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose,
-    Predictor, Request, Scanner, Sensor, SensorSpec, World,
+    Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Pose, Predictor, Request,
+    Scanner, Sensor, SensorSpec, World,
 };
 use presight_testkit::Random;
 use std::sync::Arc;
 
-/// A box from corner to corner as an object of its own; `inwards` is a room.
+/// A box from corner to corner as an object of its own.
 pub fn add_box(environment: &mut Environment, name: &str, least: Vec3, most: Vec3) {
-    let corner = |i: u32| {
-        let pick = |bit: u32, a: f32, b: f32| if i & bit == 0 { a } else { b };
-        Vec3::new(pick(1, least.x, most.x), pick(2, least.y, most.y), pick(4, least.z, most.z))
-    };
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let polygons = faces.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect();
-    let mesh = Mesh::new(name, (0..8).map(corner).collect(), polygons, PolygonOrder::Given).unwrap();
+    let mesh = Mesh::cuboid(name, least, most, 0).unwrap();
     environment.insert(NewObject::new(name, Pose::IDENTITY, Arc::new(mesh))).unwrap();
 }
 

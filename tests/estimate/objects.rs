@@ -1,7 +1,7 @@
 //! Objects whose poses are known with a stored covariance: what that says of the robot's pose, and of verdicts.
 
 use super::*;
-use presight::environment::FeatureLayer;
+use presight::environment::{FeatureLayer, Polygon, PolygonOrder};
 use presight::estimate::{Freedom, Prior};
 use presight::frame::RangeNoise;
 use presight::simulate::{Disturbances, Simulator};

@@ -10,7 +10,7 @@ mod generate;
 
 use check::{check_world, near_unit, sound_sensor};
 use presight::Pose;
-use presight::io::{camera_info, corridor, exr, layer, materials, sensor_toml, tum};
+use presight::io::{camera_info, corridor, exr, layer, log, materials, sensor_toml, tum};
 use presight_cli::pose::parse_pose;
 use presight_cli::pose_cov;
 use std::borrow::Cow;
@@ -122,10 +122,10 @@ pub fn store(bytes: &[u8]) -> bool {
             let _ = (store::read(path), store::log(path, |_| Ok(())), store::Store::open(path).is_ok());
             return false;
         };
-        let (store, environment) = store::Store::open(path).expect("a sound store opens");
-        assert_eq!(environment.content_hash(), info.environment.content_hash());
+        let store = store::Store::open(path).expect("a sound store opens");
+        assert_eq!(store.world().environment().content_hash(), info.environment.content_hash());
         assert_eq!(store.changes(), info.changes);
-        check_world(environment);
+        check_world(presight::Environment::clone(store.world().environment()));
         true
     })
 }
@@ -136,27 +136,27 @@ pub fn changes(bytes: &[u8]) -> bool {
     use presight::io::store::{Note, Store, create};
     use std::cell::RefCell;
     thread_local! {
-        static OPEN: RefCell<(Store, presight::World)> = FOLDER.with(|folder| {
+        static OPEN: RefCell<Store> = FOLDER.with(|folder| {
             let path = folder.0.path().join("changed.presight");
             create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
-            let (mut store, environment) = Store::open(&path).expect("a sound store opens");
-            store.without_sync().expect("an open store");
             let none = presight::index::Scheme::None;
             let params = presight::index::Params::tuned(none);
-            RefCell::new((store, presight::World::with_index(environment, none, params)))
+            let mut store = Store::open_with_index(&path, none, params).expect("a sound store opens");
+            store.without_sync().expect("an open store");
+            RefCell::new(store)
         });
     }
     OPEN.with(|open| {
-        let (store, world) = &mut *open.borrow_mut();
-        let before = world.environment().content_hash();
-        let mut batch = store.batch(world).expect("a batch");
+        let store = &mut *open.borrow_mut();
+        let before = store.world().environment().content_hash();
+        let mut batch = store.batch().expect("a batch");
         let note = Note::new("fuzz", 2.5);
         let folder = FOLDER.with(|folder| folder.0.path().to_owned());
         let text = text(bytes);
         let lines = text.lines().filter(|line| !line.is_empty());
         let sound = lines.map(|line| batch.apply_line(line, &folder, &note).is_ok()).take_while(|sound| *sound).count();
         drop(batch);
-        assert_eq!(world.environment().content_hash(), before, "what is not committed is gone");
+        assert_eq!(store.world().environment().content_hash(), before, "what is not committed is gone");
         sound > 0
     })
 }
@@ -225,6 +225,40 @@ pub fn robot(bytes: &[u8]) -> bool {
         assert!(!robot.sensors.is_empty());
         robot.sensors.iter().for_each(|s| check_pose(&s.spec().mount));
         true
+    })
+}
+
+/// Logs of sensed frames, of any kind: frames fit their sensor, times rise, and all is the same after writing it as format 1.
+pub fn log(bytes: &[u8]) -> bool {
+    with_file("fuzz.log", bytes, |path| {
+        let Ok(log) = log::open(path) else { return false };
+        let spec = log.sensor().spec().clone();
+        // Many beams take long to write, and are no other case.
+        if !sound_sensor(&spec) {
+            return false;
+        }
+        let (mut frames, mut sound, mut time) = (Vec::new(), true, f64::NEG_INFINITY);
+        for frame in log {
+            // After an error there is no frame.
+            assert!(sound, "a frame after an error");
+            let Ok(frame) = frame else {
+                sound = false;
+                continue;
+            };
+            frame.check(&spec).expect("a frame fits its sensor");
+            assert!(frame.time > time, "{} after {time}", frame.time);
+            time = frame.time;
+            [frame.odometry, frame.reference].iter().flatten().for_each(check_pose);
+            frames.push(frame);
+        }
+        let lines: String = frames.iter().map(|frame| log::lines::line(frame) + "\n").collect();
+        let again = path.with_file_name("again.jsonl");
+        std::fs::write(&again, format!("{}\n{lines}", log::lines::header(&spec))).expect("a file");
+        let read = log::open(&again).expect("what was written can be read");
+        let read: Vec<_> = read.map(|frame| frame.expect("a frame that was written")).collect();
+        // NaN is unlike itself, its name is not.
+        assert_eq!(format!("{read:?}"), format!("{frames:?}"));
+        sound && !read.is_empty()
     })
 }
 

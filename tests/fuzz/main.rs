@@ -145,6 +145,7 @@ targets! {
     corridor: &["polyline_in_robot", "half_width", "z_min", "[0,0]"];
     materials: &["[material.\"a\"]", "reflection", "classes", "world_from_scene", "one_sided", "transparent"];
     robot: &["[[sensors]]", "sensor", "mount", "eye.toml", "cam.yaml", "laser-scanner", "xyz", "rpy_deg"];
+    log: &["\n", "null", "\"inf\"", "\"-inf\"", "{\"t\":2,\"range\":[1,2,3]}", "\"odometry\"", "\"reference\"", "range_max", "1e308", "\"scans\"", "\"valid\""];
     exr: &["range\0", "polygon_id\0", "presight:format\0", "string\0", "channels\0", "dataWindow\0", "box2i\0", "tiledesc\0"];
     scenes: &[];
 }

@@ -9,6 +9,7 @@ use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, GpuEngine};
+use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::plan::StageName;
 use presight::verify::{Precision, Report};
 use presight::{
@@ -110,10 +111,8 @@ fn sensors() -> Vec<Sensor> {
     ]
 }
 
-const FACES: [[u32; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-
 fn cube_vertices() -> Vec<Vec3> {
-    (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) - 0.5).collect()
+    cuboid_corners(Vec3::splat(-0.5), Vec3::splat(0.5)).to_vec()
 }
 
 fn mesh(polygons: Vec<Polygon>) -> Arc<Mesh> {
@@ -132,12 +131,12 @@ fn scene(seed: u64, boxes: usize, offset: DVec3) -> World {
     environment.add_material(Material { one_sided: true, ..Material::named("inside") }).unwrap();
     let appearance = [("laser".to_owned(), presight::Appearance::Invisible)].into();
     environment.add_material(Material { appearance, ..Material::named("glass") }).unwrap();
-    let cube = mesh(FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
+    let cube = mesh(CUBOID_FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
     let halves = |(i, f): (usize, &[u32; 4])| {
         let material = if i == 4 { 2 } else { 1 };
         [[f[0], f[1], f[2]], [f[0], f[2], f[3]]].map(|c| Polygon::new(c.to_vec(), material))
     };
-    let shell = mesh(FACES.iter().enumerate().flat_map(halves).collect());
+    let shell = mesh(CUBOID_FACES.iter().enumerate().flat_map(halves).collect());
     let middle = offset + DVec3::new(0.3, -0.2, 2.0);
     let turn = DQuat::from_rotation_z(0.3);
     insert(
@@ -243,7 +242,7 @@ fn a_sensor_just_off_it_knows_its_side(world: &World, up: f64) {
 fn ties_go_to_the_lower_id() {
     let mut environment = Environment::new();
     environment.add_material(Material::named("wall")).unwrap();
-    let cube = mesh(FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
+    let cube = mesh(CUBOID_FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
     for _ in 0..3 {
         insert(&mut environment, DAffine3::from_scale(DVec3::splat(8.0)), &cube);
     }

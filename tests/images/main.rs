@@ -12,3 +12,4 @@ mod normal;
 mod oracle;
 mod ray_tables;
 mod recovery;
+mod small_polygons;

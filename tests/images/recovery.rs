@@ -8,6 +8,7 @@ use common::faulty::{Faulty, Switches};
 use common::scenes;
 use common::skip::no_adapter;
 use glam::DVec3;
+use presight::batch::BatchRequest;
 use presight::gpu::testing::Setup;
 use presight::gpu::{DeviceOptions, GpuEngine};
 use presight::verify::Precision;
@@ -193,4 +194,42 @@ fn lost_in_the_midst_of_predictions_every_answer_is_right_or_an_error() {
     eprintln!("{recovered} of 40 answers came after a recovery");
     assert!(recovered > 0);
     assert_eq!(bits(&task.predict(&mut predictor).unwrap().images), bits(&before.images));
+}
+
+#[test]
+fn a_gpu_lost_in_the_midst_of_a_batch_costs_no_pose() {
+    let Some(task) = Task::new() else { return };
+    let pose = |i: usize| task.pose * Pose::from_xyz_rpy(DVec3::X * 0.01 * i as f64, 0.0, 0.0, 0.02 * i as f64);
+    let images = Some((&task.request).into());
+    let request = BatchRequest { images, chunk: Some(3), statistics: true, ..BatchRequest::default() };
+    let (mut whole, _) = on(Backend::Gpu);
+    let mut single = |i| bits(&whole.predict(&task.world, &task.sensor, &pose(i), &task.request).unwrap().images);
+    let singles: Vec<_> = (0..10).map(&mut single).collect();
+    // The comparison can fail.
+    assert!(singles[0] != singles[1]);
+    for (backend, gone) in [(Backend::Gpu, false), (Backend::Gpu, true), (Backend::Auto, true)] {
+        let (mut predictor, switches) = on(backend);
+        switches.set_gone(gone);
+        let lossy = (0..10).map(|i| {
+            if i == 4 {
+                switches.lose();
+            }
+            pose(i)
+        });
+        let batch = predictor.batch(&task.world, &task.sensor, lossy, &request).unwrap();
+        let mut items: Vec<_> = batch.collect();
+        if backend == Backend::Gpu && gone {
+            // The second chunk begins with pose 3.
+            let e = items.pop().unwrap().unwrap_err();
+            assert_eq!((items.len(), e.kind(), e.place()), (3, ErrorKind::DeviceLost, Some("pose 3")), "{e}");
+        } else {
+            assert_eq!(items.len(), 10);
+        }
+        for (i, item) in items.into_iter().enumerate() {
+            let item = item.unwrap();
+            let by_cpu = item.stats.is_some_and(|stats| stats.engine == "cpu");
+            assert_eq!(by_cpu, backend == Backend::Auto && i >= 3);
+            assert!(by_cpu || bits(&item.images) == singles[i], "pose {i}");
+        }
+    }
 }

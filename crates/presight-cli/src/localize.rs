@@ -3,28 +3,30 @@
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
 use super::{CommandOutcome, open_scene, print};
-use presight::estimate::{EstimateOptions, Estimator, Prior};
-use presight::frame::Frame;
+use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+use presight::frame::{Frame, OdometryNoise};
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
-use presight::io::depth_folder::DepthFolder;
 use presight::io::gltf::ImportOptions;
 use presight::io::load_sensor;
-use presight::io::tum::StampedPose;
-use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight::io::log::{Frames, Observation};
+use presight::localize::{Candidate, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
 use presight::verdict::{Verdict as Judged, Verdicts};
-use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Threads};
+use presight::{Backend, Error, Geometry, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
-  presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum";
+  presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
+  presight localize scans.json --map corridor.glb --init unknown --out run.tum";
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
 ///
-/// LOG is a folder of depth images: camera.json, depth/*.png (16 bits), and optionally poses.txt. Beside FILE.tum, FILE.jsonl
-/// gets covariance, state and verdicts of every frame. A frame at which the pose is not known has no line in FILE.tum.
+/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt) or a file of ranges (a log of
+/// format 1, or a document of planar scans). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
+/// for. Beside FILE.tum, FILE.jsonl gets covariance, state and verdicts of every frame. A frame at which the pose is not known has
+/// no line in FILE.tum.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -46,7 +48,8 @@ pub struct Drive {
     #[arg(long, value_name = "SCENE")]
     pub map: PathBuf,
 
-    /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, or `reference` for the log's own first pose
+    /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's own first pose, or
+    /// `unknown`: a level scanner is then looked for in the whole map
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
     init: String,
 
@@ -61,6 +64,19 @@ pub struct Drive {
     /// The sensor, with its noise and mount [default: as the log says]
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: Option<String>,
+
+    /// How far the model's surfaces may be off, each by its own, one standard deviation, metres [default: 0.03 for a scanner of
+    /// one row, otherwise 0]
+    #[arg(long, value_name = "METRES")]
+    model_sigma: Option<f64>,
+
+    /// How far odometry may be off, one standard deviation: part of the way and of the turn
+    #[arg(long, value_name = "PART", default_value_t = 0.1)]
+    odometry_sigma: f64,
+
+    /// Height of the robot's frame where it is looked for in the whole map, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
+    floor: f64,
 
     /// Start at the first frame at or after this time, seconds
     #[arg(long, value_name = "TIME")]
@@ -81,10 +97,8 @@ pub struct Followed {
     pub steps: Vec<Step>,
     /// Pixels of each verdict, by frame.
     pub counts: Vec<[usize; 7]>,
-    /// world_from_sensor by the log itself.
-    pub reference: Vec<StampedPose>,
-    /// robot_from_sensor.
-    pub mount: Pose,
+    /// world_from_robot by the log itself, by frame.
+    pub reference: Vec<Option<Pose>>,
 }
 
 impl Drive {
@@ -100,41 +114,94 @@ impl Drive {
         files.check_named([self.log.as_path(), self.map.as_path()])?;
         let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-        let log = DepthFolder::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor))?;
-        let start = self.start(&log)?;
+        let mut log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?
+            .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
+            .map(|o| o.and_then(|o| self.thinned(o)));
+        let Some(first) = log.next().transpose()? else {
+            let remedy = "give one with frames, or an earlier --from";
+            return Err(Error::invalid("the log has no frame", remedy).in_file(&self.log));
+        };
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
+        let (start, options) = (self.start(&first)?, self.options(first.frame.sensor())?);
         let scene = open_scene(&self.map, &import, Scheme::default())?;
-        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-        let estimator = Estimator::new(predictor, EstimateOptions::default());
-        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
-        let mut localizer = Localizer::new(estimator, prior, LocalizeOptions::default());
-        let (reference, mount) = (log.reference().to_vec(), log.sensor().spec().mount);
+        let estimator = Estimator::new(Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?, options);
+        let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
+        // Panoramas of the whole map are not made before they are needed.
+        let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
         files.check_read()?;
-        let mut followed = Followed { steps: Vec::new(), counts: Vec::new(), reference, mount };
-        for frame in log {
-            let frame = frame?;
-            if self.from.is_none_or(|from| frame.stamp >= from) {
-                let frame: Frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
-                let mut step = localizer.step(&scene.world, &frame)?;
-                visit(&scene, &frame, &step)?;
-                followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
-                step.estimate.verdicts.clear();
-                followed.steps.push(step);
+        let mut followed = Followed { steps: Vec::new(), counts: Vec::new(), reference: Vec::new() };
+        for observation in std::iter::once(Ok(first)).chain(log) {
+            let Observation { frame, reference } = observation?;
+            let mut step = localizer.step(&scene.world, &frame)?;
+            if may_search && step.phase == Phase::Lost {
+                localizer.search_everywhere(&scene.world, frame.sensor(), self.search())?;
+                may_search = false;
             }
+            visit(&scene, &frame, &step)?;
+            followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
+            step.estimate.verdicts.clear();
+            followed.steps.push(step);
+            followed.reference.push(reference);
         }
         Ok(followed)
     }
 
-    fn start(&self, log: &DepthFolder) -> Result<Pose> {
-        if self.init == "reference" {
-            let from = self.from.unwrap_or(f64::NEG_INFINITY);
-            let first = log.reference().iter().find(|s| s.time >= from);
-            return first.map(|s| s.pose * log.sensor().spec().mount.inverse()).ok_or_else(|| {
-                Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
-            });
+    fn thinned(&self, observation: Observation) -> Result<Observation> {
+        let frame: Frame = if self.stride > 1 { observation.frame.thinned(self.stride)? } else { observation.frame };
+        Ok(Observation { frame, ..observation })
+    }
+
+    /// `None` if it is unknown.
+    fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+        match self.init.as_str() {
+            "unknown" => Ok(None),
+            "reference" => first.reference.map(Some).ok_or_else(|| {
+                Error::usage("--init reference: the log has no pose there", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+            }),
+            pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
-        parse_pose(&self.init).map_err(|e| e.at(format!("--init {}", self.init)))
+    }
+
+    fn localizer(
+        &self,
+        mut estimator: Estimator,
+        start: Option<Pose>,
+        scene: &Scene,
+        sensor: &Sensor,
+    ) -> Result<Localizer> {
+        let options = LocalizeOptions::default();
+        let Some(start) = start else {
+            let search = Search::new(&mut estimator, &scene.world, sensor, self.search());
+            return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
+        };
+        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        Ok(Localizer::new(estimator, prior, options))
+    }
+
+    fn search(&self) -> SearchOptions {
+        SearchOptions { floor: self.floor, ..SearchOptions::default() }
+    }
+
+    fn odometry(&self) -> Result<OdometryNoise> {
+        let part = self.odometry_sigma;
+        if !(part >= 0.0 && part.is_finite()) {
+            return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite part of at least 0"));
+        }
+        Ok(OdometryNoise { way: part, turn: part, turn_on_way: 0.5 * part, ..OdometryNoise::default() })
+    }
+
+    /// A level row tells x, y and yaw.
+    fn options(&self, sensor: &Sensor) -> Result<EstimateOptions> {
+        let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
+        let options = if row { EstimateOptions::planar() } else { EstimateOptions::default() };
+        let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
+        if !(model_sigma >= 0.0 && model_sigma.is_finite()) {
+            return Err(Error::usage(format!("--model-sigma {model_sigma}"), "give finite metres of at least 0"));
+        }
+        // What polygons of one plane share is of the same size as what each has of its own.
+        let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
+        Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
     }
 }
 
@@ -154,15 +221,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// True if the frame's pose is one to go by.
-pub fn is_known(step: &Step) -> bool {
-    matches!(step.phase, Phase::Tracking | Phase::Candidates)
-}
-
 /// A line for each frame at which the pose is known; `{}` of an f64 has all of its digits.
 fn write(path: &Path, steps: &[Step]) -> Result<()> {
     write_atomically(path, |file| {
-        for s in steps.iter().filter(|s| is_known(s)) {
+        for s in steps.iter().filter(|s| s.is_known()) {
             let (t, q) = (s.pose.translation, s.pose.rotation);
             writeln!(file, "{} {} {} {} {} {} {} {}", s.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
         }
@@ -181,6 +243,7 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
                 "translation": s.pose.translation.to_array(), "rotation_xyzw": s.pose.rotation.to_array(),
                 "covariance": s.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
                 "predictions": s.estimate.predictions,
+                "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
             });
             writeln!(file, "{line}")?;
         }
@@ -188,21 +251,26 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
     })
 }
 
+fn candidate(c: &Candidate) -> serde_json::Value {
+    serde_json::json!({
+        "translation": c.pose.translation.to_array(), "rotation_xyzw": c.pose.rotation.to_array(),
+        "log_likelihood": c.log_likelihood, "explained": c.explained, "frames": c.frames,
+    })
+}
+
 /// How many frames are known, and how far they are from the log's own poses.
 pub fn summary(followed: &Followed) -> String {
-    let Followed { steps, reference, mount, .. } = followed;
-    let known: Vec<&Step> = steps.iter().filter(|s| is_known(s)).collect();
-    let mut text = format!("{} of {} frames have a pose\n", known.len(), steps.len());
+    let Followed { steps, reference, .. } = followed;
+    let known = steps.iter().filter(|s| s.is_known()).count();
+    let mut text = format!("{known} of {} frames have a pose\n", steps.len());
     for pair in steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase) {
         text += &format!("{}: {}: {}\n", pair[1].stamp, pair[1].phase.name(), pair[1].reason);
     }
-    let at = |time: f64| reference.iter().find(|r| (r.time - time).abs() < 1e-6);
     let mut off: Vec<(f64, f64)> = Vec::new();
-    for step in &known {
-        let Some(there) = at(step.stamp) else { continue };
-        let here = step.pose * *mount;
-        let degrees = here.rotation.angle_between(there.pose.rotation).to_degrees();
-        off.push(((here.translation - there.pose.translation).length(), degrees));
+    for (step, there) in steps.iter().zip(reference).filter(|(step, _)| step.is_known()) {
+        let Some(there) = there else { continue };
+        let degrees = step.pose.rotation.angle_between(there.rotation).to_degrees();
+        off.push(((step.pose.translation - there.translation).length(), degrees));
     }
     if !off.is_empty() {
         let rms = |f: fn(&(f64, f64)) -> f64| (off.iter().map(|o| f(o).powi(2)).sum::<f64>() / off.len() as f64).sqrt();

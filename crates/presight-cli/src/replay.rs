@@ -1,6 +1,6 @@
 //! `presight replay`: a drive as pictures, and a page to leaf through them.
 
-use super::localize::{Drive, Followed, is_known, summary};
+use super::localize::{Drive, Followed, summary};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
@@ -171,9 +171,8 @@ impl Painter {
 /// What the page tells of a frame. `extra` is what the log's own poses may be off, metres and radians.
 fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf {
     let (step, counts) = (&followed.steps[k], &followed.counts[k]);
-    let truth = followed.reference.iter().find(|r| (r.time - step.stamp).abs() < 1e-6);
-    let truth: Option<Pose> = truth.map(|r| r.pose * followed.mount.inverse());
-    let known = truth.filter(|_| is_known(step));
+    let truth: Option<Pose> = followed.reference[k];
+    let known = truth.filter(|_| step.is_known());
     let mut covariance = step.covariance;
     for i in (0..6).filter(|i| step.covariance[*i][*i] > 0.0) {
         covariance[i][i] += if i < 3 { extra.0 * extra.0 } else { extra.1 * extra.1 };

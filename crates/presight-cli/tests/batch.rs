@@ -178,6 +178,26 @@ fn a_killed_batch_goes_on_where_it_was() {
     assert!(other.is_empty(), "{other:?}");
 }
 
+/// A table that may not grow longer stands for a full disk.
+#[cfg(unix)]
+#[test]
+fn a_batch_without_room_on_the_disk_goes_on_when_there_is_some() {
+    let place = Place::new();
+    place.write("a.tum", &tum(400));
+    let line = "batch room.glb --poses a.tum --sensor s.toml --likelihood run.jsonl#0 --out";
+    place.done(&format!("{line} whole"));
+    let command = place.command(&format!("{line} full"));
+    let mut limited = Command::new("bash");
+    limited.args(["-c", "ulimit -f 16 && exec \"$@\"", "bash"]).arg(command.get_program()).args(command.get_args());
+    let output = limited.current_dir(place.0.path()).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && said.contains("poses.csv.part") && said.lines().count() == 1, "{said}");
+    assert!(!place.path("full/poses.csv").exists());
+    let said = place.done(&format!("{line} full"));
+    assert!(said.contains("are finished already"), "{said}");
+    assert!(place.files("full") == place.files("whole"));
+}
+
 #[test]
 fn another_batch_is_not_mixed_in() {
     let place = Place::new();

@@ -32,13 +32,7 @@ pub fn mesh(polygons: &[Vec<Vec3>]) -> Mesh {
 
 /// The six faces of a box, sharing corners.
 pub fn cuboid(least: Vec3, most: Vec3) -> Mesh {
-    let corner = |i: u32| {
-        let pick = |bit: u32, a: f32, b: f32| if i & bit == 0 { a } else { b };
-        Vec3::new(pick(1, least.x, most.x), pick(2, least.y, most.y), pick(4, least.z, most.z))
-    };
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let polygons = faces.map(|f| Polygon::new(f.to_vec(), 0));
-    Mesh::new("box", (0..8).map(corner).collect(), polygons.to_vec(), PolygonOrder::Given).expect("a sound box")
+    Mesh::cuboid("box", least, most, 0).expect("a sound box")
 }
 
 /// An environment of one opaque material.

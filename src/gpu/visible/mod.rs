@@ -9,18 +9,31 @@ mod twin;
 use super::buffers::{Growable, Mapping};
 use super::device::Gpu;
 use super::frame_buffers::FrameBuffers;
-use super::layout::{self, GridKind};
+use super::layout::{self, GridKind, words_of};
 use super::shaders;
 use super::stage::{Binding, Stage};
 use crate::error::{ErrorKind, Result};
 use crate::features::{FeatureSamples, OcclusionHint};
 use crate::sensor::{PixelGrid, Sensor};
+use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DVec3};
 
 /// Words before the samples: how many, 1 if columns go round, padding.
 pub(super) const SAMPLES_AT: usize = 4;
 /// Words of a sample.
-pub(super) const SAMPLE_WORDS: usize = 5;
+pub(super) const SAMPLE_WORDS: usize = words_of::<Sample>() as usize;
+
+/// A sample of a feature; `SAMPLE_` in visible.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Sample {
+    /// In the line frame.
+    pub place: [f32; 3],
+    /// Row-major.
+    pub pixel: u32,
+    /// Where the list of its feature's slots is.
+    pub slots: u32,
+}
 
 /// Neither hidden nor seen, as a word.
 const DOUBT: u32 = u32::MAX;
@@ -77,10 +90,10 @@ impl OcclusionQuery {
 
     /// A sample at a place of the image frame, in the middle one of nine pixels (row-major number).
     pub(super) fn push(&mut self, at: DVec3, pixel: u32) {
-        let place = (self.line_from_image * at).as_vec3().to_array().map(f32::to_bits);
+        let place = (self.line_from_image * at).as_vec3().to_array();
         let first = SAMPLES_AT + self.count as usize * SAMPLE_WORDS;
-        let words = [place[0], place[1], place[2], pixel, self.own_at];
-        self.words[first..first + SAMPLE_WORDS].copy_from_slice(&words);
+        let sample = Sample { place, pixel, slots: self.own_at };
+        self.words[first..first + SAMPLE_WORDS].copy_from_slice(bytemuck::cast_slice(&[sample]));
         self.count += 1;
         self.words[0] = self.count;
     }

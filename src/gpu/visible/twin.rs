@@ -1,7 +1,7 @@
 //! The CPU twin of the stage, and the test that holds one to the other.
 
 use super::*;
-use crate::gpu::layout::{Params, RECORD_WORDS, SLOT_WORDS};
+use crate::gpu::layout::{Params, RECORD_WORDS, Record, Slot};
 use crate::gpu::near::STAMPED;
 use crate::gpu::{DeviceOptions, GpuEngine, testing};
 use crate::plan::{FramePlan, ImageRequest, Images, Stats};
@@ -11,6 +11,7 @@ use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
 use glam::{DQuat, Vec3};
 use presight_testkit::skip::no_adapter;
 use std::collections::BTreeSet;
+use std::mem::offset_of;
 use std::sync::Arc;
 
 /// What the last frame left on the device.
@@ -18,7 +19,7 @@ struct LastFrame {
     params: Params,
     scanner: bool,
     keys: Vec<[u32; 2]>,
-    slots: Vec<[u32; SLOT_WORDS as usize]>,
+    slots: Vec<Slot>,
     records: Vec<u32>,
 }
 
@@ -29,7 +30,8 @@ impl LastFrame {
 
     fn covers(&self, record: usize, place: [f32; 3]) -> bool {
         let first = record + RECORD_WORDS as usize;
-        (0..self.records[record + 4] as usize).all(|k| !(dot(self.word3(first + 3 * k), place) < 0.0))
+        (0..self.records[record + offset_of!(Record, edge_count) / 4] as usize)
+            .all(|k| !(dot(self.word3(first + 3 * k), place) < 0.0))
     }
 
     fn answer(&self, asked: &[u32], at: usize) -> u32 {
@@ -48,7 +50,7 @@ impl LastFrame {
             if id == 0 || bits == 0 {
                 continue;
             }
-            let record = self.slots[!id as usize][3];
+            let record = self.slots[!id as usize].record;
             if record >= STAMPED {
                 beside = true;
                 continue;
@@ -169,12 +171,11 @@ fn the_device_answers_as_its_twin() {
             }
             let answers = engine.query_occlusion(&asked).unwrap();
             let pairs = |words: Vec<u32>| words.chunks_exact(2).map(|w| [w[0], w[1]]).collect();
-            let fours = |words: Vec<u32>| words.chunks_exact(4).map(|w| [w[0], w[1], w[2], w[3]]).collect();
             let mut left = LastFrame {
                 params: engine.frame.params,
                 scanner: engine.sensors[0].1.kind == GridKind::Scanner,
                 keys: pairs(words(&engine, &engine.store.keys)),
-                slots: fours(words(&engine, &engine.store.seen_slots)),
+                slots: bytemuck::pod_collect_to_vec(&words(&engine, &engine.store.seen_slots)),
                 records: words(&engine, &engine.store.records),
             };
             let twin = left.answers(&asked);
@@ -190,7 +191,7 @@ fn the_device_answers_as_its_twin() {
             // A planted fault: the planes of all polygons in the image turned round. Slots of others tell of earlier frames.
             let pixels = (sensor.width() * sensor.height()) as usize;
             let shown = left.keys[..pixels].iter().filter(|[id, bits]| *id != 0 && *bits != 0);
-            let records: BTreeSet<u32> = shown.map(|[id, _]| left.slots[!id as usize][3]).collect();
+            let records: BTreeSet<u32> = shown.map(|[id, _]| left.slots[!id as usize].record).collect();
             for record in records.into_iter().filter(|r| *r < STAMPED) {
                 left.records[record as usize..][..3].iter_mut().for_each(|word| *word ^= STAMPED);
             }

@@ -124,7 +124,7 @@ pub(in crate::io) fn import_within(
     let file = file::open(path)?;
     memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
     let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
-    let sidecar = Sidecar::beside_leniently(path)?;
+    let sidecar = Sidecar::for_scene(path)?;
     import_bytes(&bytes, (path, within), &sidecar, options, memory).map_err(|e| e.in_file(path))
 }
 

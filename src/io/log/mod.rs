@@ -8,13 +8,17 @@
 //!   is held in memory.
 
 pub mod document;
+mod frames;
 pub mod lines;
 #[cfg(test)]
 mod tests;
 
+pub use frames::{Frames, Observation};
+
 use super::file;
 use super::text::read_line;
 use crate::error::{Error, Result};
+use crate::frame::{Measurement, Motion, OdometryNoise};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::sensor::{Sensor, SensorSpec};
@@ -36,6 +40,16 @@ pub struct LogFrame {
 }
 
 impl LogFrame {
+    /// The frame as the estimator takes it, of the log's sensor. `noise` says how good the odometry is: logs do not.
+    ///
+    /// # Errors
+    /// Those of [`crate::frame::Frame::new`].
+    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<crate::frame::Frame> {
+        let mut frame = crate::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+        frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
+        Ok(frame)
+    }
+
     /// Checks the frame of a sensor: its size, finite times and poses, and that each reading is within the sensor's limits, or
     /// not finite.
     ///

@@ -115,7 +115,7 @@ impl<'a> Context<'a> {
         let change = self.change(op)?;
         // Those of a group within it were applied one by one.
         if let Some(now) = self.now.as_mut().filter(|_| !is_group) {
-            now.apply(change.clone())?;
+            now.apply_unchecked(change.clone())?;
             self.added.clear();
         }
         Ok(change)

@@ -3,12 +3,11 @@
 use super::hash::Digest;
 use super::rows::Meta;
 use super::schema::{APPLICATION_ID, FORMAT, TABLES, refusal};
-use super::{Meshes, Note, Store};
+use super::{Note, Store};
 use crate::environment::Environment;
 use crate::error::{Error, ErrorKind, Result};
 use crate::io::temporary::{Access, Temporary};
 use rusqlite::{Connection, OpenFlags};
-use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a page. Meshes fill many, and each takes a step to be found; larger ones would make small commits slower, which
@@ -86,17 +85,7 @@ fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Res
         digest: Digest::default(),
     };
     meta.head = meta.first_head();
-    let mut store = Store {
-        connection,
-        path: path.to_owned(),
-        meta,
-        locked: true,
-        objects: HashMap::new(),
-        groups: HashSet::new(),
-        materials: 0,
-        meshes: Meshes { next: 1, ..Meshes::default() },
-        ids: HashMap::new(),
-    };
+    let mut store = Store::empty(connection, path, meta);
     store.write_all(environment)?;
     store.write_meta()?;
     store.connection.execute_batch("COMMIT").map_err(wrap)?;

@@ -51,7 +51,8 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 
-/// A store opened for changes; it holds the write lock until it is dropped.
+/// A stored world opened for changes: the file and the world that it holds, which change together. It holds the write lock
+/// until it is dropped.
 ///
 /// ```
 /// use presight::io::store::{self, Note, Store};
@@ -60,10 +61,9 @@ use std::sync::{Arc, Weak};
 /// let path = folder.path().join("hall.presight");
 /// store::create(&path, &Environment::new(), &Note::new("a new hall", 0.0))?;
 ///
-/// let (mut store, environment) = Store::open(&path)?;
-/// let mut world = World::new(environment);
+/// let mut store = Store::open(&path)?;
 /// let paint = Change::AddMaterial(Material::named("paint"));
-/// let number = store.apply(&mut world, paint, &Note::new("delivered", 12.5))?;
+/// let number = store.apply(paint, &Note::new("delivered", 12.5))?;
 /// assert_eq!((number, store.changes()), (1, 1));
 /// drop(store);
 /// assert_eq!(store::read(&path)?.materials().len(), 1);
@@ -73,6 +73,7 @@ pub struct Store {
     connection: Connection,
     path: PathBuf,
     meta: Meta,
+    world: World,
     /// True while the write lock is held.
     locked: bool,
     /// Stored objects by name.
@@ -203,35 +204,62 @@ fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Co
 }
 
 impl Store {
-    /// Opens a store for changes. Also returns the environment that it holds.
+    /// Opens a store for changes, its world with the default index.
     ///
     /// # Errors
     /// As [`read`]; [`ErrorKind::System`] if another writer has it, or it is read-only.
-    pub fn open(path: &Path) -> Result<(Self, Environment)> {
+    pub fn open(path: &Path) -> Result<Self> {
+        let scheme = Scheme::default();
+        Self::open_with_index(path, scheme, Params::tuned(scheme))
+    }
+
+    /// Opens a store for changes, its world with an index of this scheme. [`Scheme::None`] is enough if nothing is predicted.
+    ///
+    /// # Errors
+    /// As [`Store::open`].
+    pub fn open_with_index(path: &Path, scheme: Scheme, params: Params) -> Result<Self> {
         let connection = connect(path, Access::Write)?;
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
         // Another writer may have been here since.
         check_identity(&connection, path)?;
-        let loaded = read::load(&connection, path, false)?;
+        let mut loaded = read::load(&connection, path, scheme == Scheme::TwoLevel)?;
         let mut ids = HashMap::new();
         log::walk(&connection, path, &loaded.meta, |entry| {
             ids.extend(entry.id.map(|id| (id, entry.number)));
             Ok(())
         })?;
-        let mut store = Self {
+        let mut store = Self { ids, ..Self::empty(connection, path, loaded.meta.clone()) };
+        store.register(&loaded);
+        let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &std::mem::take(&mut loaded.trees));
+        store.world = World::of(index, loaded.environment);
+        Ok(store)
+    }
+
+    /// A store of whose content nothing is known yet, locked.
+    fn empty(connection: Connection, path: &Path, meta: Meta) -> Self {
+        Self {
             connection,
             path: path.to_owned(),
-            meta: loaded.meta.clone(),
+            meta,
+            world: World::with_index(Environment::new(), Scheme::None, Params::default()),
             locked: true,
             objects: HashMap::new(),
             groups: HashSet::new(),
             materials: 0,
-            meshes: Meshes::default(),
-            ids,
-        };
-        let environment = store.take_in(loaded);
-        Ok((store, environment))
+            meshes: Meshes { next: 1, ..Meshes::default() },
+            ids: HashMap::new(),
+        }
+    }
+
+    /// The world that is stored, with all changes so far.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// From now on many changes are made one by one, and nobody reads the feature layers in between.
+    pub(crate) fn begin_row(&mut self) {
+        self.world.begin_row();
     }
 
     /// The file.
@@ -244,25 +272,24 @@ impl Store {
         self.meta.changes as u64
     }
 
-    /// Applies a change to the world and the store. The change is on disk when this returns. Returns its number in the
-    /// log.
+    /// Applies a change to world and file. The change is on disk when this returns. Returns its number in the log.
     ///
     /// # Errors
-    /// Those of [`World::apply`]; [`ErrorKind::System`] if the system refuses. World and store then are as before.
-    pub fn apply(&mut self, world: &mut World, change: Change, note: &Note) -> Result<u64> {
-        let mut batch = self.batch(world)?;
+    /// Those of [`World::apply`]; [`ErrorKind::System`] if the system refuses. World and file then are as before.
+    pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
+        let mut batch = self.batch()?;
         let number = batch.apply(change, note)?;
         batch.commit()?;
         Ok(number)
     }
 
-    /// Begins a batch of changes that become durable together. `world` must equal the content of the store.
+    /// Begins a batch of changes that become durable together.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if another writer came between.
-    pub fn batch<'a>(&'a mut self, world: &'a mut World) -> Result<Batch<'a>> {
+    pub fn batch(&mut self) -> Result<Batch<'_>> {
         self.lock()?;
-        Ok(Batch::new(self, world))
+        Ok(Batch::new(self))
     }
 
     /// Undoes an entry of the log by appending its inverse. Returns the numbers of the new entries. With
@@ -270,11 +297,11 @@ impl Store {
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
-    pub fn undo(&mut self, world: &mut World, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
+    pub fn undo(&mut self, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
         self.lock()?;
         let entries = self.entries()?;
         let plan = log::undo_plan(&entries, number, cascade).map_err(|e| e.in_file(&self.path))?;
-        let mut batch = self.batch(world)?;
+        let mut batch = self.batch()?;
         let mut made = Vec::with_capacity(plan.len());
         for n in plan {
             let place = |e: Error| e.at(format!("undoing change {n}"));
@@ -304,18 +331,18 @@ impl Store {
         Ok(entries)
     }
 
-    /// The change by which `environment` would also hold a scene: what is there already, equal, stays as it is. With
+    /// The change by which the world would also hold a scene: what is there already, equal, stays as it is. With
     /// `replace` objects of the scene take the place of those of the same path; features given in their frame stay.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there and may not be replaced.
-    pub fn merging_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
-        merge::merge_scene(environment, scene, replace)
+    pub fn merging_scene(&self, scene: &Environment, replace: bool) -> Result<Change> {
+        merge::merge_scene(self.world.environment(), scene, replace)
     }
 
     /// Returns the change that merges a layer file; its features replace those of the same id.
-    pub fn merging_layer(environment: &Environment, file: &LayerFile) -> Change {
-        merge::merge_layer(environment, file)
+    pub fn merging_layer(&self, file: &LayerFile) -> Change {
+        merge::merge_layer(self.world.environment(), file)
     }
 
     /// Commits without waiting for the disk: the planted fault that the tests of durability must find.
@@ -342,9 +369,9 @@ impl Store {
     }
 
     /// Takes note of what the file holds.
-    fn take_in(&mut self, loaded: read::StoreVersion) -> Environment {
+    fn register(&mut self, loaded: &read::StoreVersion) {
         let read::StoreVersion { environment, meta, meshes, .. } = loaded;
-        self.meta = meta;
+        self.meta = meta.clone();
         self.materials = environment.materials().len();
         let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());
         self.objects = live.map(|(o, number)| (o.name.clone(), number)).collect();
@@ -352,11 +379,10 @@ impl Store {
         self.meshes = Meshes { next: 1, ..Meshes::default() };
         for (number, loaded) in meshes {
             self.meshes.next = self.meshes.next.max(number + 1);
-            self.meshes.by_content.insert((loaded.name, loaded.content), number);
+            self.meshes.by_content.insert((loaded.name.clone(), loaded.content), *number);
             if let Some(mesh) = &loaded.mesh {
-                self.meshes.remember(number, mesh);
+                self.meshes.remember(*number, mesh);
             }
         }
-        environment
     }
 }

@@ -67,7 +67,6 @@ pub(super) struct Entry {
 /// and store return to their state before the batch.
 pub struct Batch<'a> {
     store: &'a mut Store,
-    world: &'a mut World,
     /// Something was changed that is not committed.
     open: bool,
     /// The store refused.
@@ -77,13 +76,13 @@ pub struct Batch<'a> {
 }
 
 impl<'a> Batch<'a> {
-    pub(super) fn new(store: &'a mut Store, world: &'a mut World) -> Self {
-        Self { store, world, open: false, taken_back: false, ids: Vec::new() }
+    pub(super) fn new(store: &'a mut Store) -> Self {
+        Self { store, open: false, taken_back: false, ids: Vec::new() }
     }
 
     /// The world with all changes so far.
     pub fn world(&self) -> &World {
-        self.world
+        &self.store.world
     }
 
     /// False if the store refused a change. The whole batch is then undone.
@@ -96,33 +95,34 @@ impl<'a> Batch<'a> {
         self.store.ids.get(id).copied()
     }
 
-    /// Applies a change and returns its number in the log. A change whose id is in the log already does nothing.
+    /// Applies a change and returns its number in the log. A change whose id is in the log already does nothing. New and altered
+    /// features must lie on polygons, as in [`World::apply`].
     ///
     /// # Errors
     /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] if the id belongs to another change: the earlier changes stay in
     /// the batch. [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] of the store: the whole batch is undone.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry::default())
-    }
-
-    /// As [`Batch::apply`], but new and altered features must lie on polygons ([`placement::apply`]).
-    ///
-    /// # Errors
-    /// As [`Batch::apply`]; [`crate::ErrorKind::Invalid`] naming class and feature if one does not.
-    pub fn apply_placed(&mut self, change: Change, note: &Note) -> Result<u64> {
         self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), ..Entry::default() })
     }
 
-    /// As [`Batch::apply_placed`], for imported content. The features `lost` (class, id) have lost their surface and need not lie
+    /// As [`Batch::apply`], but features need not lie on polygons, as in [`World::apply_unchecked`].
+    ///
+    /// # Errors
+    /// As [`Batch::apply`].
+    pub fn apply_unchecked(&mut self, change: Change, note: &Note) -> Result<u64> {
+        self.record(change, note, &Entry::default())
+    }
+
+    /// As [`Batch::apply`], for imported content. The features `lost` (class, id) have lost their surface and need not lie
     /// on polygons.
     ///
     /// # Errors
-    /// As [`Batch::apply_placed`].
+    /// As [`Batch::apply`].
     pub fn apply_imported(&mut self, change: Change, lost: Vec<(String, u32)>, note: &Note) -> Result<u64> {
         self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), lost, ..Entry::default() })
     }
 
-    /// [`Batch::apply`] of a change, as the log shall have it.
+    /// Applies a change, as the log shall have it.
     pub(super) fn record(&mut self, change: Change, note: &Note, entry: &Entry) -> Result<u64> {
         if let Some(id) = &note.id
             && let Some(known) = self.store.known(id)?
@@ -136,13 +136,13 @@ impl<'a> Batch<'a> {
             return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
         }
         let inverse = match entry.placed {
-            None => self.world.apply(change.clone())?,
+            None => self.store.world.apply_unchecked(change.clone())?,
             Some(restored) => {
-                placement::apply(self.world, change.clone(), restored == RestoreCheck::Checked, &entry.lost)?
+                placement::apply(&mut self.store.world, change.clone(), restored == RestoreCheck::Checked, &entry.lost)?
             }
         };
         self.open = true;
-        let environment = self.world.environment().clone();
+        let environment = self.store.world.environment().clone();
         let written = self.store.write(&environment, (&change, &inverse), note, entry);
         drop(environment);
         match written {
@@ -161,7 +161,7 @@ impl<'a> Batch<'a> {
     /// and whether it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply_placed`], also for restored features; [`crate::ErrorKind::Invalid`] if the line is not a change.
+    /// As [`Batch::apply`], also for restored features; [`crate::ErrorKind::Invalid`] if the line is not a change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
@@ -190,7 +190,7 @@ impl<'a> Batch<'a> {
         }
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are for the log", "give \"like\""));
-        let environment = self.world.environment();
+        let environment = self.store.world.environment();
         let change = Context::new(environment, Some(folder), &mut mesh).change(op)?;
         let entry = Entry { placed: Some(RestoreCheck::Checked), request, ..Entry::default() };
         Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
@@ -199,7 +199,7 @@ impl<'a> Batch<'a> {
     /// The change that the log tells by this JSON.
     pub(super) fn change_of_log(&self, text: &str) -> Result<Change> {
         let store = &*self.store;
-        let environment = self.world.environment();
+        let environment = self.store.world.environment();
         let materials = environment.materials().len();
         let mut mesh = |number: i64| match store.meshes.by_number.get(&number).and_then(std::sync::Weak::upgrade) {
             Some(mesh) => Ok(mesh),
@@ -230,9 +230,7 @@ impl<'a> Batch<'a> {
         for id in self.ids.drain(..) {
             self.store.ids.remove(&id);
         }
-        if let Some(environment) = self.store.roll_back() {
-            self.world.reset(environment);
-        }
+        self.store.roll_back();
     }
 }
 
@@ -479,7 +477,7 @@ impl Store {
 
     /// Drops what is not committed; the answer is what the disk has. None if it cannot be read: then every further
     /// batch is refused.
-    fn roll_back(&mut self) -> Option<Environment> {
+    fn roll_back(&mut self) {
         // SQLite may have rolled back by itself, on a full disk.
         if !self.connection.is_autocommit() {
             let _ = self.connection.execute_batch("ROLLBACK");
@@ -490,12 +488,12 @@ impl Store {
         let loaded = read::load(&self.connection, &self.path, false);
         let _ = self.connection.execute_batch("ROLLBACK");
         match loaded {
-            Ok(loaded) if locked => Some(self.take_in(loaded)),
-            _ => {
-                // No file has this one: the check before the next batch fails.
-                self.meta = Meta { changes: -1, ..self.meta.clone() };
-                None
+            Ok(loaded) if locked => {
+                self.register(&loaded);
+                self.world.reset(loaded.environment);
             }
+            // No file has this one: the check before the next batch fails.
+            _ => self.meta = Meta { changes: -1, ..self.meta.clone() },
         }
     }
 }

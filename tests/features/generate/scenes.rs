@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec3};
 use presight::features::generate::{FeatureKind, GenerateOptions, generate};
+use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
 use std::sync::Arc;
 
@@ -21,12 +22,8 @@ fn mesh(loops: &[Loop]) -> Arc<Mesh> {
 
 /// The faces of a box, wound outward.
 fn cuboid(least: Vec3, most: Vec3) -> Vec<Loop> {
-    let corner = |i: usize| {
-        let pick = |bit: usize, a: f32, b: f32| if i & bit == 0 { a } else { b };
-        Vec3::new(pick(1, least.x, most.x), pick(2, least.y, most.y), pick(4, least.z, most.z))
-    };
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    faces.iter().map(|f| (f.iter().map(|i| corner(*i)).collect(), 0)).collect()
+    let corners = cuboid_corners(least, most);
+    CUBOID_FACES.iter().map(|f| (f.iter().map(|i| corners[*i as usize]).collect(), 0)).collect()
 }
 
 fn rectangle(x: [f32; 2], y: [f32; 2], z: f32, material: u16) -> Loop {

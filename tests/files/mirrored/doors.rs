@@ -1,6 +1,6 @@
 //! Every way by which a mirrored cube comes into an environment.
 
-use super::{BOX, FACES, INSIDE, ROOM, check_on_cpu, corners, cube, one_sided};
+use super::{BOX, CUBOID_FACES, INSIDE, ROOM, check_on_cpu, corners, cube, one_sided};
 use crate::build::{Folder, Gltf, U16};
 use glam::{DAffine3, DVec3};
 use presight::io::gltf::{ImportOptions, import, write_glb};
@@ -12,7 +12,7 @@ fn gltf(outside: bool, nodes: &[Value]) -> Gltf {
     let mut g = Gltf::new();
     let positions = g.positions(&corners().iter().map(|p| p.to_array()).collect::<Vec<_>>());
     let triangle = |a: u32, b: u32, c: u32| if outside { [a, b, c] } else { [a, c, b] };
-    let triangles = FACES.iter().flat_map(|f| [triangle(f[0], f[1], f[2]), triangle(f[0], f[2], f[3])]);
+    let triangles = CUBOID_FACES.iter().flat_map(|f| [triangle(f[0], f[1], f[2]), triangle(f[0], f[2], f[3])]);
     let indices = g.indices(U16, &triangles.flatten().collect::<Vec<_>>());
     g.mesh(json!([{"attributes": {"POSITION": positions}, "indices": indices, "material": 0}]));
     g.json["materials"] = json!([{"name": "plate", "extras": {"presight": {"one_sided": true}}}]);
@@ -164,13 +164,12 @@ mod stored {
                 let path = folder.path("s.presight");
                 store::create(&path, &one_sided(), &note()).unwrap();
                 folder.write("cube.glb", &gltf(outside, &nodes).glb());
-                let (mut store, environment) = Store::open(&path).unwrap();
-                let mut world = World::new(environment);
+                let mut store = Store::open(&path).unwrap();
                 let line = r#"{"op":"insert_object","object":"cube","pose":[2.5,0,0,0,0,0],"from":"cube.glb"}"#;
-                let mut batch = store.batch(&mut world).unwrap();
+                let mut batch = store.batch().unwrap();
                 batch.apply_line(line, cube_folder(&folder).as_path(), &note()).unwrap();
                 batch.commit().unwrap();
-                check_on_cpu(what, world.environment(), expected);
+                check_on_cpu(what, store.world().environment(), expected);
                 check_on_cpu(what, &store::read(&path).unwrap(), expected);
             }
         }

@@ -12,15 +12,13 @@ mod features;
 use common::engines::{self, Renderer};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use presight::engine::EngineKind;
+use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::verify::Precision;
 use presight::{
     Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
     RayTable, Scanner, Sensor, SensorSpec, World,
 };
 use std::sync::Arc;
-
-/// Faces of the cube, counter-clockwise as seen from outside: -z, +z, -y, +y, -x, +x.
-const FACES: [[u32; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
 
 /// Where the sensor stands: before the cube, and in its middle.
 const OUTSIDE: DVec3 = DVec3::ZERO;
@@ -32,7 +30,7 @@ const BOX: [f32; 2] = [2.0, f32::INFINITY];
 const ROOM: [f32; 2] = [3.0, 0.5];
 
 fn corners() -> Vec<Vec3> {
-    (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) - 0.5).collect()
+    cuboid_corners(Vec3::splat(-0.5), Vec3::splat(0.5)).to_vec()
 }
 
 /// A unit cube about the origin of its frame; its fronts are outside, or inside.
@@ -44,7 +42,7 @@ fn cube(outside: bool) -> Arc<Mesh> {
         }
         Polygon::new(corners, 0)
     };
-    Arc::new(Mesh::new("cube", corners(), FACES.iter().map(face).collect(), PolygonOrder::Given).unwrap())
+    Arc::new(Mesh::new("cube", corners(), CUBOID_FACES.iter().map(face).collect(), PolygonOrder::Given).unwrap())
 }
 
 fn one_sided() -> Environment {

@@ -1,9 +1,8 @@
 //! `presight env apply`: lines of changes, each acknowledged when it is on the disk.
 
-use super::{NoteArgs, unindexed};
+use super::{NoteArgs, open_store};
 use crate::print;
 use presight::internal::file::{self, without_mark};
-use presight::io::store::Store;
 use presight::limits;
 use presight::{Error, Result};
 use std::io::{BufRead, BufReader, Read};
@@ -64,13 +63,12 @@ pub fn run(args: &Args) -> Result<()> {
     } else {
         (Box::new(file::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
     };
-    let (mut store, environment) = Store::open(&args.store)?;
-    let mut world = unindexed(environment);
-    presight::internal::row::begin(&mut world);
+    let mut store = open_store(&args.store)?;
+    presight::internal::row::begin(&mut store);
     let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path };
     let mut ended = false;
     while !ended {
-        let mut batch = store.batch(&mut world)?;
+        let mut batch = store.batch()?;
         let mut applied = Vec::with_capacity(BATCH);
         let mut wrong = None;
         loop {

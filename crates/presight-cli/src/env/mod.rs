@@ -9,7 +9,6 @@ use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{CommandOutcome, print};
 use presight::Change;
-use presight::World;
 use presight::environment::Environment;
 use presight::index::Scheme;
 use presight::io::layer;
@@ -167,9 +166,9 @@ fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, Strin
     Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay))
 }
 
-/// A world for changes: nothing is predicted, so it needs no index.
-fn unindexed(environment: Environment) -> World {
-    World::with_index(environment, Scheme::None, presight::index::Params::default())
+/// A store for changes: nothing is predicted, so its world needs no index.
+fn open_store(path: &Path) -> Result<Store> {
+    Store::open_with_index(path, Scheme::None, presight::index::Params::default())
 }
 
 fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {
@@ -206,7 +205,7 @@ fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &Not
     if let Some(scene) = &scene {
         memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
     }
-    let (mut store, environment) = Store::open(path)?;
+    let mut store = open_store(path)?;
     // What the file says lost its surface, or lost it in the other store, is kept as it is there.
     let lost = match (&layer, &scene) {
         (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
@@ -214,16 +213,15 @@ fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &Not
         (None, None) => Vec::new(),
     };
     let mut changes = Vec::new();
-    changes.extend(layer.map(|layer| Store::merging_layer(&environment, &layer)));
+    changes.extend(layer.map(|layer| store.merging_layer(&layer)));
     if let Some(scene) = scene {
-        changes.push(Store::merging_scene(&environment, &scene, replace).map_err(|e| e.in_file(file))?);
+        changes.push(store.merging_scene(&scene, replace).map_err(|e| e.in_file(file))?);
     }
     let change = Change::of(changes);
     if matches!(&change, Change::Group(changes) if changes.is_empty()) {
         return print::data("nothing to change\n");
     }
-    let mut world = unindexed(environment);
-    let mut batch = store.batch(&mut world)?;
+    let mut batch = store.batch()?;
     let number = batch.apply_imported(change, lost, &note).map_err(|e| e.in_file(file))?;
     batch.commit()?;
     print::data(&format!("change {number}\n"))
@@ -231,13 +229,13 @@ fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &Not
 
 fn undo(path: &Path, change: u64, cascade: bool, note: &NoteArgs) -> Result<()> {
     let note = note.note(|| format!("undo of {change}"))?;
-    let (mut store, environment) = Store::open(path)?;
+    let mut store = open_store(path)?;
     let plan = store.undo_plan(change, cascade)?;
     if plan.len() > 1 {
         let numbers: Vec<String> = plan.iter().map(u64::to_string).collect();
         print::message(&format!("note: undoing {} changes: {}", plan.len(), numbers.join(", ")));
     }
-    let made = store.undo(&mut unindexed(environment), change, cascade, &note)?;
+    let made = store.undo(change, cascade, &note)?;
     let made: Vec<String> = made.iter().map(u64::to_string).collect();
     print::data(&format!("change {}\n", made.join(", ")))
 }

@@ -301,13 +301,13 @@ fn a_stored_environment_is_read_for_good() {
     assert_eq!((info.changes, info.created, info.cause.as_str()), (5, 1.5, "test"));
     let told = std::fs::read_to_string(old.with_extension("txt")).unwrap();
     assert_eq!(told, format!("{}\n{}\n", info.environment.content_hash(), info.head));
-    let (mut store, environment) = Store::open(&path).unwrap();
-    assert_eq!((store.changes(), environment.content_hash()), (5, info.environment.content_hash()));
-    let mut world = presight::World::new(environment);
-    store.apply(&mut world, super::numbered(6).0, &super::note(6.0)).unwrap();
+    let mut store = Store::open(&path).unwrap();
+    assert_eq!((store.changes(), store.world().environment().content_hash()), (5, info.environment.content_hash()));
+    store.apply(super::numbered(6).0, &super::note(6.0)).unwrap();
+    let hash = store.world().environment().content_hash();
     drop(store);
     let after = store::check(&path).unwrap();
-    assert_eq!((after.changes, after.environment.content_hash()), (6, world.environment().content_hash()));
+    assert_eq!((after.changes, after.environment.content_hash()), (6, hash));
 }
 
 /// Formats 1 to 3 are of versions before the first release.
@@ -337,10 +337,9 @@ fn bless_a_version() {
         return;
     }
     let (_folder, path) = folder_with_store();
-    let (mut store, environment) = Store::open(&path).unwrap();
-    let mut world = presight::World::new(environment);
+    let mut store = Store::open(&path).unwrap();
     for k in 1..=5 {
-        store.apply(&mut world, super::numbered(k).0, &super::note(k as f64)).unwrap();
+        store.apply(super::numbered(k).0, &super::note(k as f64)).unwrap();
     }
     drop(store);
     let info = store::check(&path).unwrap();

@@ -39,7 +39,7 @@ fn a_row_of_deletions_is_as_each_alone() {
     run(here, &["env", "create", "whole.presight", glb]);
     run(here, &["features", "whole.presight", "--class", "video", "--out", "l.layer.json"]);
     run(here, &["env", "import", "whole.presight", "l.layer.json"]);
-    let (_, environment) = Store::open(&here.join("whole.presight")).unwrap();
+    let environment = Store::open(&here.join("whole.presight")).unwrap().world().environment().clone();
     let features = &environment.layer("video").unwrap().features;
     assert!(features.len() > 500 && environment.objects().len() > 100);
     let alone = features.iter().filter(|f| f.id % 7 == 0).take(60);
@@ -216,21 +216,20 @@ fn another_change_under_a_known_id_is_refused() {
 fn changes_of_the_library_are_known_by_their_ids() {
     let folder = tempfile::tempdir().unwrap();
     let path = create(folder.path(), &small());
-    let (mut store, environment) = Store::open(&path).unwrap();
-    let mut world = World::new(environment);
+    let mut store = Store::open(&path).unwrap();
     let named = |id: &str| store::Note { id: Some(id.to_owned()), ..note(1.0) };
     let new = |name: &str, size| {
         let mesh = super::block("new", size, [0; 6]);
         Change::InsertObject(presight::NewObject::new(name, super::at(1.0, 0.0, 0.0), mesh))
     };
     let delete = |name: &str| Change::DeleteObject { name: name.into() };
-    assert_eq!(store.apply(&mut world, new("x", 1.0), &named("n")).unwrap(), 1);
-    assert_eq!(store.apply(&mut world, delete("a"), &named("d")).unwrap(), 2);
+    assert_eq!(store.apply(new("x", 1.0), &named("n")).unwrap(), 1);
+    assert_eq!(store.apply(delete("a"), &named("d")).unwrap(), 2);
     // Made anew, as after a crash.
-    assert_eq!(store.apply(&mut world, new("x", 1.0), &named("n")).unwrap(), 1);
-    assert_eq!(store.apply(&mut world, delete("a"), &named("d")).unwrap(), 2);
+    assert_eq!(store.apply(new("x", 1.0), &named("n")).unwrap(), 1);
+    assert_eq!(store.apply(delete("a"), &named("d")).unwrap(), 2);
     for (change, id) in [(new("x", 2.0), "n"), (new("z", 1.0), "n"), (delete("b"), "d"), (new("x", 1.0), "d")] {
-        let e = store.apply(&mut world, change, &named(id)).unwrap_err();
+        let e = store.apply(change, &named(id)).unwrap_err();
         assert!(
             e.kind() == presight::ErrorKind::Invalid && e.to_string().contains(&format!("id {id:?} is that")),
             "{e}"
@@ -238,7 +237,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
     }
     assert_eq!(store.changes(), 2);
     // A line that says what such an entry did.
-    let mut batch = store.batch(&mut world).unwrap();
+    let mut batch = store.batch().unwrap();
     let mut line = |text: &str| batch.apply_line(text, Path::new("."), &note(2.0));
     assert_eq!(line(r#"{"op":"delete_object","object":"a","id":"d"}"#).unwrap(), (2, false));
     assert!(line(r#"{"op":"delete_object","object":"b","id":"d"}"#).is_err());
@@ -276,13 +275,12 @@ fn log_undo_and_check_speak_of_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let path = create(here, &small());
-    let (mut store, environment) = Store::open(&path).unwrap();
-    let mut world = World::new(environment);
+    let mut store = Store::open(&path).unwrap();
     for k in 1..=3 {
-        store.apply(&mut world, numbered(k).0, &note(k as f64)).unwrap();
+        store.apply(numbered(k).0, &note(k as f64)).unwrap();
     }
-    let hash = world.environment().content_hash().to_string();
-    store.apply(&mut world, Change::DeleteObject { name: "a".into() }, &note(4.0)).unwrap();
+    let hash = store.world().environment().content_hash().to_string();
+    store.apply(Change::DeleteObject { name: "a".into() }, &note(4.0)).unwrap();
     drop(store);
     assert_eq!(run(here, &["env", "undo", "env.presight", "4", "--cause", "oops", "--time", "12"]), "change 5\n");
     let log: Vec<_> = run(here, &["env", "log", "env.presight", "--json"]).lines().map(json).collect();

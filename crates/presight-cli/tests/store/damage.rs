@@ -1,7 +1,6 @@
 //! Flipped bytes and truncation.
 
 use super::{create, hospital, note, numbered, small};
-use presight::World;
 use presight::io::store::{self, Store};
 use std::path::Path;
 
@@ -14,10 +13,9 @@ fn told(path: &Path) -> presight::Result<(String, String, u64)> {
 /// A store with a log, in small pages: fewer bytes that mean nothing.
 fn small_pages(folder: &Path) -> std::path::PathBuf {
     let path = create(folder, &small());
-    let (mut store, environment) = Store::open(&path).unwrap();
-    let mut world = World::new(environment);
+    let mut store = Store::open(&path).unwrap();
     for k in 1..=4 {
-        store.apply(&mut world, numbered(k).0, &note(k as f64)).unwrap();
+        store.apply(numbered(k).0, &note(k as f64)).unwrap();
     }
     drop(store);
     let connection = rusqlite::Connection::open(&path).unwrap();

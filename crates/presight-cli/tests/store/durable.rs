@@ -278,11 +278,10 @@ fn changes_without_syncs_are_caught() {
 #[test]
 fn unsynced_child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
-    let (mut store, environment) = Store::open(Path::new(&path)).unwrap();
+    let mut store = Store::open(Path::new(&path)).unwrap();
     store.without_sync().unwrap();
-    let mut world = World::new(environment);
     for k in 1..=CHANGES {
-        store.apply(&mut world, numbered(k).0, &note(k as f64)).unwrap();
+        store.apply(numbered(k).0, &note(k as f64)).unwrap();
         let mut out = std::io::stdout().lock();
         out.write_all(format!("\nack {k}\n").as_bytes()).unwrap();
         out.flush().unwrap();

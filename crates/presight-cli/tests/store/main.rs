@@ -12,6 +12,7 @@ mod undo;
 
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
+use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::io::store::{self, Note};
 use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
 use std::path::{Path, PathBuf};
@@ -25,10 +26,9 @@ fn presight() -> Command {
 
 /// A box of six polygons; numbers of materials by face.
 fn block(name: &str, size: f32, materials: [u16; 6]) -> Arc<Mesh> {
-    let corner = |i: u32| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * size;
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let polygons = faces.iter().zip(materials).map(|(f, m)| Polygon::new(f.to_vec(), m)).collect();
-    Arc::new(Mesh::new(name, (0..8).map(corner).collect(), polygons, PolygonOrder::Spatial).unwrap())
+    let polygons = CUBOID_FACES.iter().zip(materials).map(|(f, m)| Polygon::new(f.to_vec(), m)).collect();
+    let corners = cuboid_corners(Vec3::ZERO, Vec3::splat(size)).to_vec();
+    Arc::new(Mesh::new(name, corners, polygons, PolygonOrder::Spatial).unwrap())
 }
 
 fn at(x: f64, y: f64, yaw: f64) -> Pose {

@@ -84,7 +84,7 @@ fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
 /// Applies a whole log to what a store was created with.
 fn replayed(path: &std::path::Path, environment: Environment, by_number: &HashMap<u64, Change>) -> World {
     let mut world = World::new(environment);
-    store::log(path, |entry| world.apply(by_number[&entry.number].clone()).map(drop)).unwrap();
+    store::log(path, |entry| world.apply_unchecked(by_number[&entry.number].clone()).map(drop)).unwrap();
     world
 }
 
@@ -95,29 +95,35 @@ proptest! {
     fn store_memory_and_scratch_agree(steps in prop::collection::vec((0u8..13, 0u8..60, -2.0f64..2.0, 0u8..8), 1..60)) {
         let folder = tempfile::tempdir().unwrap();
         let path = create(folder.path(), &small());
-        let (mut store, environment) = Store::open(&path).unwrap();
-        let mut world = World::new(environment);
+        let mut store = Store::open(&path).unwrap();
         let (mut applied, mut undoable) = (HashMap::new(), Vec::new());
         for (kind, which, x, then) in steps {
-            let before = (world.environment().content_hash(), world.version());
+            let state = |store: &Store| (store.world().environment().content_hash(), store.world().version());
+            let before = state(&store);
             let change = change(kind, which, x, 2);
-            match store.apply(&mut world, change.clone(), &note(x)) {
+            let apply = |store: &mut Store, change| {
+                let mut batch = store.batch()?;
+                let number = batch.apply_unchecked(change, &note(x))?;
+                batch.commit().map(|()| number)
+            };
+            match apply(&mut store, change.clone()) {
                 Ok(number) => {
                     applied.insert(number, change);
                     undoable.push(number);
                 }
-                Err(_) => prop_assert_eq!((world.environment().content_hash(), world.version()), before),
+                Err(_) => prop_assert_eq!(state(&store), before),
             }
+            let world = store.world();
             world.index().assert_well_formed(world.environment());
+            let hash = world.environment().content_hash();
             if then == 0 {
                 drop(store);
-                let opened = Store::open(&path).unwrap();
-                prop_assert_eq!(opened.1.content_hash(), world.environment().content_hash());
-                store = opened.0;
-                world = World::new(opened.1);
+                store = Store::open(&path).unwrap();
+                prop_assert_eq!(store.world().environment().content_hash(), hash);
             }
         }
         let info = store::check(&path).unwrap();
+        let world = store.world().clone();
         let hash = world.environment().content_hash();
         prop_assert_eq!(info.environment.content_hash(), hash);
         prop_assert_eq!(info.environment.groups(), world.environment().groups());
@@ -137,9 +143,9 @@ proptest! {
         prop_assert!(seen(&again) == expected, "replayed");
         // All of it undone, newest first, is the beginning.
         for number in undoable.into_iter().rev() {
-            store.undo(&mut world, number, false, &note(0.0)).unwrap();
+            store.undo(number, false, &note(0.0)).unwrap();
         }
-        prop_assert_eq!(world.environment().content_hash(), small().content_hash());
+        prop_assert_eq!(store.world().environment().content_hash(), small().content_hash());
         drop(store);
         prop_assert_eq!(store::check(&path).unwrap().environment.content_hash(), small().content_hash());
     }

@@ -213,7 +213,7 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
             properties: Properties::default(),
         };
         // The layer's tolerance only tells how near to a polygon a feature has to be when it is placed.
-        world.apply(Change::InsertFeature { class: "study".into(), feature: feature.clone() })?;
+        world.apply_unchecked(Change::InsertFeature { class: "study".into(), feature: feature.clone() })?;
         features.push(SeenFeature::whole(&feature));
         placed.push(PlacedFeature { feature, object: None, slots: Vec::new() });
     }

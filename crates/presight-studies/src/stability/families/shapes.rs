@@ -6,6 +6,7 @@ use presight::Result;
 use presight::World;
 use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight::geometry::Pose;
+use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use std::sync::Arc;
 
@@ -85,9 +86,8 @@ pub fn point(p: [f64; 3]) -> Vec3 {
 
 /// The six faces of a box.
 pub fn cuboid(least: [f64; 3], most: [f64; 3]) -> Vec<Vec<Vec3>> {
-    let corner = |i: usize| point([0, 1, 2].map(|k| if i & (1 << k) == 0 { least[k] } else { most[k] }));
-    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    faces.map(|f| f.map(corner).to_vec()).to_vec()
+    let corners = cuboid_corners(point(least), point(most));
+    CUBOID_FACES.map(|f| f.map(|i| corners[i as usize]).to_vec()).to_vec()
 }
 
 /// A camera of 33 x 17 pixels that looks along x, with focal lengths and principal point in pixels.

@@ -3,8 +3,8 @@
 
 use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::raster_lines::{Buffer, EIGHT};
 use super::setup::RayInstance;
-use super::spans::{Buffer, EIGHT};
 use crate::environment::{Cluster, Mesh};
 use crate::geometry::Aabb;
 use crate::plan::{FramePlan, Run};
@@ -17,6 +17,22 @@ pub(super) const TILE: usize = EIGHT;
 
 /// A box this much nearer than the farthest depth behind it is not hidden: far above f64 rounding.
 const SLACK: f64 = 1e-9;
+
+/// What waves before have drawn.
+#[derive(Clone, Copy)]
+pub(super) struct Occlusion<'a> {
+    pub canvas: &'a [Buffer],
+    pub bands: &'a Bands,
+}
+
+impl Occlusion<'_> {
+    /// True if a polygon of that footprint is wholly behind it.
+    #[inline(always)]
+    pub fn hides(&self, footprint: &Footprint) -> bool {
+        let nearest = footprint.nearest * (1.0 - SLACK);
+        nearest > 0.0 && is_behind(footprint, 1.0 / nearest, self.canvas, self.bands)
+    }
+}
 
 /// The runs that may show: all but those behind what the bands hold.
 #[inline(always)]

@@ -2,7 +2,7 @@
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, PolygonSetup};
-use super::hidden::TILE;
+use super::cull::TILE;
 use crate::error::Result;
 use crate::memory;
 use crate::sensor::{LineAxis, LineGrid, Octet};
@@ -32,7 +32,7 @@ pub(super) struct Buffer {
     /// From a line to the next one, and from an octet to the next one on its line.
     pub per_line: usize,
     pub per_octet: usize,
-    /// Least inverse depth of every tile, see [`super::hidden`]; rows of them in whole eights, past the end of which nothing is
+    /// Least inverse depth of every tile, see [`super::cull`]; rows of them in whole eights, past the end of which nothing is
     /// hidden behind less than everything.
     farthest: Vec<[f64; EIGHT]>,
     /// Eights of tiles in a row of them.

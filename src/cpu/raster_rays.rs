@@ -3,8 +3,8 @@
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, PolygonSetup};
-use super::hidden::TILE;
-use super::spans::{Buffer, EIGHT};
+use super::cull::TILE;
+use super::raster_lines::{Buffer, EIGHT};
 use crate::limits::MAX_CORNERS;
 use crate::sensor::{Cones, RayGrid, TileRays};
 use glam::DVec3;

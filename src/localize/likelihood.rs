@@ -1,0 +1,74 @@
+//! How likely a scan is at poses of the robot.
+
+use crate::batch::{BatchRequest, PoseCell, RangeLikelihood};
+use crate::error::Result;
+use crate::frame::{Frame, RangeNoise};
+use crate::geometry::Pose;
+use crate::predict::Predictor;
+use crate::sensor::Sensor;
+use crate::world::World;
+use glam::{DQuat, DVec3};
+
+/// A level scanner with the noise of its ranges and of the model together.
+#[derive(Clone, Debug)]
+pub(super) struct PoseLikelihood {
+    scanner: Sensor,
+}
+
+impl PoseLikelihood {
+    /// `beam_dependence` is for a sensor that states none.
+    pub fn new(sensor: &Sensor, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
+        let mut spec = sensor.spec().clone();
+        spec.noise.range_sigma = RangeNoise::of(sensor).sigma.hypot(model_sigma);
+        if spec.noise.mixture.beam_dependence == 1.0 {
+            spec.noise.mixture.beam_dependence = beam_dependence;
+        }
+        Ok(Self { scanner: Sensor::new(spec)? })
+    }
+
+    /// The scanner that frames are weighed with.
+    pub fn scanner(&self) -> &Sensor {
+        &self.scanner
+    }
+
+    /// A frame, ready to be weighed; `None` if it has no reading.
+    pub fn of(&self, frame: &Frame, cell: PoseCell) -> Result<Option<RangeLikelihood>> {
+        let spec = self.scanner.spec();
+        let reading = |r: &f32| match f64::from(*r) {
+            z if z > spec.range_max => f32::INFINITY,
+            z if z < spec.range_min => f32::NEG_INFINITY,
+            _ => *r,
+        };
+        let ranges: Vec<f32> = frame.ranges().iter().map(reading).collect();
+        if ranges.iter().all(|r| !r.is_finite()) {
+            return Ok(None);
+        }
+        RangeLikelihood::new(&self.scanner, ranges, cell).map(Some)
+    }
+
+    /// Log-likelihoods of a frame at poses of the robot.
+    pub fn at(
+        &self,
+        predictor: &mut Predictor,
+        world: &World,
+        frame: &Frame,
+        poses: impl Iterator<Item = Pose>,
+    ) -> Result<Vec<f64>> {
+        let mount = self.scanner.spec().mount;
+        let mut poses: Vec<Pose> = poses.map(|pose| upright(&(pose * mount))).collect();
+        // One cut of the world serves them all, if rounding leaves them at one height.
+        let height = poses.first().map_or(0.0, |pose| pose.translation.z);
+        let same = |pose: &&mut Pose| (pose.translation.z - height).abs() < 1e-9;
+        poses.iter_mut().filter(same).for_each(|pose| pose.translation.z = height);
+        let Some(likelihood) = self.of(frame, PoseCell::default())? else { return Ok(vec![0.0; poses.len()]) };
+        let request = BatchRequest { likelihood: Some(likelihood), ..BatchRequest::default() };
+        let items = predictor.batch(world, &self.scanner, poses, &request)?;
+        items.map(|item| item.map(|item| item.log_likelihood.unwrap_or(0.0))).collect()
+    }
+}
+
+/// The pose with its z axis upright: what rounding turned away is turned back.
+fn upright(pose: &Pose) -> Pose {
+    let x = pose.rotation * DVec3::X;
+    Pose { rotation: DQuat::from_rotation_z(x.y.atan2(x.x)), ..*pose }
+}

@@ -1,0 +1,109 @@
+//! From an unknown start to one pose: candidates are carried on by odometry until one of them leads and explains enough.
+
+use super::search::{Candidate, distinct, is_same};
+use super::{Localizer, Phase, Step, carried};
+use crate::error::Result;
+use crate::estimate::{Estimate, EstimateState, Prior};
+use crate::frame::{Frame, Motion};
+use crate::geometry::Pose;
+use crate::world::World;
+
+/// Candidates that are so much less likely are dropped, natural logarithm of the odds.
+const HOPELESS: f64 = 20.0;
+
+impl Localizer {
+    /// True if the robot is looked for in the whole map.
+    pub(super) fn is_searched(&self) -> bool {
+        let nowhere = matches!(self.phase, Phase::Unknown | Phase::Lost);
+        self.search.is_some() && (nowhere || !self.candidates.is_empty())
+    }
+
+    /// One frame of the search.
+    pub(super) fn search_on(&mut self, world: &World, frame: &Frame, motion: Option<&Motion>) -> Result<Step> {
+        match motion {
+            Some(motion) if !self.candidates.is_empty() => self.carry(world, frame, motion)?,
+            _ => {
+                let Some(search) = &self.search else { unreachable!("a robot is searched by a search") };
+                self.candidates = search.candidates(&mut self.estimator, world, frame)?;
+            }
+        }
+        let Some(best) = self.candidates.first() else {
+            self.phase = Phase::Unknown;
+            let estimate = self.estimator.refine(world, frame, &self.belief)?;
+            return Ok(self.told(frame, "no beam measured a range".into(), estimate));
+        };
+        self.belief = Prior { pose: best.pose, covariance: best.covariance };
+        let estimate = best.estimate.clone();
+        let reason = self.choose(world, frame)?;
+        let state = if self.phase == Phase::Tracking {
+            EstimateState::Determined
+        } else {
+            EstimateState::Undetermined(reason.clone())
+        };
+        let step = self.told(frame, reason, Estimate { state, ..estimate });
+        if self.phase == Phase::Unknown {
+            self.candidates.clear();
+        }
+        Ok(step)
+    }
+
+    /// Moves all candidates on, refines and weighs them.
+    fn carry(&mut self, world: &World, frame: &Frame, motion: &Motion) -> Result<()> {
+        let Some(search) = &self.search else { return Ok(()) };
+        for c in &mut self.candidates {
+            let prior = carried(&Prior { pose: c.pose, covariance: c.covariance }, motion);
+            c.estimate = self.estimator.refine(world, frame, &prior)?;
+            (c.pose, c.covariance) = (c.estimate.pose, c.estimate.covariance);
+            c.frames += 1;
+            c.explained += (search.explained(frame, &c.estimate) - c.explained) / c.frames as f64;
+        }
+        let logs = search.weigh(&mut self.estimator, world, frame, self.candidates.iter().map(|c| c.pose))?;
+        self.candidates.iter_mut().zip(logs).for_each(|(c, log)| c.log_likelihood += log);
+        self.candidates = distinct(std::mem::take(&mut self.candidates));
+        let most = self.candidates.first().map_or(0.0, |c| c.log_likelihood);
+        self.candidates.retain(|c| most - c.log_likelihood <= HOPELESS);
+        Ok(())
+    }
+
+    /// The next phase, and why.
+    fn choose(&mut self, world: &World, frame: &Frame) -> Result<String> {
+        let options = self.options;
+        let Candidate { explained, frames, log_likelihood, .. } = self.candidates[0];
+        let lead = self.candidates.get(1).map_or(HOPELESS, |second| log_likelihood - second.log_likelihood);
+        let why = format!(
+            "{} candidates; the best one leads by log-odds of {lead:.1} and explains {:.0} % of {frames} frames",
+            self.candidates.len(),
+            100.0 * explained
+        );
+        let enough = explained >= options.least_found;
+        if enough && lead >= options.lead && frames >= options.least_frames {
+            if self.add_rivals(world, frame)? {
+                self.phase = Phase::Candidates;
+                return Ok(format!("{why}; a place elsewhere fits this frame better"));
+            }
+            self.phase = Phase::Tracking;
+            self.candidates.clear();
+            self.restart_tests();
+            self.motion = Pose::IDENTITY;
+            return Ok(why);
+        }
+        let given_up = !enough && frames >= options.patience;
+        self.phase = if given_up { Phase::Unknown } else { Phase::Candidates };
+        Ok(if given_up { format!("{why}: less than {:.0} %, none is right", 100.0 * options.least_found) } else { why })
+    }
+
+    /// Looks through the whole map once more before a candidate is believed: places that fit this frame better join the candidates.
+    fn add_rivals(&mut self, world: &World, frame: &Frame) -> Result<bool> {
+        let Some(search) = &self.search else { return Ok(false) };
+        let best = self.candidates[0].clone();
+        let here = search.weigh(&mut self.estimator, world, frame, std::iter::once(best.pose))?[0];
+        let mut rivals = search.candidates(&mut self.estimator, world, frame)?;
+        rivals.retain(|r| r.log_likelihood > here && !is_same(&r.pose, &best.pose));
+        let found = !rivals.is_empty();
+        // They are taken to have fitted the frames before as well as the best one did.
+        rivals.iter_mut().for_each(|r| r.log_likelihood += best.log_likelihood - here);
+        self.candidates.append(&mut rivals);
+        self.candidates = distinct(std::mem::take(&mut self.candidates));
+        Ok(found)
+    }
+}

@@ -1,0 +1,39 @@
+//! A hall of small triangles, most of which lie behind others or between the rays: the CPU engine leaves those out, and its images
+//! are the reference's.
+
+use presight_testkit as common;
+
+use common::hall::{hall_poses, open_hall};
+use common::{plan, reference, scenes};
+use presight::cpu::CpuEngine;
+use presight::plan::CountName;
+use presight::verify::{Precision, compare};
+use presight::{Images, Sensor, Stats, World};
+
+fn sensors() -> Vec<Sensor> {
+    let [camera, scanner] = [scenes::camera(161, 121), scenes::scanner(360, 61)];
+    vec![camera, scanner, scenes::scanner(3600, 1), scenes::lens(121, 91), scenes::fisheye(91, 91)]
+}
+
+#[test]
+fn images_of_small_polygons_are_the_references() {
+    let hall = open_hall(3, 60_000);
+    let poses = hall_poses(&hall, 5, 2);
+    let world = World::new(hall);
+    let (mut hidden, mut left_out) = (0, 0);
+    for threads in [1, 2] {
+        let mut engine = CpuEngine::new(threads).expect("threads");
+        for (pose, sensor) in poses.iter().flat_map(|pose| sensors().into_iter().map(move |sensor| (pose, sensor))) {
+            let plan = plan(&world, &sensor, pose);
+            let (mut images, mut stats) = (Images::default(), Stats::default());
+            engine.render(&plan, &mut images, &mut stats).expect("the engine renders");
+            let report = compare(&reference(&plan), &images, &plan, Precision::F64).expect("images of one shape");
+            let name = &sensor.spec().name;
+            assert_eq!(report.fault, 0, "{name}: first {:#?}", report.faults.first());
+            assert!(report.pixels > 0, "{name}");
+            hidden += stats.count_of(CountName::PolygonsHidden).unwrap_or(0);
+            left_out += stats.count_of(CountName::PolygonsBetweenSamples).unwrap_or(0);
+        }
+    }
+    assert!(hidden > 1000 && left_out > 1000, "{hidden} polygons hidden, {left_out} between samples");
+}
