@@ -6,6 +6,9 @@ use presight::free_poses::free_poses;
 use presight::{ErrorKind, Pose};
 use std::path::Path;
 
+/// Name, value at each frame, and colour.
+type Line = (&'static str, fn(&Frame) -> f64, RGBColor);
+
 /// Free poses that the drive goes through, and frames from each to the next.
 const STOPS: usize = 12;
 const FRAMES: usize = 25;
@@ -86,7 +89,7 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
     let areas = root.split_evenly((3, 1));
     let number = |values: fn(&Frame) -> f64| frames.iter().enumerate().map(move |(i, frame)| (i as f64, values(frame)));
     let most = frames.iter().map(|frame| frame.without.max(frame.with)).fold(deadline, f64::max);
-    let lines: [(&str, fn(&Frame) -> f64, RGBColor); 2] = [
+    let lines: [Line; 2] = [
         ("without control", |f| f.without, RGBColor(0xd0, 0x5a, 0x1e)),
         ("with a deadline", |f| f.with, RGBColor(0x1f, 0x6f, 0xb4)),
     ];
@@ -107,7 +110,7 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
     let top = if range_max.is_finite() { range_max } else { 50.0 };
     let mut metres = chart_in(&areas[1], "radius and complete_to, m", frames.len(), 1.05 * top)?;
     let within = |value: f64| value.min(top);
-    let lines: [(&str, fn(&Frame) -> f64, RGBColor); 2] = [
+    let lines: [Line; 2] = [
         ("radius", |f| f.radius, RGBColor(0x80, 0x80, 0x80)),
         ("complete_to", |f| f.complete_to, RGBColor(0x1f, 0x6f, 0xb4)),
     ];

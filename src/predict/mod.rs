@@ -289,7 +289,7 @@ impl Predictor {
         if let (Some(timed), Some(placed)) = (&mut timed, &placed) {
             timed.expect_features(placed.features.len(), request.regions.is_some());
         }
-        let seen_from = (&*world, &*sensor, &*world_from_sensor);
+        let seen_from = (world, &*sensor, &*world_from_sensor);
         *stats = self.predict_within(seen_from, request.drawn(), images, timed.as_mut())?;
         *features = match &placed {
             Some(placed) => Some(self.features(seen_from, request, placed, images, stats, timed.as_mut())?),

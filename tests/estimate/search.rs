@@ -98,7 +98,7 @@ fn a_room_with_a_double_stays_undetermined() {
 fn what_cannot_be_searched_is_told() {
     let world = room(Vec3::ZERO);
     let refused = |world: &World, sensor: &Sensor, options: SearchOptions| {
-        let e = Search::new(&mut planar(), world, sensor, options).err().expect("it is refused");
+        let e = Search::new(&mut planar(), world, sensor, options).expect_err("it is refused");
         assert!(e.kind() == ErrorKind::Usage && !e.remedy().is_empty(), "{e}");
         e.to_string()
     };
@@ -112,7 +112,7 @@ fn what_cannot_be_searched_is_told() {
     leaning.mount = Pose::from_xyz_rpy(DVec3::ZERO, 0.2, 0.0, 0.0);
     assert!(refused(&world, &Sensor::new(leaning).unwrap(), options()).contains("leans"));
     let six = Search::new(&mut estimator(EstimateOptions::default()), &world, &row_scanner(), options());
-    assert_eq!(six.err().expect("six numbers").kind(), ErrorKind::Usage);
+    assert_eq!(six.expect_err("six numbers").kind(), ErrorKind::Usage);
 }
 
 /// Blind frames say nothing; the search begins at the first that measures.

@@ -157,7 +157,7 @@ impl Drive {
         match self.init.as_str() {
             "unknown" => Ok(None),
             "reference" => first.reference.map(Some).ok_or_else(|| {
-                Error::usage("--init reference: the log has no pose there", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+                Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
             }),
             pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }

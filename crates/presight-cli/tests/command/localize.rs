@@ -82,7 +82,7 @@ fn what_is_wrong_with_a_log_is_named() {
         assert!(done.status == Some(status) && done.stderr.contains(told), "{done:?}");
         assert!(!place.path("x.tum").exists());
     };
-    refused("nowhere", "0,0,1,0,0,0", 1, "camera.json");
+    refused("nowhere", "0,0,1,0,0,0", 1, "nowhere");
     refused("log", "0,0,nan,0,0,0", 2, "--init");
     fs::remove_file(place.path("log/poses.txt")).unwrap();
     refused("log", "reference", 2, "no poses");
