@@ -12,7 +12,7 @@ use std::ops::Range;
 
 /// How far apart are the blocks of three by three pixels along a segment that are looked through, pixels. Nearly all that
 /// hides it shows in them; finding the rest by tiles is faster than looking through more.
-pub(super) const BLOCKS_APART: f64 = 24.0;
+const BLOCKS_APART: f64 = 24.0;
 
 /// No slot.
 const NONE: u32 = u32::MAX;

@@ -2,7 +2,6 @@
 
 use super::area::Span;
 use super::polygon::Faces;
-use super::straight::BLOCKS_APART;
 use super::tally::{SampleState, Tally, share};
 use super::tiles::Tiles;
 use super::undecided::{Line, UndecidedSample, hide_along};
@@ -352,13 +351,7 @@ impl<'a> Worker<'a> {
         self.begin();
         match told {
             Some(told) => self.take_told(told, own),
-            None => {
-                let apart = (BLOCKS_APART / self.frame.options.step) as usize;
-                (0..self.open.len()).step_by(apart.max(1)).for_each(|i| self.gather(self.pixel_of(i), own));
-                if let Some(last) = self.open.len().checked_sub(1) {
-                    self.gather(self.pixel_of(last), own);
-                }
-            }
+            None => (0..self.open.len()).for_each(|i| self.gather(self.pixel_of(i), own)),
         }
         for face in &self.near {
             let known = &self.faces.known[*face as usize];

@@ -112,7 +112,7 @@ fn the_floor_hides_what_leans_through_it() {
             let name = &sensor.spec().name;
             let seen = see(&world, &sensor, &pose, segment([[2.0, -0.5, -low], [2.0, 0.5, low]]));
             let [visible] = &seen.visible[..] else { panic!("{name}, {degrees}: {:?}", seen.visible) };
-            assert!((visible.t[0] - 0.5).abs() < 0.01 && visible.t[1] == 1.0, "{name}, {degrees}: {visible:?}");
+            assert!((visible.t[0] - 0.5).abs() < 0.01 && visible.t[1] > 1.0 - 1e-9, "{name}, {degrees}: {visible:?}");
         }
     }
 }
