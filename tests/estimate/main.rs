@@ -15,8 +15,8 @@ use glam::{DVec3, Vec3};
 use presight::estimate::{EstimateOptions, Estimator, moved};
 use presight::frame::{Frame, Measurement};
 use presight::{
-    Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose,
-    Predictor, Request, Scanner, Sensor, SensorSpec, World,
+    Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Pose, Predictor, Request,
+    Scanner, Sensor, SensorSpec, World,
 };
 use presight_testkit::Random;
 use std::sync::Arc;
