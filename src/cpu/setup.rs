@@ -198,7 +198,7 @@ fn push(
     let normal = at.mesh.planes()[polygon as usize].normal;
     let shade = Shade {
         distance: lanes.distance[i].abs() * at.length_per_distance(normal),
-        polygon_id: plan.polygon_id(at.object, polygon),
+        polygon_id: plan.drawn_polygon_id(at.object, polygon),
         object_id: at.object + 1,
     };
     let m = DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]);

@@ -177,7 +177,10 @@ mod tests {
                     assert!(view.meets(at + by, &[DVec3::X, DVec3::Y, DVec3::Z]), "{}: {at}", sensor.spec().name);
                 }
             }
-            assert!(inside > 200, "{}: {inside}", sensor.spec().name);
+            // Beams of one row without a height are met by no point.
+            let is_plane = sensor.height() == 1
+                && matches!(&sensor.spec().geometry, Geometry::Scanner(s) if s.beam_height_deg.is_none());
+            assert!(inside > 200 || is_plane, "{}: {inside}", sensor.spec().name);
             let Form::Planes(..) = view.form else { continue };
             assert!(kept < 5000, "{}: {kept} of 10,000 random points are kept", sensor.spec().name);
         }

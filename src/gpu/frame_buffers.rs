@@ -79,17 +79,16 @@ impl FrameBuffers {
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
     pub fn reserve(&mut self, gpu: &Gpu, frame: &FrameUploads) -> Result<bool> {
-        let words = |n: usize| n as u64 * 4;
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
         // What is not needed stays as small as it was made: it is bound, and neither written nor read.
         let instances = if frame.few() { 0 } else { frame.instances.len() * size_of::<Instance>() };
         let outputs = if frame.on_host { 0 } else { frame.output_words * 4 };
         let mut replaced = self.instances.reserve(gpu, instances as u64)?;
-        replaced |= self.work.reserve(gpu, words(frame.work.len()))?;
+        replaced |= self.work.reserve(gpu, size_of_val(&frame.work[..]) as u64)?;
         let survivors = u64::from(frame.params.polygon_count) * size_of::<Survivor>() as u64;
         replaced |= self.survivors.reserve(gpu, survivors)?;
-        replaced |= self.records.reserve(gpu, words(frame.near.records.len()))?;
-        replaced |= self.items.reserve(gpu, words(frame.near.items.len()))?;
+        replaced |= self.records.reserve(gpu, size_of_val(&frame.near.records[..]) as u64)?;
+        replaced |= self.items.reserve(gpu, size_of_val(&frame.near.items[..]) as u64)?;
         replaced |= self.seen_slots.reserve(gpu, frame.slot_bytes())?;
         replaced |= self.keys.reserve(gpu, pixels * 8)?;
         replaced |= self.outputs.reserve(gpu, outputs)?;

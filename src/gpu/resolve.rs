@@ -150,7 +150,7 @@ fn fill(keys: &Keys<'_>, slots: &[Slot], mut rows: Rows<'_>) {
         rayon::join(|| fill(keys, slots, upper), || fill(keys, slots, lower));
         return;
     }
-    let source = keys.plan.request.ids == IdScheme::Source;
+    let source = keys.plan.drawn_ids() == IdScheme::Source;
     for row in 0..rows.count {
         for column in 0..width {
             let (length, depth, ids, cosine) = match keys.seen(column, rows.first + row) {

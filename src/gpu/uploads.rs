@@ -59,7 +59,7 @@ impl FrameUploads {
         self.fill_instances(plan, arena);
         self.fill_work(plan, tables);
         self.place_outputs(plan);
-        self.params.source_ids = u32::from(plan.request.ids == IdScheme::Source);
+        self.params.source_ids = u32::from(plan.drawn_ids() == IdScheme::Source);
     }
 
     fn fill_instances(&mut self, plan: &FramePlan, arena: &Arena) {

@@ -9,7 +9,7 @@
 //!
 //! All engines share this step, which follows their own. It needs only images that they make anyway.
 
-use super::{FramePlan, Images, Instance, Output, Outputs, PolygonsOfIds, StageName, Stats};
+use super::{FramePlan, IdScheme, Images, Instance, Output, Outputs, PolygonsOfIds, StageName, Stats};
 use crate::environment::Mesh;
 use crate::error::Result;
 use crate::memory;
@@ -29,6 +29,11 @@ impl FramePlan {
             drawn = drawn.with(Output::PolygonId).with(Output::ObjectId);
         }
         drawn
+    }
+
+    /// The ids that engines draw. Normals are found by ids, and several polygons may have one source.
+    pub fn drawn_ids(&self) -> IdScheme {
+        if self.request.outputs.has(Output::Normal) { IdScheme::Model } else { self.request.ids }
     }
 
     /// Makes the images that are computed from other images, and empties those that were drawn only for that. This is the last
@@ -60,10 +65,23 @@ impl FramePlan {
             self.add_normals(images)?;
             made(StageName::Normal, start);
         }
+        if self.drawn_ids() != self.request.ids && asked.has(Output::PolygonId) {
+            self.rename_polygons(images);
+        }
         if self.drawn() != asked {
             images.keep(asked);
         }
         Ok(())
+    }
+
+    /// From the ids that were drawn to those that are requested.
+    fn rename_polygons(&self, images: &mut Images) {
+        let mut polygons = PolygonsOfIds::new(self.environment(), self.drawn_ids());
+        for (id, object) in images.polygon_id.iter_mut().zip(&images.object_id) {
+            if let Some((object, polygon)) = polygons.find(*object, *id) {
+                *id = self.request.ids.id_of(&self.environment().objects()[object as usize], polygon);
+            }
+        }
     }
 
     fn add_echo(&self, images: &mut Images) -> Result<()> {
@@ -136,7 +154,7 @@ struct Normals<'a> {
 
 impl<'a> Normals<'a> {
     fn new(plan: &'a FramePlan) -> Self {
-        let polygons = PolygonsOfIds::new(plan.environment(), plan.request.ids);
+        let polygons = PolygonsOfIds::new(plan.environment(), plan.drawn_ids());
         let body_from_image = plan.sensor.body_from_image();
         Self { plan, polygons, body_from_image, instances: HashMap::new(), known: HashMap::new() }
     }
@@ -176,7 +194,7 @@ struct Factors<'a> {
 
 impl<'a> Factors<'a> {
     fn new(plan: &'a FramePlan) -> Self {
-        Self { plan, polygons: PolygonsOfIds::new(plan.environment(), plan.request.ids), last: None }
+        Self { plan, polygons: PolygonsOfIds::new(plan.environment(), plan.drawn_ids()), last: None }
     }
 
     /// Of a pixel's ids; anything where nothing is seen, for its cosine is NaN.

@@ -335,6 +335,11 @@ impl FramePlan {
         self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
+    /// The `polygon_id` that engines draw for a polygon, by [`FramePlan::drawn_ids`].
+    pub fn drawn_polygon_id(&self, object: u32, polygon: u32) -> u32 {
+        self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
+    }
+
     fn fill(&mut self, region: &Region) {
         // Made of features afterwards.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);

@@ -141,6 +141,6 @@ fn write(plan: &FramePlan, images: &mut Images, beam: &Beam<Option<Hit>>) {
     put(&mut images.range, if too_near { f64::NEG_INFINITY } else { range });
     put(&mut images.depth_z, if too_near { f64::NEG_INFINITY } else { depth_z });
     put(&mut images.cos_incidence, hit.cos_incidence);
-    put_id(&mut images.polygon_id, plan.polygon_id(hit.object, hit.polygon));
+    put_id(&mut images.polygon_id, plan.drawn_polygon_id(hit.object, hit.polygon));
     put_id(&mut images.object_id, hit.object + 1);
 }

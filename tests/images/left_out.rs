@@ -9,7 +9,7 @@ use common::skip::no_adapter;
 use common::{Random, scenes};
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
+use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature};
 use presight::index::{Params, Scheme};
 use presight::plan::{Part, SamplesMut, StageName};
 use presight::{
@@ -92,7 +92,7 @@ impl Case<'_> {
         let mut request = Request::of(outputs).with_ids(self.ids);
         if self.features != Features::No {
             let placed = if self.features == Features::Empty { Vec::new() } else { placed.to_vec() };
-            request = request.with_features(FeatureOptions::default().with_placed(placed));
+            request = request.with_features(FeatureOptions::default().with_placed(placed).with_hidden(Hidden::Full));
         }
         if self.features == Features::WithBoxes {
             request = request.with_regions(BoxOptions::default());

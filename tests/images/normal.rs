@@ -88,7 +88,7 @@ fn it_is_there_wherever_the_angle_is() {
 fn engines_agree_and_planted_faults_are_caught() {
     let world = scenes::room_world(3, 12);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.02, 0.05, 0.7);
-    for (_, precision, mut render) in engines::all() {
+    for (name, precision, mut render) in engines::all() {
         for sensor in [scenes::camera(97, 61), scenes::scanner(120, 31), scenes::all_round(40, 21)] {
             for outputs in [Outputs::ALL, Outputs::of(&[Output::Normal])] {
                 let outputs = if sensor.is_camera() { outputs } else { outputs.without(Output::DepthZ) };
@@ -96,11 +96,15 @@ fn engines_agree_and_planted_faults_are_caught() {
                     let request = Request::of(outputs).with_ids(ids);
                     let plan = FramePlan::new(&world, &sensor, &pose, &request).unwrap();
                     let (right, got) = (reference(&plan), render(&plan));
-                    common::compare_or_show(&right, &got, &plan, precision).check(0.01).unwrap();
+                    common::compare_or_show(&right, &got, &plan, precision)
+                        .check(0.01)
+                        .unwrap_or_else(|e| panic!("{name:?}, {}: {e}", sensor.spec().name));
                     let at = got.pixels() / 2 + 7;
                     let faults: [fn(Vec3) -> Vec3; 3] =
                         [|n| (n + Vec3::new(1e-3, -2e-3, 1e-3)).normalize(), |n| -n, |n| Vec3::new(-n.y, -n.z, n.x)];
-                    for (i, fault) in faults.into_iter().enumerate() {
+                    // All polygons of an object of this scene have one source, so its id would excuse the normals of others.
+                    let planted = if ids == IdScheme::Model { &faults[..] } else { &faults[..1] };
+                    for (i, fault) in planted.iter().enumerate() {
                         let mut wrong = right.clone();
                         wrong.normal[at] = fault(Vec3::from(right.normal[at])).to_array();
                         let report = compare(&right, &wrong, &plan, precision).unwrap();
