@@ -55,6 +55,9 @@ pub struct Scanner {
     pub beam_height_deg: Option<f64>,
 }
 
+/// Degrees: azimuths that are closer have no line between them for rounding.
+const LEAST_STEP: f64 = 1e-9;
+
 impl Scanner {
     /// Elevations of the rows, falling, degrees.
     pub fn rows_deg(&self) -> Vec<f64> {
@@ -72,6 +75,12 @@ impl Scanner {
             && !azimuths.windows(2).all(|pair| if rising { pair[0] < pair[1] } else { pair[0] > pair[1] })
         {
             return Err(Error::invalid("the azimuths listed are not in order", "list them all rising or all falling"));
+        }
+        if let Some([a, b]) = azimuths.array_windows().find(|[a, b]| !((b - a).abs() >= LEAST_STEP)) {
+            return Err(Error::invalid(
+                format!("azimuths {a:e} and {b:e} deg cannot be told apart"),
+                "keep them 1e-6 deg apart",
+            ));
         }
         // A little less than once: 360 degrees in rounded steps are the first direction again.
         if last == first || (last - first).abs() >= 360.0 - 1e-9 {
@@ -210,6 +219,8 @@ mod tests {
             sensor(Angles::Listed(vec![-180.0, 0.0, 180.0]), one()),
             sensor(Angles::Listed(vec![0.0, 20.0, 10.0]), one()),
             sensor(Angles::Listed(vec![0.0, f64::NAN]), one()),
+            sensor(uniform(0.0, 5e-324, 3), one()),
+            sensor(uniform(1e5, 1e-11, 3), one()),
             sensor(one(), uniform(1.0, 0.0, 2)),
             sensor(one(), Angles::Listed(vec![0.0, 5.0, -0.0])),
             sensor(one(), Angles::Listed(vec![1e-323, 5e-324])),

@@ -75,8 +75,8 @@ fn walls_that_may_be_off_are_not_contradicted() {
     assert_eq!(verdict(Some([0.04, 0.0, 0.04, 0.0, 0.0, 0.0])), Verdict::Nearer);
 }
 
-/// The shelf stands 4 cm from where the map has it. Relative to it the robot is found to millimetres if the shelf alone counts; with the
-/// whole room the walls say where the robot is, and the pose relative to the shelf is as wrong as the map.
+/// The shelf stands 4 cm from where the map has it. Relative to it the robot is found to millimetres if the shelf alone counts; from where
+/// most of the image is walls, these say where the robot is, and the pose relative to the shelf is as wrong as the map.
 #[test]
 fn docking_is_relative() {
     let map = room(Vec3::ZERO);
@@ -84,7 +84,7 @@ fn docking_is_relative() {
     let mut real = map.clone();
     let shelf = Pose { translation: moved_by, ..Pose::IDENTITY };
     real.apply(presight::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
-    let truth = Pose::from_xyz_rpy(DVec3::new(3.9, 2.2, 2.3), 0.0, 0.45, 0.95);
+    let truth = Pose::from_xyz_rpy(DVec3::new(2.0, 3.0, 1.8), 0.0, 0.2, 0.3);
     let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
     let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
     let prior = Prior::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
@@ -100,5 +100,5 @@ fn docking_is_relative() {
     let (by_shelf, sigma) = off(Some(index));
     assert!(by_shelf < 0.005 && by_shelf < 4.0 * sigma && sigma < 0.01, "{by_shelf} {sigma}");
     let (by_room, _) = off(None);
-    assert!(by_room > 0.03, "{by_room}");
+    assert!((by_room - 0.04).abs() < 0.002, "{by_room}");
 }
