@@ -8,7 +8,7 @@ override GRID: u32 = 0u;
 
 // Work of one frame. Fields that end in _at are word offsets into a buffer.
 struct Params {
-    // Lines and samples of a line grid; supertiles and 0 of a ray grid.
+    // Lines and samples of a line grid; height and width of a ray grid.
     line_count: u32,
     sample_count: u32,
     width: u32,
@@ -25,10 +25,12 @@ struct Params {
     rays_at: u32,
     tile_columns: u32,
     tile_count: u32,
-    // Into `work`.
-    groups_at: u32,
+    // Into `work`: units of the waves, facings by material.
+    units_at: u32,
     facings_at: u32,
-    polygon_count: u32,
+    // The runs of this wave.
+    first_run: u32,
+    end_run: u32,
     // Room in buffers that are appended to.
     record_words: u32,
     item_room: u32,
@@ -53,7 +55,13 @@ struct Params {
     range_max: f32,
     // Number of this frame, with the highest bit set: no place of a record is as large.
     stamp: u32,
-    padding: u32,
+    // Into `grid`, behind the sensor's tables: blocks of coarse depth, and blocks along a line.
+    coarse_at: u32,
+    coarse_columns: u32,
+    // 1: earlier waves have drawn, and may hide what this one holds.
+    hiding: u32,
+    // Into `grid`: where rays that all look ahead lie (cull_rays.wgsl); 0 for all others.
+    ahead_at: u32,
 }
 
 // One object. v = linear * ((p - center_high) - center_low) keeps the digits of what is near.
@@ -94,14 +102,32 @@ struct Counters {
     raster_z: u32,
     // Internal errors: a hit without an id.
     lost_ids: atomic<u32>,
+    cull_groups: atomic<u32>,
+    cull_y: u32,
+    cull_z: u32,
+    units: atomic<u32>,
+    // For the items of all waves.
+    all_raster_groups: atomic<u32>,
+    all_raster_y: u32,
+    all_raster_z: u32,
+    // Where this wave's units, survivors and items begin.
+    units_before: u32,
+    survivors_before: u32,
+    items_before: u32,
+    // Workgroups that earlier waves dispatched by counters.
+    groups_before: u32,
+    // What earlier waves hide.
+    runs_hidden: atomic<u32>,
+    polygons_hidden: atomic<u32>,
 }
 
 // A polygon that passed the cull.
 struct Survivor {
     polygon: u32,
     instance: u32,
-    // First line and number of lines, 16 bits each.
+    // First line and number of lines, 16 bits each; the same of samples.
     lines: u32,
+    samples: u32,
     // NEAR, ONE_SIDED.
     flags: u32,
 }
@@ -148,8 +174,9 @@ const SLOT_SOURCE: u32 = 2u;
 const SLOT_RECORD: u32 = 3u;
 const SLOT_WORDS: u32 = 4u;
 
-// Where stages that read Counters as plain words find `items`.
+// Where stages that read Counters as plain words find `items` and `items_before`.
 const COUNTED_ITEMS: u32 = 2u;
+const COUNTED_ITEMS_BEFORE: u32 = 21u;
 
 // Stands for infinity where comparisons must stay well-defined.
 const HUGE: f32 = 3.0e38;

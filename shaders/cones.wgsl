@@ -1,6 +1,9 @@
 // Cones around the rays of tiles and supertiles: 4 words in `grid`, the axis and the chord, which is how far a ray of length one may
 // be from it; 4 where that bounds nothing, negative where there is no ray. Chords keep the digits of narrow cones, which cosines lose.
 
+const RAYS_PER_TILE: u32 = 8u;
+const TILES_PER_SUPERTILE: u32 = 8u;
+
 struct Cone {
     axis: vec3f,
     chord: f32,

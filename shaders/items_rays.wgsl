@@ -23,20 +23,26 @@ fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32,
     let e0 = edge_of(at, 0u);
     let e1 = edge_of(at, 1u);
     let e2 = edge_of(at, 2u);
-    for (var first = 0u; first < params.line_count; first += 32u) {
-        var met = 0u;
-        for (var s = first; s < min(first + 32u, params.line_count); s++) {
-            let cone = cone_at(params.lines_at + s * 4u);
-            let meets = cap_meets(axis, chord, cone)
-                && !(is_beside(e0, cone) || is_beside(e1, cone) || is_beside(e2, cone));
-            met |= select(0u, 1u, meets) << (s - first);
-        }
-        if met != 0u {
-            var index = reserve_items(countOneBits(met));
-            while met != 0u {
-                put_item(index, at, first + firstTrailingBit(met));
-                index++;
-                met &= met - 1u;
+    let across = (params.tile_columns + TILES_PER_SUPERTILE - 1u) / TILES_PER_SUPERTILE;
+    let side = RAYS_PER_TILE * TILES_PER_SUPERTILE;
+    let rows = vec2u(survivor.lines & 0xffffu, (survivor.lines & 0xffffu) + (survivor.lines >> 16u) - 1u) / side;
+    let columns = vec2u(survivor.samples & 0xffffu, (survivor.samples & 0xffffu) + (survivor.samples >> 16u) - 1u) / side;
+    for (var row = rows.x; row <= rows.y; row++) {
+        for (var first = columns.x; first <= columns.y; first += 32u) {
+            var met = 0u;
+            for (var column = first; column <= min(first + 31u, columns.y); column++) {
+                let cone = cone_at(params.lines_at + (row * across + column) * 4u);
+                let meets = cap_meets(axis, chord, cone)
+                    && !(is_beside(e0, cone) || is_beside(e1, cone) || is_beside(e2, cone));
+                met |= select(0u, 1u, meets) << (column - first);
+            }
+            if met != 0u {
+                var index = reserve_items(countOneBits(met));
+                while met != 0u {
+                    put_item(index, at, row * across + first + firstTrailingBit(met));
+                    index++;
+                    met &= met - 1u;
+                }
             }
         }
     }

@@ -12,7 +12,7 @@
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     // No more than fit were written.
     let count = min(counted[COUNTED_ITEMS], params.item_room);
-    for (var i = id.x; i < count; i += groups.x * GROUP) {
+    for (var i = first_item() + id.x; i < count; i += groups.x * GROUP) {
         let part = items[i * ITEM_WORDS + ITEM_PART];
         rasterize(items[i * ITEM_WORDS + ITEM_RECORD], part & 0xffffu, part >> 16u);
     }
@@ -88,20 +88,6 @@ fn in_cap(axis: vec3f, chord: f32, ray: vec3f) -> bool {
     }
     let apart = u - axis;
     return dot(apart, apart) <= chord;
-}
-
-struct Line {
-    c: vec2f,
-    // Where its keys lie: image row of a camera, image column of a scanner, whose lines are sorted by angle.
-    place: u32,
-}
-
-fn line_at(index: u32) -> Line {
-    if GRID == CAMERA {
-        return Line(vec2f(params.first_line + f32(index), 1.0), index);
-    }
-    let at = params.lines_at + index * 3u;
-    return Line(vec2f(grid_float(at), grid_float(at + 1u)), grid_word(at + 2u));
 }
 
 fn weights(s: u32) -> vec2f {

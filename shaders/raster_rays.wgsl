@@ -6,13 +6,11 @@
 @group(0) @binding(3) var<storage, read> grid: array<u32>;
 @group(0) @binding(4) var<storage, read> counted: array<u32>;
 
-const TILE: u32 = 8u;
-const TILES_PER_SUPERTILE: u32 = 8u;
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = min(counted[COUNTED_ITEMS], params.item_room);
-    for (var i = id.x; i < count; i += groups.x * GROUP) {
+    for (var i = first_item() + id.x; i < count; i += groups.x * GROUP) {
         supertile(polygon_at(items[i * ITEM_WORDS + ITEM_RECORD]), items[i * ITEM_WORDS + ITEM_PART]);
     }
 }
@@ -82,7 +80,7 @@ fn supertile(p: Polygon, index: u32) {
         }
         while met != 0u {
             let bit = firstTrailingBit(met);
-            tile(p, (first.x + bit % TILES_PER_SUPERTILE) * TILE, (half + bit / TILES_PER_SUPERTILE) * TILE);
+            tile(p, (first.x + bit % TILES_PER_SUPERTILE) * RAYS_PER_TILE, (half + bit / TILES_PER_SUPERTILE) * RAYS_PER_TILE);
             met &= met - 1u;
         }
     }
@@ -91,8 +89,8 @@ fn supertile(p: Polygon, index: u32) {
 // Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
 // planes meet, and rounded to f32 may hold rays there, far from the polygon.
 fn tile(p: Polygon, first_column: u32, first_row: u32) {
-    for (var row = first_row; row < min(first_row + TILE, params.height); row++) {
-        for (var column = first_column; column < min(first_column + TILE, params.width); column++) {
+    for (var row = first_row; row < min(first_row + RAYS_PER_TILE, params.height); row++) {
+        for (var column = first_column; column < min(first_column + RAYS_PER_TILE, params.width); column++) {
             let pixel = row * params.width + column;
             let at = params.rays_at + pixel * 3u;
             // No ray is stored as zero: its inverse range is not above zero.

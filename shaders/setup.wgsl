@@ -14,7 +14,7 @@
 @compute @workgroup_size(64)
 fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = atomicLoad(&counters.survivors);
-    for (var i = id.x; i < count; i += groups.x * GROUP) {
+    for (var i = counters.survivors_before + id.x; i < count; i += groups.x * GROUP) {
         set_up(survivors[i]);
     }
 }
@@ -136,7 +136,9 @@ fn write_edges(at: u32, instance: Instance, first_corner: u32, corner_count: u32
 
 fn reserve_items(wanted: u32) -> u32 {
     let first = atomicAdd(&counters.items, wanted);
-    atomicMax(&counters.raster_groups, min((first + wanted + GROUP - 1u) / GROUP, MAX_GROUPS));
+    let end = first + wanted;
+    atomicMax(&counters.raster_groups, min((end - counters.items_before + GROUP - 1u) / GROUP, MAX_GROUPS));
+    atomicMax(&counters.all_raster_groups, min((end + GROUP - 1u) / GROUP, MAX_GROUPS));
     atomicAdd(&counters.records, 1u);
     return first;
 }

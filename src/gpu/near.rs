@@ -31,11 +31,14 @@ pub(super) struct NearList {
     pub edge_on: u32,
 }
 
+/// The cluster in which a run begins.
+pub(super) fn cluster_of(mesh: &Mesh, run: &Run) -> usize {
+    mesh.clusters().partition_point(|c| c.first + c.count <= run.first)
+}
+
 /// True if the sensor is in or near one of the run's clusters, measured by the cluster's own size.
 pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
-    let clusters = mesh.clusters();
-    let first = clusters.partition_point(|c| c.first + c.count <= run.first);
-    clusters[first..].iter().take_while(|c| c.first < run.first + run.count).any(|c| {
+    mesh.clusters()[cluster_of(mesh, run)..].iter().take_while(|c| c.first < run.first + run.count).any(|c| {
         let size = c.bounds.size();
         c.bounds.distance_squared(instance.center_in_mesh) <= size * size
     })
@@ -113,7 +116,7 @@ impl NearList {
     fn add_items(&mut self, record: u32, tables: &Tables) {
         let lines = tables.params.line_count;
         if tables.kind == GridKind::Rays {
-            self.items.extend((0..lines).map(|part| Item { record, part }));
+            self.items.extend((0..tables.supertiles).map(|part| Item { record, part }));
             return;
         }
         let share = lines.div_ceil(ITEMS_PER_POLYGON).max(LINES_PER_ITEM);
