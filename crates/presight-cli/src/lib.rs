@@ -16,6 +16,7 @@ mod inspect;
 mod layers;
 mod localize;
 mod outputs;
+mod overlap;
 pub mod pose;
 pub mod pose_cov;
 mod predict;
