@@ -1,13 +1,12 @@
 //! Features in a prediction: layers read and placed, visibility predicted, results written.
 
-use super::pose_cov;
 use super::predict::Shown;
 use super::print;
 use presight::features::roi::PoseCovariance;
 use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, Hidden};
 use presight::frames::ExternalPose;
 use presight::geometry::Pose;
-use presight::io::prediction_json;
+use presight::io::{pose_covariance, prediction_json};
 use presight::plan::{Output, Outputs};
 use presight::sensor::Sensor;
 use presight::virtual_sensors::VirtualSensor;
@@ -108,7 +107,7 @@ impl LayerArgs {
 
     /// Files that are named to be read.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
-        let covariance = self.pose_cov.as_deref().and_then(pose_cov::file);
+        let covariance = self.pose_cov.as_deref().and_then(pose_covariance::file);
         self.layers.iter().map(PathBuf::as_path).chain(covariance)
     }
 
@@ -163,7 +162,13 @@ impl LayerArgs {
         if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
             options.hidden = Hidden::Full;
         }
-        let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
+        let covariance = self
+            .pose_cov
+            .as_deref()
+            .map(pose_covariance::parse)
+            .transpose()
+            .map_err(|e| e.at("--pose-cov"))?
+            .unwrap_or_default();
         let mut boxes = BoxOptions::default();
         boxes.confidence = self.confidence.unwrap_or(boxes.confidence);
         // An image of numbers and the answer of a virtual sensor are made without boxes.

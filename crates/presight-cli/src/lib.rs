@@ -18,7 +18,6 @@ mod localize;
 mod outputs;
 mod overlap;
 pub mod pose;
-pub mod pose_cov;
 mod predict;
 mod predict_poses;
 mod print;
