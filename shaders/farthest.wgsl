@@ -48,7 +48,10 @@ fn least_of_tile(row: u32, column: u32) -> f32 {
     for (var line = row * TILE_SIDE; line < min((row + 1u) * TILE_SIDE, params.line_count); line++) {
         let base = line_at(line).place * params.sample_count;
         for (var s = column * TILE_SIDE; s < end; s++) {
-            least = min(least, select(bitcast<f32>(keys[base + s].y), HUGE, is_gap(base + s)));
+            let inverse = bitcast<f32>(keys[base + s].y);
+            if inverse < least && !(inverse == 0.0 && is_gap(base + s)) {
+                least = inverse;
+            }
         }
     }
     return least;

@@ -71,6 +71,7 @@ fn set_up(survivor: Survivor) {
         // The engine sees the count, grows the buffer and runs the frame again.
         return;
     }
+    atomicAdd(&counters.records, 1u);
     write_head(at, instance, survivor.polygon, corner_count, image_normal, distance);
     // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
     let sign = select(-1.0, 1.0, instance.handedness * distance > 0.0);
@@ -139,7 +140,6 @@ fn reserve_items(wanted: u32) -> u32 {
     let end = first + wanted;
     atomicMax(&counters.raster_groups, min((end - counters.items_before + GROUP - 1u) / GROUP, MAX_GROUPS));
     atomicMax(&counters.all_raster_groups, min((end + GROUP - 1u) / GROUP, MAX_GROUPS));
-    atomicAdd(&counters.records, 1u);
     return first;
 }
 

@@ -4,9 +4,11 @@
 //!
 //! | stage | shader | on the CPU |
 //! |---|---|---|
-//! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::cull`, for whole runs |
+//! | sift | `sift.wgsl`, from the second wave on | `cpu::cull`, for whole runs |
+//! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::setup` |
 //! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
+//! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
 //! | resolve | `resolve.wgsl` | `cpu::resolve`; `resolve` from the device's keys, for software adapters |
 //! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
 //! | roi | `roi.wgsl` | `features::roi` |
