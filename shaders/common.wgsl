@@ -158,13 +158,16 @@ const RECORD_CAP_AXIS: u32 = 5u;
 const RECORD_CAP_CHORD: u32 = 8u;
 const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
-// Words of an item. PART: first line | count << 16 (line grids) or supertile (ray grids).
+// Words of an item. PART: first line | count << 16 (line grids) or supertile (ray grids). WITHIN: first sample | end << 16 (line
+// grids) or tiles of the supertile: first row, last row, first column, last column, three bits each (ray grids).
 const ITEM_RECORD: u32 = 0u;
 const ITEM_PART: u32 = 1u;
-const ITEM_WORDS: u32 = 2u;
-// The most items that one polygon is cut into, and the fewest lines that make one.
+const ITEM_WITHIN: u32 = 2u;
+const ITEM_WORDS: u32 = 3u;
+// The most stretches of lines that one polygon is cut into, the fewest lines of one, and the samples of a line in an item of a wide one.
 const ITEMS_PER_POLYGON: u32 = 256u;
 const LINES_PER_ITEM: u32 = 4u;
+const SAMPLES_PER_ITEM: u32 = 64u;
 
 // Words of a slot that has a record. DISTANCE: |d| of the unit normal. SOURCE: number of the source triangle + 1. RECORD:
 // where the record is, or, with the highest bit set, the stamp of the last frame in which the CPU set it up.

@@ -35,3 +35,13 @@ fn is_beside(e: vec3f, cone: Cone) -> bool {
     let d = dot(e, cone.axis);
     return d < 0.0 && d * d > cone.sine2 * dot(e, e);
 }
+
+// True if no ray of a tile, or of a square of tiles, can meet the plane m in front of what earlier waves drew there: no ray is farther from
+// the axis than the chord, and rounding adds less than this.
+fn is_behind(m: vec3f, cone: Cone, level: u32, row: u32, column: u32) -> bool {
+    if params.hiding == 0u {
+        return false;
+    }
+    let most = dot(m, cone.axis) + length(m) * (cone.chord + 2.0e-6);
+    return bitcast<f32>(grid[coarse_at(level, row, column)]) > most;
+}

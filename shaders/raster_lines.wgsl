@@ -14,7 +14,8 @@ fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) gro
     let count = min(counted[COUNTED_ITEMS], params.item_room);
     for (var i = first_item() + id.x; i < count; i += groups.x * GROUP) {
         let part = items[i * ITEM_WORDS + ITEM_PART];
-        rasterize(items[i * ITEM_WORDS + ITEM_RECORD], part & 0xffffu, part >> 16u);
+        let within = items[i * ITEM_WORDS + ITEM_WITHIN];
+        rasterize(items[i * ITEM_WORDS + ITEM_RECORD], part & 0xffffu, part >> 16u, within & 0xffffu, within >> 16u);
     }
 }
 
@@ -43,7 +44,7 @@ fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
     return vec2f(select(low, HUGE, e.z == 0.0 && a < 0.0), high);
 }
 
-fn rasterize(record: u32, first: u32, count: u32) {
+fn rasterize(record: u32, first: u32, count: u32, first_sample: u32, end_sample: u32) {
     let m = vector_of(record + RECORD_M);
     let slot = records[record + RECORD_SLOT];
     let edge_count = records[record + RECORD_EDGE_COUNT];
@@ -69,8 +70,8 @@ fn rasterize(record: u32, first: u32, count: u32) {
         if interval.x <= interval.y {
             let k0 = m.x * line.c.x + m.y * line.c.y;
             let base = line.place * params.sample_count;
-            let end = first_above(interval.y);
-            for (var s = first_at_or_above(interval.x); s < end; s++) {
+            let end = min(first_above(interval.y), end_sample);
+            for (var s = max(first_at_or_above(interval.x), first_sample); s < end; s++) {
                 let w = weights(s);
                 if chord < 0.0 || in_cap(axis, chord, vec3f(line.c * w.x, w.y)) {
                     offer(base + s, k0 * w.x + m.z * w.y, slot);

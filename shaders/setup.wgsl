@@ -143,9 +143,10 @@ fn reserve_items(wanted: u32) -> u32 {
     return first;
 }
 
-fn put_item(index: u32, record: u32, part: u32) {
+fn put_item(index: u32, record: u32, part: u32, within: u32) {
     if index < params.item_room {
         items[index * ITEM_WORDS + ITEM_RECORD] = record;
         items[index * ITEM_WORDS + ITEM_PART] = part;
+        items[index * ITEM_WORDS + ITEM_WITHIN] = within;
     }
 }

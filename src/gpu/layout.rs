@@ -175,6 +175,8 @@ pub(super) struct Item {
     pub record: u32,
     /// First line, number of lines in the higher 16 bits; or supertile.
     pub part: u32,
+    /// First sample, end in the higher 16 bits; or tiles of the supertile.
+    pub within: u32,
 }
 
 /// Words of a type that shaders read word by word.
@@ -228,6 +230,8 @@ pub(super) const ITEM_WORDS: u32 = words_of::<Item>();
 pub(super) const ITEMS_PER_POLYGON: u32 = 256;
 /// Fewest lines of an item.
 pub(super) const LINES_PER_ITEM: u32 = 4;
+/// Samples of a line in an item of a wide polygon.
+pub(super) const SAMPLES_PER_ITEM: u32 = 64;
 /// Tiles along a side of a supertile.
 pub(super) const TILES_PER_SUPERTILE: u32 = 8;
 

@@ -43,9 +43,10 @@ use device::Gpu;
 use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
-use layout::Counters;
+use layout::{Counters, GridKind};
 use stages::{Stages, Variants};
 use std::time::Instant;
+use testing::Hiding;
 use uploads::FrameUploads;
 use visible::Visible;
 
@@ -86,6 +87,8 @@ pub struct GpuEngine {
     threads: Threads,
     /// How it was opened.
     opened: (DeviceOptions, testing::Setup),
+    /// Kinds of grids of which a frame was drawn: the first one, which may be a probe, goes through all stages.
+    known: Vec<GridKind>,
 }
 
 impl GpuEngine {
@@ -118,6 +121,7 @@ impl GpuEngine {
             roi: None,
             threads: Threads::SHARED,
             opened: (options, setup),
+            known: Vec::new(),
         })
     }
 
@@ -187,6 +191,7 @@ impl GpuEngine {
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
+                self.know(self.sensors[0].1.kind);
                 plan.finish_noting(images, stats)?;
                 self.report(&self.frame, &counters, reruns, stats);
                 let image_bytes = stats.work.image_bytes;
@@ -195,6 +200,12 @@ impl GpuEngine {
             }
             self.rebind = true;
             reruns += 1;
+        }
+    }
+
+    fn know(&mut self, kind: GridKind) {
+        if !self.known.contains(&kind) {
+            self.known.push(kind);
         }
     }
 
@@ -236,7 +247,9 @@ impl GpuEngine {
         let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
         if let Some((_, tables)) = self.sensors.first() {
-            self.frame.fill(plan, tables, &self.arena, self.software, self.opened.1.hiding);
+            let first = self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
+            let hiding = if first { Hiding::Always } else { self.opened.1.hiding };
+            self.frame.fill(plan, tables, &self.arena, self.software, hiding);
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         if self.frame.on_host {

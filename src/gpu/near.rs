@@ -4,7 +4,10 @@
 
 use super::geometry::spread;
 use super::grid::Tables;
-use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, Item, LINES_PER_ITEM, RECORD_WORDS, Record, Slot};
+use super::layout::{
+    EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, Item, LINES_PER_ITEM, RECORD_WORDS, Record, SAMPLES_PER_ITEM, Slot,
+    TILES_PER_SUPERTILE,
+};
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::verify::SET_UP_FINELY;
@@ -114,14 +117,22 @@ impl NearList {
 
     /// Every line: bounds are not worth their while for so few.
     fn add_items(&mut self, record: u32, tables: &Tables) {
-        let lines = tables.params.line_count;
+        let (lines, samples) = (tables.params.line_count, tables.params.sample_count);
         if tables.kind == GridKind::Rays {
-            self.items.extend((0..tables.supertiles).map(|part| Item { record, part }));
+            // Two rows of tiles each.
+            let rows = |first: u32| first | (first + 1) << 3 | (TILES_PER_SUPERTILE - 1) << 9;
+            let of =
+                |part| (0..TILES_PER_SUPERTILE).step_by(2).map(move |row| Item { record, part, within: rows(row) });
+            self.items.extend((0..tables.supertiles).flat_map(of));
             return;
         }
         let share = lines.div_ceil(ITEMS_PER_POLYGON).max(LINES_PER_ITEM);
         for first in (0..lines).step_by(share as usize) {
-            self.items.push(Item { record, part: first | share.min(lines - first) << 16 });
+            let part = first | share.min(lines - first) << 16;
+            for sample in (0..samples).step_by(SAMPLES_PER_ITEM as usize) {
+                let end = samples.min(sample + SAMPLES_PER_ITEM);
+                self.items.push(Item { record, part, within: sample | end << 16 });
+            }
         }
     }
 }

@@ -20,11 +20,13 @@ pub(super) const CULL_RAYS: &str = bounding!("cull.wgsl", "cull_rays.wgsl");
 pub(super) const FARTHEST: &str = unit!("common.wgsl", "grid.wgsl", "coarse.wgsl", "farthest.wgsl");
 pub(super) const SETUP_LINES: &str = unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "setup.wgsl", "items_lines.wgsl");
 pub(super) const SETUP_RAYS: &str =
-    unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "cones.wgsl", "setup.wgsl", "items_rays.wgsl");
+    unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "coarse.wgsl", "cones.wgsl", "setup.wgsl", "items_rays.wgsl");
 pub(super) const RASTER_LINES_64: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key64.wgsl");
 pub(super) const RASTER_LINES_32: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key32.wgsl");
-pub(super) const RASTER_RAYS_64: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
-pub(super) const RASTER_RAYS_32: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
+pub(super) const RASTER_RAYS_64: &str =
+    unit!("common.wgsl", "coarse.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
+pub(super) const RASTER_RAYS_32: &str =
+    unit!("common.wgsl", "coarse.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
 pub(super) const RESOLVE: &str = unit!("common.wgsl", "resolve.wgsl");
 pub(super) const VISIBLE: &str = unit!("common.wgsl", "visible.wgsl");
 pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
@@ -151,7 +153,7 @@ mod tests {
         assert_same_words!(&module, "POLYGON", ArenaPolygon: first_corner, corners, source, normal, spread);
         assert_same_words!(&module, "RECORD", Record: m, slot, edge_count, cap_axis, cap_chord);
         assert_same_words!(&module, "SLOT", Slot: distance, object, source, record);
-        assert_same_words!(&module, "ITEM", Item: record, part);
+        assert_same_words!(&module, "ITEM", Item: record, part, within);
         assert_same_words!(&module, "RUN", WorkRun: instance, polygon, count);
         assert_eq!(value(&module, "RUN_BOX") as usize * 4, offset_of!(WorkRun, r#box));
         assert_eq!(value(&module, "COUNTED_ITEMS") as usize * 4, offset_of!(Counters, items));
@@ -175,6 +177,7 @@ mod tests {
             ("FEW_INSTANCES", layout::FEW_INSTANCES),
             ("ITEMS_PER_POLYGON", layout::ITEMS_PER_POLYGON),
             ("LINES_PER_ITEM", layout::LINES_PER_ITEM),
+            ("SAMPLES_PER_ITEM", layout::SAMPLES_PER_ITEM),
             ("CAMERA", layout::GridKind::Camera as u32),
             ("SCANNER", layout::GridKind::Scanner as u32),
             ("RAYS", layout::GridKind::Rays as u32),

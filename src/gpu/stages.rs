@@ -84,7 +84,8 @@ impl Stages {
             let lines_only = lines.then_some(short_constant);
             [grid].into_iter().chain(lines_only).chain(own.iter().copied()).collect::<Vec<_>>()
         };
-        let (sift, farthest) = (cull, (kind as u32, u32::from(short)));
+        let sift = (kind as u32, cull.1 & !1);
+        let farthest = (kind as u32, u32::from(short));
         if frame.waves.len() > 1 {
             let sift_text = match kind {
                 GridKind::Camera => shaders::SIFT_CAMERA,
