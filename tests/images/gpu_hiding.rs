@@ -131,3 +131,18 @@ fn what_is_as_near_is_not_hidden_and_a_depth_one_step_too_near_is_found() {
         assert!(fewer < all && hidden > 1, "the fault must be found: {fewer} of {all} pixels, {hidden} hidden");
     }
 }
+
+/// A wall over all of 160 x 120 samples: 30 stretches of four lines, each in two parts of 80 samples.
+#[test]
+fn a_large_polygon_is_shared_out() {
+    let Some(mut engine) = engine(Hiding::Off, false) else { return };
+    let mut environment = scenes::empty();
+    let wall = [(-8.0, -8.0), (8.0, -8.0), (8.0, 8.0), (-8.0, 8.0)].map(|(y, z)| Vec3::new(5.0, y, z)).to_vec();
+    environment
+        .insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(scenes::mesh(&[wall]))))
+        .expect("a sound object");
+    let (images, stats) = render(&mut engine, &World::new(environment), &scenes::camera(160, 120), &Pose::IDENTITY);
+    assert!(images.polygon_id.iter().all(|id| *id == 1));
+    assert_eq!(count(&stats, CountName::WorkItems), 60);
+    assert_eq!(count(&stats, CountName::PolygonsSetUp), 1);
+}
