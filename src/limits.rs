@@ -37,6 +37,8 @@ pub const LISTED_PROBLEMS: usize = 20;
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
 /// Most steps of generating features where polygons lie upon each other, each of about ten nanoseconds of one core: some seconds.
 pub const MAX_FEATURE_STEPS: u64 = 1 << 29;
+/// Most polygons of all contours of a feature layer together.
+pub const MAX_CONTOUR_FACETS: u64 = 1 << 22;
 /// Most facets around a round solid, or steps of stairs.
 pub const MAX_FACETS: u32 = 1024;
 /// Most points of an outline that is drawn out.

@@ -3,6 +3,7 @@
 mod boxes;
 mod choose;
 mod columns;
+mod contour;
 pub mod generate;
 pub(crate) mod normal;
 mod options;
@@ -22,6 +23,7 @@ pub use boxes::add_boxes;
 pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 pub(crate) use choose::choose;
+pub(crate) use contour::ContourSet;
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
@@ -30,6 +32,7 @@ pub use options::{FeatureOptions, FeatureSource, Hidden, PlacedFeatures};
 pub(crate) use place::lies_on;
 pub use place::place;
 pub(crate) use place::place_lying;
+pub(crate) use prediction::along;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
