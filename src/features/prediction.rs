@@ -249,3 +249,20 @@ impl FeaturePrediction {
 pub(super) fn given_at(given: &[u32], index: usize) -> usize {
     given.get(index).map_or(index, |number| *number as usize)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::along;
+    use glam::DVec3;
+
+    #[test]
+    fn parts_of_curves_are_told_by_length() {
+        // 1 m along x, then 3 m along y.
+        let points = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 3.0, 0.0)];
+        let [first, second] = [[DVec3::X * 0.5, DVec3::X], [DVec3::X, DVec3::new(1.0, 1.0, 0.0)]];
+        assert_eq!(along(&points, [0.125, 0.5]), [first, second]);
+        assert_eq!(along(&points, [0.25, 0.5]), [second]);
+        assert_eq!(along(&points, [0.5, 0.5]), [[second[1]; 2]]);
+        assert_eq!(along(&points[..2], [0.5, 1.0]), [first]);
+    }
+}

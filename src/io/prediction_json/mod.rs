@@ -10,7 +10,7 @@
 //! | `features` | one entry each, see [`crate::features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
-//! An entry has `id`, `kind`, `name`, `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
+//! An entry has `id`, `kind`, `name`, `branch` (of contours alone: each of their curves is an entry), `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
 //! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
 //! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
 //! of the prediction) and `history` (null without a store). Of what is not seen at all `range`, `cos_incidence`, `roi`, `roi_flag` and
@@ -358,6 +358,12 @@ mod tests {
         assert_eq!(feature["hidden"][0]["reason"], "behind_sensor");
         assert_eq!(feature["properties"]["direction"][2], 1.0);
         assert_eq!(feature["properties"]["existence"], 0.5);
+        let curve = FeaturePrediction {
+            features: vec![SeenFeature { branch: Some(2), ..seen() }],
+            ..FeaturePrediction::default()
+        };
+        let text = to_string(&header, &curve, &Environment::new(), None).unwrap();
+        assert_eq!(parse(&text).unwrap().features[0].branch, Some(2));
     }
 
     #[test]

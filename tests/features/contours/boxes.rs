@@ -22,7 +22,7 @@ fn vector(random: &mut SplitMix64) -> DVec3 {
 
 /// The share of draws in which the ball's image leaves a box that is smaller by `less` pixels on each side.
 fn missed(sensor: &Sensor, at: DVec3, sigma: (f64, f64, f64), confidence: f64, less: f64) -> f64 {
-    const DRAWS: usize = 4000;
+    const DRAWS: usize = 1000;
     let mesh = ball(48, 24, 0.5);
     let anchor = mesh.corners_of(60).sum::<DVec3>() / mesh.corners_of(60).len() as f64;
     let corners: Vec<DVec3> = mesh.vertices().iter().map(|v| at + v.as_dvec3()).collect();
@@ -70,7 +70,7 @@ fn regions_hold_the_silhouettes_of_other_poses() {
         for confidence in [0.9, 0.99] {
             let share = missed(&sensor, at, sigma, confidence, 0.0);
             let most = 1.0 - confidence;
-            let sd = (most * confidence / 4000.0).sqrt();
+            let sd = (most * confidence / 1000.0).sqrt();
             let name = &sensor.spec().name;
             assert!(share <= most + 3.0 * sd, "{name} {sigma:?} {confidence}: {share}");
             // No box is so much too large that it would do with three pixels less on each side.

@@ -5,6 +5,7 @@ mod bodies;
 mod boxes;
 mod layers;
 mod plant;
+mod truth;
 
 use bodies::{ball, prism, sheet};
 use common::scenes;
