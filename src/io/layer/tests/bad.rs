@@ -237,7 +237,7 @@ fn each_bad_file_is_named() {
 
 #[test]
 fn newer_formats_and_broken_files_are_refused() {
-    let newer = parse(r#"{"format": 2, "class": 7, "whatever": []}"#).unwrap_err();
+    let newer = parse(r#"{"format": 3, "class": 7, "whatever": []}"#).unwrap_err();
     assert_eq!((newer.kind(), newer.remedy()), (ErrorKind::Unsupported, "update presight"));
     for text in ["", "{", "[]", "7", "{\"format\": 1}", "\u{feff}{}", &SOUND[..SOUND.len() - 3]] {
         assert_eq!(parse(text).unwrap_err().kind(), ErrorKind::Invalid, "{text}");
