@@ -197,6 +197,11 @@ impl<'a> RangeSource<'a> {
             let s = 1.0 / q.z;
             return (q.z > 0.0).then_some((q.x * s * c.fx as f32 + c.cx as f32, q.y * s * c.fy as f32 + c.cy as f32));
         }
+        if let crate::Geometry::Rays(_) = &self.expected.sensor.spec().geometry {
+            // The window makes up for what this is off.
+            let (u, v) = self.expected.sensor.near_pixel(q.as_dvec3().try_normalize()?)?;
+            return Some((u as f32, v as f32));
+        }
         self.expected.sensor.project(q.as_dvec3()).map(|(u, v)| (u as f32, v as f32))
     }
 

@@ -81,6 +81,7 @@ impl Sensor {
             width,
             height,
             part: Some(part),
+            directory: std::sync::OnceLock::new(),
             thinned: Thinned::default(),
         })))
     }

@@ -8,6 +8,7 @@ mod rooms;
 mod search;
 mod simulated;
 mod singular;
+mod street;
 mod verdicts;
 mod willow;
 
