@@ -364,7 +364,7 @@ impl RangeSource<'_> {
 
 impl Kernel {
     /// Weight, and cost in variances, of a residual in standard deviations. `wide` is the gate in standard deviations.
-    fn weigh(self, e: f64, wide: f64) -> (f64, f64) {
+    pub(super) fn weigh(self, e: f64, wide: f64) -> (f64, f64) {
         match self {
             Self::Wide => {
                 // Geman and McClure, as wide as the gate is, no narrower than the noise's own.
@@ -381,7 +381,7 @@ impl Kernel {
     }
 
     /// The cost of a point that is compared with nothing.
-    fn most(self) -> f64 {
+    pub(super) fn most(self) -> f64 {
         match self {
             Self::Wide => 0.0,
             Self::Redescending { spread } => (TUKEY * spread).powi(2) / 6.0,

@@ -32,7 +32,7 @@ impl Prior {
         Self { pose, covariance }
     }
 
-    fn check(&self, freedom: Freedom) -> Result<()> {
+    pub(super) fn check(&self, freedom: Freedom) -> Result<()> {
         self.pose.check()?;
         let c = &self.covariance;
         let wrong = |what: &str| {

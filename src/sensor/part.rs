@@ -81,7 +81,7 @@ impl Sensor {
             width,
             height,
             part: Some(part),
-            directory: std::sync::OnceLock::new(),
+            directory: OnceLock::new(),
             thinned: Thinned::default(),
         })))
     }

@@ -1,6 +1,7 @@
 //! Poses from frames: truths worked out by hand, simulated rooms, real depth images, and what must not be claimed.
 
 mod drives;
+mod edges;
 mod livingroom;
 mod malaga;
 mod objects;
