@@ -5,11 +5,6 @@ use presight::estimate::{Estimate, Prior};
 use presight::io::gltf::import;
 use presight::io::log::{Frames, Observation};
 
-/// What scanners of this kind and a surface of measured points err by.
-fn options() -> EstimateOptions {
-    EstimateOptions { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..EstimateOptions::default() }
-}
-
 fn map() -> Option<World> {
     let path = presight_testkit::data::file("lidar3d/street_map.glb")?;
     Some(World::new(import(path, &Default::default()).unwrap().environment))
@@ -38,8 +33,8 @@ fn scans_are_found_in_the_surface_of_the_first() {
     for (k, metres, degrees, at_reference, most) in [(1, 0.04, 0.25, 0.10, 0.09), (2, 0.12, 0.5, 0.24, 0.20)] {
         let Observation { frame, reference } = &scans[k];
         let reference = reference.unwrap();
-        let there = estimator(options()).estimate(&map, &[frame], &Prior::of_sigmas(reference, 1e-6, 1e-6)).unwrap();
-        let here = estimator(options()).estimate(&map, &[frame], &Prior::of_sigmas(reference, 0.1, 0.02)).unwrap();
+        let there = estimator(EstimateOptions::scan()).estimate(&map, &[frame], &Prior::of_sigmas(reference, 1e-6, 1e-6)).unwrap();
+        let here = estimator(EstimateOptions::scan()).estimate(&map, &[frame], &Prior::of_sigmas(reference, 0.1, 0.02)).unwrap();
         eprintln!(
             "scan {k}: at the reference {} here {} {:?} {:?}",
             residual(&there),
@@ -52,7 +47,7 @@ fn scans_are_found_in_the_surface_of_the_first() {
         for (i, start) in starts.iter().enumerate() {
             let prior = Prior::of_sigmas(*start, 0.6, 0.15);
             let time = std::time::Instant::now();
-            let found = estimator(options()).estimate(&map, &[frame], &prior).unwrap();
+            let found = estimator(EstimateOptions::scan()).estimate(&map, &[frame], &prior).unwrap();
             let (m, d) = apart(&found.pose, &reference);
             eprintln!(
                 "{k} {i}: {m:.4} {d:.3} {:.3} {:.2} {} {:?} {:?}",
