@@ -54,7 +54,12 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
     }
     let n = all.len() as f64;
     let [metres, degrees] = squares.map(|s| (s / n).sqrt());
-    Errors { metres, degrees, mean_nees: all.iter().sum::<f64>() / n, worst_nees: all.iter().copied().fold(0.0, f64::max) }
+    Errors {
+        metres,
+        degrees,
+        mean_nees: all.iter().sum::<f64>() / n,
+        worst_nees: all.iter().copied().fold(0.0, f64::max),
+    }
 }
 
 /// Level places, a few of those that are free.
