@@ -119,7 +119,7 @@ struct Step {
 pub fn edges_near(image: &GreyImage, expected: &ExpectedEdge, options: &EdgeOptions) -> Vec<FoundEdge> {
     let [a, b] = expected.ends;
     let length = a.distance(b);
-    if !(length >= 3.0 && length < 1e6 && expected.reach >= 0.0) {
+    if !((3.0..1e6).contains(&length) && expected.reach >= 0.0) {
         return Vec::new();
     }
     let frame = EdgeFrame { middle: 0.5 * (a + b), along: (b - a) / length };
@@ -212,7 +212,7 @@ fn steps_across(
             None => true,
         };
         let (before, after) = (changes[i - 1] * c.signum(), changes[i + 1] * c.signum());
-        if !sound || !(c.abs() >= least && c.abs() > before && c.abs() >= after) {
+        if !(sound && c.abs() >= least && c.abs() > before && c.abs() >= after) {
             continue;
         }
         let bend = before - 2.0 * c.abs() + after;

@@ -104,7 +104,7 @@ mod tests {
         let sensor = Sensor::new(SensorSpec::new("s", "laser", table)).unwrap();
         let (mut nearest, mut worst) = (0, 0.0f64);
         for _ in 0..500 {
-            let (azimuth, z) = (random.uniform(0.0, 6.28), random.uniform(-0.3, 0.98));
+            let (azimuth, z) = (random.uniform(-3.0, 3.0), random.uniform(-0.3, 0.98));
             let flat = f64::sqrt(1.0 - z * z);
             let d = DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), z);
             let (column, row) = sensor.near_pixel(d).unwrap();

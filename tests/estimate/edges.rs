@@ -131,7 +131,6 @@ fn a_point_ahead() {
     assert!((answer.covariance[1][1].sqrt() - 0.01).abs() < 1e-5, "{}", answer.covariance[1][1].sqrt());
     // One point in a thousand pixels is an outlier and has no say.
     let far = SeenPoint { found: glam::DVec2::new(950.0, 49.5), ..point };
-    let mut prior = prior;
     prior.covariance[1][1] = 1e-3;
     let mut points = vec![point; 4];
     points.push(far);
