@@ -131,3 +131,41 @@ fn a_drive_is_shown() {
         assert!(refused.status.is_some_and(|s| s > 0) && refused.stderr.contains(told), "{args}: {refused:?}");
     }
 }
+
+/// A scan as points, and as an image of ranges, is a log of one frame; points in the world say where the sensor was.
+#[test]
+fn scans_of_points_are_logs() {
+    let place = drive();
+    let scanner = "format = 1\nkind = \"scanner\"\nrange_max = 10.0\n[azimuth]\nstart_deg = -180.0\nstep_deg = 3.0\ncount = 120\n\
+        [elevation]\nstart_deg = -40.0\nstep_deg = 2.0\ncount = 41\n[noise]\nrange_sigma = 0.005\n";
+    place.write("scanner.toml", scanner.as_bytes());
+    let pose = "0.3,0.35,1.35,0,0,40";
+    for (file, how) in [
+        ("scan.ply", "--points scan.ply"),
+        ("world.ply", "--points world.ply --points-frame world"),
+        ("scan.pcd", "--points scan.pcd"),
+        ("scan.exr", "--out scan.exr"),
+    ] {
+        let made = place.run(&format!("predict room.glb --sensor scanner.toml --pose {pose} {how}"));
+        assert_eq!(made.status, Some(0), "{}", made.stderr);
+        for init in ["reference", "0.33,0.33,1.34,0,0,41"] {
+            let line = format!("localize {file} --map room.glb --init {init} --out run.tum");
+            let done = place.run(&line);
+            assert_eq!(done.status, Some(0), "{file}: {}", done.stderr);
+            assert!(done.stdout.contains("1 of 1 frames have a pose"), "{file}: {}", done.stdout);
+            let found = tum::read(&place.path("run.tum")).unwrap()[0].pose;
+            let off = found.translation.distance(glam::DVec3::new(0.3, 0.35, 1.35));
+            assert!(off < 0.01, "{file}, {init}: {off} m");
+        }
+    }
+    #[cfg(feature = "report")]
+    {
+        let done = place.run("replay scan.ply --map room.glb --init reference --out shown");
+        assert_eq!(done.status, Some(0), "{}", done.stderr);
+        assert!(place.path("shown/frames/000000.png").exists());
+    }
+    place.write("cut.ply", &fs::read(place.path("scan.ply")).unwrap()[..2000]);
+    let cut = place.run("localize cut.ply --map room.glb --init reference --out x.tum");
+    assert_eq!(cut.status, Some(1), "{}", cut.stderr);
+    assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is cut"), "{}", cut.stderr);
+}
