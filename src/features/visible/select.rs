@@ -7,7 +7,7 @@
 //! is seen.
 
 use super::VisibilityContext;
-use super::polygon::{Faces, PreparedPolygon};
+use super::polygon::{PolygonCache, PreparedPolygon};
 use crate::features::PlacedFeature;
 use crate::features::place::clip;
 use crate::features::tree::{FeatureTree, Group, Node};
@@ -23,8 +23,8 @@ const MOST_PARTS: usize = 24;
 /// Numbers of the features that may be seen, rising.
 pub(super) fn select(frame: &VisibilityContext<'_>, tree: &FeatureTree, placed: &[PlacedFeature]) -> Vec<u32> {
     let view = View::new(frame.sensor);
-    let (faces, points, some) = (Faces::new(frame), Vec::new(), Vec::new());
-    let mut selection = Selection { frame, tree, placed, view, faces, points, some };
+    let (polygons, points, some) = (PolygonCache::new(frame), Vec::new(), Vec::new());
+    let mut selection = Selection { frame, tree, placed, view, polygons, points, some };
     tree.groups.iter().for_each(|group| selection.group(group));
     let mut some = selection.some;
     some.sort_unstable();
@@ -36,7 +36,7 @@ struct Selection<'s, 'a> {
     tree: &'s FeatureTree,
     placed: &'s [PlacedFeature],
     view: View,
-    faces: Faces,
+    polygons: PolygonCache,
     points: Vec<DVec3>,
     some: Vec<u32>,
 }
@@ -73,9 +73,9 @@ impl Selection<'_, '_> {
         if !self.view.meets(middle, &axes) {
             return true;
         }
-        let Some(face) = self.face_at(middle) else { return false };
-        let known = &self.faces.known[face];
-        hides_box(known, self.faces.planes_of(known), middle, &axes, rounding)
+        let Some(number) = self.polygon_at(middle) else { return false };
+        let known = self.polygons.get(number);
+        hides_box(known, self.polygons.planes_of(known), middle, &axes, rounding)
             && !self.tree.carries(known.slot, &node.some)
     }
 
@@ -101,9 +101,10 @@ impl Selection<'_, '_> {
 
     /// True if the polygon that the image shows in the middle of the points hides all of them.
     fn hides_whole(&mut self, middle: DVec3, placed: &PlacedFeature, rounding: f64) -> bool {
-        let Some(face) = self.face_at(middle) else { return false };
-        let known = &self.faces.known[face];
-        !placed.slots.contains(&known.slot) && hides_points(known, self.faces.planes_of(known), &self.points, rounding)
+        let Some(number) = self.polygon_at(middle) else { return false };
+        let known = self.polygons.get(number);
+        !placed.slots.contains(&known.slot)
+            && hides_points(known, self.polygons.planes_of(known), &self.points, rounding)
     }
 
     /// True if polygons that the image shows in front of parts of the hull of the points hide all of it together.
@@ -112,14 +113,14 @@ impl Selection<'_, '_> {
         for _ in 0..MOST_PARTS {
             let Some(part) = rest.pop() else { return true };
             let middle = part.iter().sum::<DVec3>() / part.len() as f64;
-            let Some(face) = self.face_at(middle) else { return false };
-            let known = &self.faces.known[face];
+            let Some(number) = self.polygon_at(middle) else { return false };
+            let known = self.polygons.get(number);
             if placed.slots.contains(&known.slot) {
                 return false;
             }
             let far = part.iter().map(|p| p.length()).fold(0.0, f64::max);
             let mut inside = part;
-            for e in self.faces.planes_of(known) {
+            for e in self.polygons.planes_of(known) {
                 let beyond = INSIDE * far * e.length();
                 let out = clip(&inside, |p| -e.dot(*p));
                 if out.iter().any(|p| e.dot(*p) < -beyond) {
@@ -135,8 +136,8 @@ impl Selection<'_, '_> {
         false
     }
 
-    /// The polygon that the image shows in a direction, by its number among the faces, if it covers rays.
-    fn face_at(&mut self, at: DVec3) -> Option<usize> {
+    /// The polygon that the image shows in a direction, by its number in the cache, if it covers rays.
+    fn polygon_at(&mut self, at: DVec3) -> Option<u32> {
         let frame = self.frame;
         let (u, v) = frame.sensor.project(at)?;
         let (w, h) = (frame.images.width, frame.images.height);
@@ -147,7 +148,7 @@ impl Selection<'_, '_> {
         let (column, row) = frame.sampler.nearest_pixel((u, v).into());
         let id = frame.images.polygon_id[row as usize * w as usize + column as usize];
         let slot = if id == 0 { None } else { frame.slot_of_id(id) };
-        self.faces.of_slot(frame, slot?).filter(|face| self.faces.known[*face].covers)
+        self.polygons.of_slot(frame, slot?).filter(|number| self.polygons.get(*number).covers)
     }
 }
 
