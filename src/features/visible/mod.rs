@@ -19,11 +19,18 @@
 //! the polygon does not cover.
 
 mod area;
+mod candidates;
 mod context;
 mod contour;
+mod marks;
 mod polygon;
+mod rays;
+mod runs;
+mod samples;
 mod select;
-mod straight;
+mod spans;
+mod strategy;
+mod surface;
 mod tally;
 mod tiles;
 mod undecided;
@@ -31,8 +38,7 @@ mod worker;
 
 use super::contour::ContourSet;
 use super::tree::{FeatureTree, check_placed, newest};
-use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
-use crate::environment::{Feature, FeatureShape};
+use super::{FeaturePrediction, Hidden, PlacedFeature, STEP};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Images};
@@ -41,9 +47,11 @@ use crate::threads::parallel;
 use crate::world::World;
 use context::VisibilityContext;
 use glam::DVec3;
+pub(crate) use marks::Marks;
+use marks::Part;
 use rayon::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use worker::{FeatureResult, Worker};
+use worker::Worker;
 
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -337,47 +345,6 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
     length
 }
 
-/// Which feature each pixel shows: points and landmarks over segments over contours over patches, then lower numbers.
-pub(crate) struct Marks(Vec<u64>);
-
-impl Marks {
-    fn add(&mut self, feature: &Feature, pixels: &[u32]) {
-        let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
-        for pixel in pixels {
-            let at = &mut self.0[*pixel as usize];
-            *at = key.min(*at);
-        }
-    }
-
-    /// The numbers of features, 0 is none.
-    pub fn into_image(self) -> Vec<u32> {
-        self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
-    }
-}
-
-/// What is found of some neighbouring features.
-#[derive(Default)]
-struct Part {
-    features: Vec<SeenFeature>,
-    given: Vec<u32>,
-    /// By number of the feature, the pixels in which it shows.
-    pixels: Vec<(usize, Vec<u32>)>,
-    stats: FeatureStats,
-}
-
-impl Part {
-    fn take(&mut self, number: usize, FeatureResult { seen, stats, pixels }: FeatureResult) {
-        self.stats.add(&stats);
-        if let Some(seen) = seen {
-            self.features.push(seen);
-            self.given.push(number as u32);
-        }
-        if !pixels.is_empty() {
-            self.pixels.push((number, pixels));
-        }
-    }
-}
-
 /// Features that a worker takes at a time, at least.
 const BATCH: usize = 32;
 
@@ -416,14 +383,5 @@ impl<'a> WorkerGuard<'_, 'a> {
 impl Drop for WorkerGuard<'_, '_> {
     fn drop(&mut self) {
         self.of.idle().extend(self.judge.take());
-    }
-}
-
-fn layer_of(shape: &FeatureShape) -> u32 {
-    match shape {
-        FeatureShape::Point { .. } | FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. } => 0,
-        FeatureShape::Segment { .. } => 1,
-        FeatureShape::Contour { .. } => 2,
-        FeatureShape::Patch { .. } => 3,
     }
 }
