@@ -51,6 +51,7 @@ pub struct PlacedFeature {
     pub feature: Feature,
     /// Index of its object; `None` means the world.
     pub object: Option<u32>,
-    /// Slots of the polygons on which it lies. They never hide it.
+    /// Slots of the polygons on which it lies. They never hide it; of a contour, those of its surface, of which those hide no part of
+    /// a curve that touch it there.
     pub slots: Vec<u32>,
 }

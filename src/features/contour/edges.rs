@@ -14,6 +14,9 @@ const SAME_WING: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// A corner lies on a side if it is no farther off, relative to the side's coordinates: what f32 corners of planar polygons may be.
 const ON_SIDE: f64 = 4e-6;
 
+/// Most polygons around an edge over which a surface goes on: each of them asks for the others.
+const MOST_AROUND: usize = 16;
+
 /// Slack of crease angles, radians, so that every edge is a crease, smooth, or both.
 const SLACK: f64 = 1e-6;
 
@@ -141,6 +144,9 @@ impl MeshEdges {
     /// count once.
     pub fn fold(&self, edge: u32, crease: f64) -> Option<Fold> {
         let around = self.around(edge);
+        if around.len() > MOST_AROUND {
+            return None;
+        }
         let first = around[0];
         let (along, x) = self.wing(edge, first)?;
         let y = along.cross(x);
@@ -185,7 +191,7 @@ fn split(sides: Vec<Side>, positions: &[DVec3]) -> Result<Vec<Side>> {
         found.clear();
         index.query(&Region::cuboid(&Aabb { min: bounds.min - off, max: bounds.max + off }), &mut found);
         steps += 1 + found.count() as u64;
-        if steps > limits::MAX_FEATURE_STEPS {
+        if steps > limits::MAX_CONTOUR_STEPS {
             let what = "too many corners lie beside sides of polygons to find the smooth surfaces";
             return Err(Error::invalid(what, "weld the model's corners"));
         }

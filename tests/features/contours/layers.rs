@@ -132,3 +132,26 @@ fn surfaces_go_on_in_other_objects() {
     let heights: Vec<f64> = seen.features.iter().filter(level).map(|f| f.points_world[0].z).collect();
     assert_eq!(heights.iter().filter(|z| z.abs() < 1e-6).count(), 2, "{heights:?}");
 }
+
+/// A store keeps a contour, undoes it, and says what became of it.
+#[cfg(feature = "store")]
+#[test]
+fn stores_keep_contours() {
+    use presight::io::store::{self, Note, Store};
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("post.presight");
+    let note = Note::new("", 0.0);
+    store::create(&path, post().environment(), &note).unwrap();
+    let mut kept = Store::open(&path).unwrap();
+    let feature = contour(7, "post", side_of(0.3));
+    let number = kept.apply(Change::InsertFeature { class: "video".into(), feature: feature.clone() }, &note).unwrap();
+    let off = contour(8, "post", DVec3::Z);
+    assert!(kept.apply(Change::InsertFeature { class: "video".into(), feature: off }, &note).is_err());
+    drop(kept);
+    let read = store::read(&path).unwrap();
+    assert_eq!(read.layer("video").unwrap().features, [feature]);
+    let mut kept = Store::open(&path).unwrap();
+    kept.undo(number, false, &note).unwrap();
+    drop(kept);
+    assert!(store::read(&path).unwrap().layer("video").is_none_or(|l| l.features.is_empty()));
+}
