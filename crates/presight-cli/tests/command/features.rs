@@ -48,14 +48,13 @@ fn features_are_predicted_beside_images() {
 #[test]
 fn the_features_that_tell_most_are_kept() {
     let place = Place::new();
-    let point = |id: u32, y: f64, contrast: f64| {
-        json!({"id": id, "kind": "point", "points": [[2, y, 1]], "sigma": 0.001, "properties": {"contrast": contrast}})
-    };
+    let point = |id: u32, y: f64, contrast: f64| json!({"id": id, "kind": "point", "points": [[2, y, 1]], "sigma": 0.001, "properties": {"contrast": contrast}});
     let features = [point(6, 0.0, 1.0), point(5, 0.0, 1.0), point(8, 0.5, 1e-9), point(9, -0.5, 1.0)];
     let layer = json!({"format": 1, "class": "video", "features": features});
     place.write("l.json", layer.to_string().as_bytes());
     for (most, kept) in [(0, &[][..]), (2, &[5, 9]), (3, &[5, 6, 9]), (4, &[5, 6, 8, 9]), (9, &[5, 6, 8, 9])] {
-        let said = place.done(&format!("{AT_WALL} --layer l.json --features f.json --stats s.json --max-features {most}"));
+        let said =
+            place.done(&format!("{AT_WALL} --layer l.json --features f.json --stats s.json --max-features {most}"));
         let read = |name: &str| -> Value { serde_json::from_slice(&fs::read(place.path(name)).unwrap()).unwrap() };
         let features = read("f.json")["features"].as_array().unwrap().clone();
         let mut ids: Vec<u64> = features.iter().map(|f| f["id"].as_u64().unwrap()).collect();
