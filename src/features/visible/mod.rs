@@ -10,9 +10,12 @@
 //! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
 //!
 //! **What space confirms.** That a sample is seen no image can prove: nine rays may all miss an occluder under a pixel. So
-//! what is not hidden yet is confirmed by the index: straight images of segments and patches share its queries by tiles of the
-//! directions around the sensor ([`tiles`]); other segments have one each, for the triangle between the sensor and that part of
-//! them, and single points a ray. Each polygon found is tested like those of the pixels.
+//! what is not hidden yet is confirmed by the index: its queries are shared by tiles of the directions around the sensor
+//! ([`tiles`]); single points have a ray each. Each polygon found is tested like those of the pixels.
+//!
+//! **Strategies.** [`strategy`] tries functions of one signature: [`runs`] for segments in a straight image, [`area`] for patches of
+//! many pixels, [`samples`] for all else, and [`rays`] where a ray to each sample is asked for. They share [`candidates`], the
+//! polygons that may hide a feature, the polygons set up so far ([`polygon`]) and the tiles.
 //!
 //! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
 //! depth with the plane of its pixel's polygon would be wrong at silhouettes, because that plane says nothing about places that
@@ -242,11 +245,11 @@ impl<'a> PreparedFeatures<'a> {
     /// What would be asked of the images, feature by feature: for a device that still has them.
     pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
-        let judges = WorkerPool::new(frame);
+        let workers = WorkerPool::new(frame);
         self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, i| awake.judge().query_samples(&self.placed[*i]))
+            .map_init(|| workers.wake(), |awake, i| awake.worker().query_samples(&self.placed[*i]))
             .collect()
     }
 
@@ -273,20 +276,20 @@ impl<'a> PreparedFeatures<'a> {
     pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
-        let judges = WorkerPool::new(frame);
+        let workers = WorkerPool::new(frame);
         let some = which.par_iter().enumerate().with_min_len(BATCH);
         let parts = some.fold(
-            || (judges.wake(), Part::default()),
+            || (workers.wake(), Part::default()),
             |(mut awake, mut part), (at, number)| {
                 let told = told.map(|told| told[at].as_slice());
                 let placed = &self.placed[*number];
                 match self.contours.set().get(*number) {
                     Some(surface) => {
-                        let curves = awake.judge().contour(placed, surface);
+                        let curves = awake.worker().contour(placed, surface);
                         curves.into_iter().for_each(|curve| part.take(*number, curve));
                     }
                     None if placed.feature.shape.is_contour() => {}
-                    None => part.take(*number, awake.judge().feature(placed, told)),
+                    None => part.take(*number, awake.worker().feature(placed, told)),
                 }
                 (awake, part)
             },
@@ -364,24 +367,24 @@ impl<'a> WorkerPool<'a> {
     }
 
     fn wake(&self) -> WorkerGuard<'_, 'a> {
-        WorkerGuard { judge: self.idle().pop(), of: self }
+        WorkerGuard { worker: self.idle().pop(), of: self }
     }
 }
 
 /// A worker that rests again when it is let go.
 struct WorkerGuard<'j, 'a> {
-    judge: Option<Worker<'a>>,
+    worker: Option<Worker<'a>>,
     of: &'j WorkerPool<'a>,
 }
 
 impl<'a> WorkerGuard<'_, 'a> {
-    fn judge(&mut self) -> &mut Worker<'a> {
-        self.judge.get_or_insert_with(|| Worker::new(self.of.frame))
+    fn worker(&mut self) -> &mut Worker<'a> {
+        self.worker.get_or_insert_with(|| Worker::new(self.of.frame))
     }
 }
 
 impl Drop for WorkerGuard<'_, '_> {
     fn drop(&mut self) {
-        self.of.idle().extend(self.judge.take());
+        self.of.idle().extend(self.worker.take());
     }
 }

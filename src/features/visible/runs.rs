@@ -6,7 +6,7 @@ use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::tiles::Square;
 use crate::environment::FeatureShape;
-use crate::features::straight::Straight;
+use crate::features::sample::Straight;
 use crate::features::{FeatureStats, Reason};
 use glam::DVec3;
 use std::ops::Range;
