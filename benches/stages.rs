@@ -7,7 +7,7 @@
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
+use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Backend, FramePlan, Options, Pose, Predictor, Request, World, preset};
 use std::hint::black_box;
@@ -128,7 +128,18 @@ fn boxes(c: &mut Criterion) {
             }
             group.bench_function(BenchmarkId::new(case, name), |b| {
                 b.iter(|| {
-                    pool.install(|| add_boxes(&mut prediction, &placed, &world, &sensor, &Pose::IDENTITY, &options))
+                    pool.install(|| {
+                        add_boxes(
+                            &mut prediction,
+                            &BoxQuery {
+                                placed: &placed,
+                                world: &world,
+                                sensor: &sensor,
+                                world_from_sensor: &Pose::IDENTITY,
+                                options: &options,
+                            },
+                        )
+                    })
                 });
             });
         }

@@ -3,7 +3,9 @@
 
 use glam::DVec3;
 use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{BoxOptions, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features};
+use presight::features::{
+    BoxOptions, BoxQuery, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features,
+};
 use presight::index::{Params, Scheme};
 use presight::io::gltf::{self, ImportOptions};
 use presight::verify::{Precision, candidates};
@@ -47,7 +49,17 @@ fn nothing_uses_the_global_pool() {
     for visibility in [Visibility::Rays, Visibility::default()] {
         let options = FeatureSettings { visibility, ..FeatureSettings::default() };
         let mut seen = predict_features(&world, &camera, &pose, &images, &placed, &options).unwrap();
-        add_boxes(&mut seen, &placed, &world, &camera, &pose, &BoxOptions::default()).unwrap();
+        add_boxes(
+            &mut seen,
+            &BoxQuery {
+                placed: &placed,
+                world: &world,
+                sensor: &camera,
+                world_from_sensor: &pose,
+                options: &BoxOptions::default(),
+            },
+        )
+        .unwrap();
     }
     #[cfg(feature = "store")]
     {

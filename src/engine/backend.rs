@@ -31,13 +31,10 @@ mod without_gpu {
 mod with_gpu {
     use super::*;
     use crate::engine::Device;
-    use crate::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
-    use crate::geometry::Pose;
+    use crate::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
     use crate::gpu::{self, DeviceOptions, testing};
     use crate::plan::{FramePlan, Images, Stats, Work};
-    use crate::sensor::Sensor;
     use crate::verify::Precision;
-    use crate::world::World;
 
     /// On the most capable adapter; on hardware or none, if asked.
     pub(crate) fn open_gpu(threads: &Threads, hardware_only: bool) -> Result<Box<dyn Engine>> {
@@ -100,16 +97,8 @@ mod with_gpu {
             Self::query_occlusion(self, &gpu::OcclusionQuery::new(samples))
         }
 
-        fn add_boxes(
-            &mut self,
-            prediction: &mut FeaturePrediction,
-            placed: &[PlacedFeature],
-            world: &World,
-            sensor: &Sensor,
-            world_from_sensor: &Pose,
-            options: &BoxOptions,
-        ) -> Result<usize> {
-            Self::add_boxes(self, prediction, placed, world, sensor, world_from_sensor, options)
+        fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
+            Self::add_boxes(self, prediction, query)
         }
 
         fn work(&self) -> Work {

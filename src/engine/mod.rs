@@ -6,14 +6,11 @@ pub(crate) use backend::open_gpu;
 
 use crate::cpu;
 use crate::error::Result;
-use crate::features::{self, BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
-use crate::geometry::Pose;
+use crate::features::{self, BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Work};
 use crate::reference;
-use crate::sensor::Sensor;
 use crate::threads::Threads;
 use crate::verify::Precision;
-use crate::world::World;
 use std::any::Any;
 use std::time::Instant;
 
@@ -41,7 +38,7 @@ pub trait Engine: Any + Send {
     /// Fills the requested images, and counts what that took.
     ///
     /// # Errors
-    /// Those of [`Pose::check`]; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] for images or polygons that
+    /// Those of [`crate::Pose::check`]; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] for images or polygons that
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
@@ -108,15 +105,7 @@ pub trait Device {
     ///
     /// # Errors
     /// As [`Engine::render`]; [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
-    fn add_boxes(
-        &mut self,
-        prediction: &mut FeaturePrediction,
-        placed: &[PlacedFeature],
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
-        options: &BoxOptions,
-    ) -> Result<usize>;
+    fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize>;
 
     /// What it has done since it was opened.
     fn work(&self) -> Work;
@@ -226,14 +215,12 @@ pub fn add_boxes(
     engine: &mut dyn Engine,
     threads: &Threads,
     prediction: &mut FeaturePrediction,
-    placed: &[PlacedFeature],
-    (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
-    options: &BoxOptions,
+    query: &BoxQuery<'_>,
 ) -> Result<Option<usize>> {
     match engine.device().filter(|device| device.takes_features()) {
-        Some(device) => device.add_boxes(prediction, placed, world, sensor, world_from_sensor, options).map(Some),
+        Some(device) => device.add_boxes(prediction, query).map(Some),
         None => {
-            let add = || features::add_boxes(prediction, placed, world, sensor, world_from_sensor, options);
+            let add = || features::add_boxes(prediction, query);
             threads.run(add)??;
             Ok(None)
         }

@@ -12,16 +12,15 @@ mod prediction;
 pub mod roi;
 mod sample;
 mod sides;
-mod straight;
 mod tree;
 mod view;
 mod visible;
 
-#[doc(hidden)]
-pub use boxes::add_boxes;
 #[cfg(feature = "gpu")]
 pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
+#[doc(hidden)]
+pub use boxes::{BoxQuery, add_boxes};
 pub(crate) use choose::choose;
 pub(crate) use contour::ContourSet;
 #[cfg(all(feature = "gpu", test))]

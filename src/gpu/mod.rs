@@ -9,7 +9,7 @@
 //! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
 //! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
-//! | resolve | `resolve.wgsl` | `cpu::resolve`; `resolve` from the device's keys, for software adapters |
+//! | resolve | `resolve.wgsl` | `cpu::resolve`; `plan::keys` from the device's keys, for software adapters |
 //! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
 //! | roi | `roi.wgsl` | `features::roi` |
 
@@ -20,7 +20,6 @@ mod geometry;
 mod grid;
 mod layout;
 mod near;
-mod resolve;
 mod roi;
 mod shaders;
 mod stage;
@@ -36,7 +35,9 @@ pub use visible::OcclusionQuery;
 
 use crate::error::{ErrorKind, Result};
 use crate::features::OcclusionHint;
-use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, SamplesMut, StageName, Stats, Work};
+use crate::plan::{
+    CountName, FramePlan, Images, KeySurface, Keys, NOTHING_IN_VIEW, SamplesMut, StageName, Stats, Work, resolve_keys,
+};
 use crate::sensor::Sensor;
 use crate::threads::Threads;
 use device::Gpu;
@@ -342,8 +343,19 @@ impl GpuEngine {
         let mut counters = counters_of(view, at);
         if frame.on_host {
             let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
-            let (keys, slots) = (bytemuck::cast_slice(keys), bytemuck::cast_slice(slots));
-            counters.lost_ids += self.threads.run(|| resolve::resolve(plan, &frame.params, keys, slots, images))?;
+            let (p, slots): (_, &[layout::Slot]) = (&frame.params, bytemuck::cast_slice(slots));
+            let keys = Keys {
+                plan,
+                first: [p.first_sample, p.first_line],
+                focal: [p.fx, p.fy],
+                range: [p.range_min, p.range_max],
+                keys: bytemuck::cast_slice(keys),
+            };
+            let surface_of = |slot: u32| {
+                let layout::Slot { distance, object, source, .. } = slots[slot as usize];
+                KeySurface { distance, object, source }
+            };
+            counters.lost_ids += self.threads.run(|| resolve_keys(&keys, &surface_of, images))?;
         } else {
             copy_images(frame, &view[..at.counters as usize], images);
         }

@@ -2,6 +2,8 @@
 
 mod derived;
 mod images;
+#[cfg(feature = "gpu")]
+mod keys;
 mod names;
 mod output;
 mod polygons;
@@ -10,6 +12,8 @@ mod stats;
 mod view;
 
 pub use images::{Images, Samples, SamplesMut};
+#[cfg(feature = "gpu")]
+pub(crate) use keys::{KeySurface, Keys, resolve_keys};
 pub use names::{CountName, Part, StageName};
 pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;

@@ -6,7 +6,7 @@ use crate::cost::DeadlineFrame;
 use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
-    BoxOptions, ContourSet, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource,
+    BoxQuery, ContourSet, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource,
     FeatureTree, Hidden, OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility,
     add_boxes, check_placed, choose, predict_features, sides_seen_in_part,
 };
@@ -99,7 +99,9 @@ impl Predictor {
                     stats.stage(StageName::FeatureChoice, start);
                 }
                 if let Some(options) = &regions {
-                    self.add_regions(&mut features, &placed.features, seen_from, options, stats)?;
+                    let placed = &placed.features;
+                    let query = BoxQuery { placed, world, sensor, world_from_sensor, options };
+                    self.add_regions(&mut features, &query, stats)?;
                 }
                 features
             }
@@ -182,9 +184,7 @@ impl Predictor {
     fn add_regions(
         &mut self,
         prediction: &mut FeaturePrediction,
-        placed: &[PlacedFeature],
-        seen_from: (&World, &Sensor, &Pose),
-        options: &BoxOptions,
+        query: &BoxQuery<'_>,
         stats: &mut Stats,
     ) -> Result<()> {
         if prediction.features.is_empty() {
@@ -192,7 +192,7 @@ impl Predictor {
             return Ok(());
         }
         let start = Instant::now();
-        match self.boxes(prediction, placed, seen_from, options, stats)? {
+        match self.boxes(prediction, query, stats)? {
             Some(made) => stats.count(CountName::RegionsOnDevice, made),
             None => self.tell_of_software(StageName::RegionsOnDevice, stats),
         }
@@ -204,17 +204,14 @@ impl Predictor {
     fn boxes(
         &mut self,
         prediction: &mut FeaturePrediction,
-        placed: &[PlacedFeature],
-        seen_from: (&World, &Sensor, &Pose),
-        options: &BoxOptions,
+        query: &BoxQuery<'_>,
         stats: &mut Stats,
     ) -> Result<Option<usize>> {
         self.threads = self.threads.started()?;
         let before = self.engine.device().map(|device| device.work());
-        let proven = self.prove_regions(seen_from.1);
+        let proven = self.prove_regions(query.sensor);
         let engine = &mut *self.engine;
-        let made =
-            proven.and_then(|()| engine::add_boxes(engine, &self.threads, prediction, placed, seen_from, options));
+        let made = proven.and_then(|()| engine::add_boxes(engine, &self.threads, prediction, query));
         match (made, before) {
             (Ok(Some(made)), Some(before)) => {
                 stats.work.add(self.engine.device().map(|device| device.work().since(before)).unwrap_or_default());
@@ -222,8 +219,7 @@ impl Predictor {
             }
             // The CPU finds the same; the next prediction opens the device again.
             (Err(e), Some(_)) if self.backend == Backend::Auto && e.kind() != ErrorKind::Usage => {
-                let (world, sensor, world_from_sensor) = seen_from;
-                self.threads.run(|| add_boxes(prediction, placed, world, sensor, world_from_sensor, options))??;
+                self.threads.run(|| add_boxes(prediction, query))??;
                 Ok(None)
             }
             (made, _) => made,

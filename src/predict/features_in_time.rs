@@ -6,7 +6,7 @@ use crate::cost::DeadlineFrame;
 use crate::deadline::Priority;
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures,
+    BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures,
     SeenFeature, add_boxes,
 };
 use crate::plan::{Images, Stats};
@@ -45,7 +45,9 @@ impl Predictor {
             }
             let mut group = self.on_threads(|| prepared.part(which, None, &mut marks))?;
             if let Some(options) = regions {
-                self.on_threads(|| add_boxes(&mut group, all, world, sensor, world_from_sensor, options))??;
+                self.on_threads(|| {
+                    add_boxes(&mut group, &BoxQuery { placed: all, world, sensor, world_from_sensor, options })
+                })??;
             }
             found.stats.add(&group.stats);
             found.features.append(&mut group.features);

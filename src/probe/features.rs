@@ -5,8 +5,8 @@ use crate::engine::{Device, Engine};
 use crate::environment::{Existence, Feature, FeatureShape, Properties};
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeaturePrediction, FeatureSamples, FeatureSettings, OcclusionHint, PlacedFeature, PreparedFeatures,
-    Visibility, add_boxes, predict_features,
+    BoxOptions, BoxQuery, FeaturePrediction, FeatureSamples, FeatureSettings, OcclusionHint, PlacedFeature,
+    PreparedFeatures, Visibility, add_boxes, predict_features,
 };
 use crate::geometry::Pose;
 use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, Stats};
@@ -81,8 +81,26 @@ impl Probe {
         (0..3).for_each(|i| (options.sensor[i][i], options.sensor[3 + i][3 + i]) = (1e-4, 7.6e-5));
         let mut right = self.seen(&sensor, &pose, &placed)?;
         let mut made = right.clone();
-        add_boxes(&mut right, &placed, &self.world, &sensor, &pose, &options)?;
-        let answered = device.add_boxes(&mut made, &placed, &self.world, &sensor, &pose, &options)?;
+        add_boxes(
+            &mut right,
+            &BoxQuery {
+                placed: &placed,
+                world: &self.world,
+                sensor: &sensor,
+                world_from_sensor: &pose,
+                options: &options,
+            },
+        )?;
+        let answered = device.add_boxes(
+            &mut made,
+            &BoxQuery {
+                placed: &placed,
+                world: &self.world,
+                sensor: &sensor,
+                world_from_sensor: &pose,
+                options: &options,
+            },
+        )?;
         let differs = |i: &usize| {
             let (a, b) = (&right.features[*i], &made.features[*i]);
             let near = |a: [f64; 4], b: [f64; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= OFF);

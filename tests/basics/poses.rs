@@ -8,7 +8,8 @@ use presight::engine::EngineKind;
 use presight::environment::FeatureShape;
 use presight::features::roi::{FeatureErrorModel, Viewpoint};
 use presight::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place, predict_features,
+    BoxOptions, BoxQuery, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place,
+    predict_features,
 };
 use presight::index::Region;
 use presight::io::{PointCloud, PointsFrame};
@@ -120,7 +121,21 @@ fn functions_of_images_refuse_it() {
             refused("predict_features", what, said, seen);
         }
         let mut none = FeaturePrediction::default();
-        refused("add_boxes", what, said, add_boxes(&mut none, &[], &s.world, &s.sensor, &pose, &BoxOptions::default()));
+        refused(
+            "add_boxes",
+            what,
+            said,
+            add_boxes(
+                &mut none,
+                &BoxQuery {
+                    placed: &[],
+                    world: &s.world,
+                    sensor: &s.sensor,
+                    world_from_sensor: &pose,
+                    options: &BoxOptions::default(),
+                },
+            ),
+        );
         for frame in [PointsFrame::Sensor, PointsFrame::World] {
             refused("PointCloud::new", what, said, PointCloud::new(&s.images, &s.sensor, &pose, frame));
         }

@@ -10,7 +10,8 @@ use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
 use presight::features::{
-    BoxOptions, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place, predict_features,
+    BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place,
+    predict_features,
 };
 use presight::gpu::{DeviceOptions, GpuEngine, testing};
 use presight::io::gltf::{ImportOptions, import};
@@ -46,14 +47,28 @@ struct Setting<'a> {
 impl Setting<'_> {
     fn twin(&self, options: &BoxOptions, placed: &[PlacedFeature]) -> FeaturePrediction {
         let mut prediction = self.prediction.clone();
-        add_boxes(&mut prediction, placed, self.world, self.sensor, &self.pose, options).unwrap();
+        add_boxes(
+            &mut prediction,
+            &BoxQuery { placed, world: self.world, sensor: self.sensor, world_from_sensor: &self.pose, options },
+        )
+        .unwrap();
         prediction
     }
 
     fn on_device(&self, engine: &mut GpuEngine, options: &BoxOptions) -> (FeaturePrediction, usize) {
         let mut prediction = self.prediction.clone();
-        let made =
-            engine.add_boxes(&mut prediction, &self.placed, self.world, self.sensor, &self.pose, options).unwrap();
+        let made = engine
+            .add_boxes(
+                &mut prediction,
+                &BoxQuery {
+                    placed: &self.placed,
+                    world: self.world,
+                    sensor: self.sensor,
+                    world_from_sensor: &self.pose,
+                    options,
+                },
+            )
+            .unwrap();
         (prediction, made)
     }
 

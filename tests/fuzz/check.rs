@@ -3,7 +3,7 @@
 use crate::common::{plan, reference, scenes};
 use glam::{DQuat, DVec3, Vec3};
 use presight::environment::FeatureLayer;
-use presight::features::{BoxOptions, FeatureSettings, add_boxes, place, predict_features};
+use presight::features::{BoxOptions, BoxQuery, FeatureSettings, add_boxes, place, predict_features};
 use presight::io::{prediction_json, sensor_toml};
 use presight::verify::{Precision, compare};
 use presight::{Camera, Environment, Geometry, Images, NewObject, Output, Pose, Sensor, SensorSpec, Stats, World, cpu};
@@ -122,7 +122,12 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
     let Ok(mut seen) = predict_features(&world, &sensor, &pose, &images, &placed, &options) else { return false };
     let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-4 } else { 0.0 }));
     let boxes = BoxOptions::default().with_sensor(covariance);
-    if add_boxes(&mut seen, &placed, &world, &sensor, &pose, &boxes).is_err() {
+    if add_boxes(
+        &mut seen,
+        &BoxQuery { placed: &placed, world: &world, sensor: &sensor, world_from_sensor: &pose, options: &boxes },
+    )
+    .is_err()
+    {
         return false;
     }
     for f in &seen.features {

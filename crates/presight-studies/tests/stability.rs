@@ -1,9 +1,9 @@
 //! A quick stability study of every engine: no fault; and planted faults, each of which it has to find.
 
 use presight::engine::{Device, Engine, EngineKind};
-use presight::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature, add_boxes};
+use presight::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint, add_boxes};
 use presight::verify::Precision;
-use presight::{FramePlan, Images, Pose, Result, Sensor, Stats, Work, World};
+use presight::{FramePlan, Images, Result, Stats, Work};
 use presight_studies::stability::{
     Outcome, Row, RunInfo, Study, Subject, all, faults, subjects, to_csv, to_html, to_json,
 };
@@ -118,16 +118,8 @@ impl Device for Spoiled {
         Ok(Vec::new())
     }
 
-    fn add_boxes(
-        &mut self,
-        prediction: &mut FeaturePrediction,
-        placed: &[PlacedFeature],
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
-        options: &BoxOptions,
-    ) -> Result<usize> {
-        add_boxes(prediction, placed, world, sensor, world_from_sensor, options)?;
+    fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
+        add_boxes(prediction, query)?;
         (self.covariances)(prediction);
         Ok(0)
     }

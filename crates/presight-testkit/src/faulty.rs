@@ -1,11 +1,11 @@
 //! Engines with something wrong, around the GPU engine on whatever adapter there is.
 
 use presight::engine::{Device, Engine};
-use presight::features::{BoxOptions, FeaturePrediction, FeatureSamples, OcclusionHint, PlacedFeature};
+use presight::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{self, DeviceOptions};
 use presight::verify::Precision;
-use presight::{Error, ErrorKind, FramePlan, Images, Pose, Result, Sensor, Stats, Work, World};
+use presight::{Error, ErrorKind, FramePlan, Images, Result, Stats, Work};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -94,16 +94,8 @@ impl Device for Faulty {
         Device::query_occlusion(&mut self.engine, samples)
     }
 
-    fn add_boxes(
-        &mut self,
-        prediction: &mut FeaturePrediction,
-        placed: &[PlacedFeature],
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
-        options: &BoxOptions,
-    ) -> Result<usize> {
-        self.engine.add_boxes(prediction, placed, world, sensor, world_from_sensor, options)
+    fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
+        self.engine.add_boxes(prediction, query)
     }
 
     fn work(&self) -> Work {

@@ -111,28 +111,37 @@ impl BoxOptions {
     }
 }
 
+/// What the boxes of a prediction depend on.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug)]
+pub struct BoxQuery<'a> {
+    /// The features that were predicted, in their order.
+    pub placed: &'a [PlacedFeature],
+    /// The world that they lie in.
+    pub world: &'a World,
+    /// The sensor.
+    pub sensor: &'a Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: &'a Pose,
+    /// How uncertain poses are, and with which probability boxes hold.
+    pub options: &'a BoxOptions,
+}
+
 /// Adds to every visible feature its box, and the covariance of its defining points in the image.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and those of [`Pose::check`]; [`crate::ErrorKind::Invalid`] for a covariance that is not
 /// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about; those of
 /// [`crate::Threads::new`].
-pub fn add_boxes(
-    prediction: &mut FeaturePrediction,
-    placed: &[PlacedFeature],
-    world: &World,
-    sensor: &Sensor,
-    world_from_sensor: &Pose,
-    options: &BoxOptions,
-) -> Result<()> {
-    let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
+pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<()> {
+    let frame = BoxFrame::new(query)?;
     let FeaturePrediction { features, given, .. } = prediction;
     let add = |room: &mut BoxScratch, (i, seen): (usize, &mut SeenFeature)| {
         // What is not seen is not looked for.
         if seen.visible.is_empty() {
             return;
         }
-        let uncertain = frame.uncertain(&placed[given_at(given, i)]);
+        let uncertain = frame.uncertain(&query.placed[given_at(given, i)]);
         if frame.prepare(seen, &uncertain, room) {
             let found = room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method);
             frame.set(seen, found);
@@ -165,7 +174,8 @@ pub(crate) struct BoxFrame<'a> {
 impl<'a> BoxFrame<'a> {
     /// # Errors
     /// Those of [`add_boxes`].
-    pub fn new(world: &'a World, sensor: &'a Sensor, world_from_sensor: &Pose, options: &BoxOptions) -> Result<Self> {
+    pub fn new(query: &BoxQuery<'a>) -> Result<Self> {
+        let BoxQuery { world, sensor, world_from_sensor, options, .. } = *query;
         options.check()?;
         let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
         // Of an object named twice the first counts.

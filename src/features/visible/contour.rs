@@ -1,5 +1,7 @@
 //! What is seen of the curves of a contour: piece by piece, each as a segment on the polygons around it.
 
+use super::strategy::{FeatureQuery, decide};
+use super::surface::FeatureSurface;
 use super::tally::{Tally, share};
 use super::worker::{FeatureResult, Worker};
 use crate::environment::{Feature, FeatureShape, Properties};
@@ -50,6 +52,7 @@ impl Worker<'_> {
 
     /// All pieces of a curve together.
     fn curve(&mut self, placed: &PlacedFeature, surface: &Surface, curve: &Curve) -> (Tally, FeatureStats) {
+        let (frame, workspace) = (self.frame, &mut self.workspace);
         let whole = curve.length();
         let (mut sum, mut stats) = (Tally::default(), FeatureStats::default());
         let segment =
@@ -71,14 +74,17 @@ impl Worker<'_> {
             piece.feature.shape = segment(ends);
             piece.slots.clear();
             piece.slots.extend_from_slice(slots);
-            let (mut own, points) = self.prepare(&piece);
+            let in_image = frame.in_image(&piece);
+            let mut own = FeatureSurface::new(frame, &mut workspace.polygons, &piece, &in_image);
             // A silhouette is no place on a surface that is seen too flat: it is where the surface ends.
             own.forget_normals();
-            let tally = self.tally(&piece, &own, &points, None);
-            stats.add(&self.stats);
+            let query =
+                FeatureQuery { frame, shape: &piece.feature.shape, points: &in_image.0, own: &own, hints: None };
+            let decision = decide(&query, workspace);
+            stats.add(&decision.stats);
             let from = length / whole;
             length += ends[0].distance(ends[1]);
-            sum.append(tally, [from, length / whole]);
+            sum.append(decision.tally, [from, length / whole]);
         }
         (sum, stats)
     }

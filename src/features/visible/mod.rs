@@ -10,20 +10,30 @@
 //! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
 //!
 //! **What space confirms.** That a sample is seen no image can prove: nine rays may all miss an occluder under a pixel. So
-//! what is not hidden yet is confirmed by the index: straight images of segments and patches share its queries by tiles of the
-//! directions around the sensor ([`tiles`]); other segments have one each, for the triangle between the sensor and that part of
-//! them, and single points a ray. Each polygon found is tested like those of the pixels.
+//! what is not hidden yet is confirmed by the index: its queries are shared by tiles of the directions around the sensor
+//! ([`tiles`]); single points have a ray each. Each polygon found is tested like those of the pixels.
+//!
+//! **Strategies.** [`strategy`] tries functions of one signature: [`runs`] for segments in a straight image, [`area`] for patches of
+//! many pixels, [`samples`] for all else, and [`rays`] where a ray to each sample is asked for. They share [`candidates`], the
+//! polygons that may hide a feature, the polygons set up so far ([`polygon`]) and the tiles.
 //!
 //! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
 //! depth with the plane of its pixel's polygon would be wrong at silhouettes, because that plane says nothing about places that
 //! the polygon does not cover.
 
 mod area;
+mod candidates;
 mod context;
 mod contour;
+mod marks;
 mod polygon;
+mod rays;
+mod runs;
+mod samples;
 mod select;
-mod straight;
+mod spans;
+mod strategy;
+mod surface;
 mod tally;
 mod tiles;
 mod undecided;
@@ -31,8 +41,7 @@ mod worker;
 
 use super::contour::ContourSet;
 use super::tree::{FeatureTree, check_placed, newest};
-use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
-use crate::environment::{Feature, FeatureShape};
+use super::{FeaturePrediction, Hidden, PlacedFeature, STEP};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Images};
@@ -41,9 +50,11 @@ use crate::threads::parallel;
 use crate::world::World;
 use context::VisibilityContext;
 use glam::DVec3;
+pub(crate) use marks::Marks;
+use marks::Part;
 use rayon::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use worker::{FeatureResult, Worker};
+use worker::Worker;
 
 /// How visibility is decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -234,11 +245,11 @@ impl<'a> PreparedFeatures<'a> {
     /// What would be asked of the images, feature by feature: for a device that still has them.
     pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
-        let judges = WorkerPool::new(frame);
+        let workers = WorkerPool::new(frame);
         self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| judges.wake(), |awake, i| awake.judge().query_samples(&self.placed[*i]))
+            .map_init(|| workers.wake(), |awake, i| awake.worker().query_samples(&self.placed[*i]))
             .collect()
     }
 
@@ -265,20 +276,20 @@ impl<'a> PreparedFeatures<'a> {
     pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
-        let judges = WorkerPool::new(frame);
+        let workers = WorkerPool::new(frame);
         let some = which.par_iter().enumerate().with_min_len(BATCH);
         let parts = some.fold(
-            || (judges.wake(), Part::default()),
+            || (workers.wake(), Part::default()),
             |(mut awake, mut part), (at, number)| {
                 let told = told.map(|told| told[at].as_slice());
                 let placed = &self.placed[*number];
                 match self.contours.set().get(*number) {
                     Some(surface) => {
-                        let curves = awake.judge().contour(placed, surface);
+                        let curves = awake.worker().contour(placed, surface);
                         curves.into_iter().for_each(|curve| part.take(*number, curve));
                     }
                     None if placed.feature.shape.is_contour() => {}
-                    None => part.take(*number, awake.judge().feature(placed, told)),
+                    None => part.take(*number, awake.worker().feature(placed, told)),
                 }
                 (awake, part)
             },
@@ -337,47 +348,6 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
     length
 }
 
-/// Which feature each pixel shows: points and landmarks over segments over contours over patches, then lower numbers.
-pub(crate) struct Marks(Vec<u64>);
-
-impl Marks {
-    fn add(&mut self, feature: &Feature, pixels: &[u32]) {
-        let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
-        for pixel in pixels {
-            let at = &mut self.0[*pixel as usize];
-            *at = key.min(*at);
-        }
-    }
-
-    /// The numbers of features, 0 is none.
-    pub fn into_image(self) -> Vec<u32> {
-        self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
-    }
-}
-
-/// What is found of some neighbouring features.
-#[derive(Default)]
-struct Part {
-    features: Vec<SeenFeature>,
-    given: Vec<u32>,
-    /// By number of the feature, the pixels in which it shows.
-    pixels: Vec<(usize, Vec<u32>)>,
-    stats: FeatureStats,
-}
-
-impl Part {
-    fn take(&mut self, number: usize, FeatureResult { seen, stats, pixels }: FeatureResult) {
-        self.stats.add(&stats);
-        if let Some(seen) = seen {
-            self.features.push(seen);
-            self.given.push(number as u32);
-        }
-        if !pixels.is_empty() {
-            self.pixels.push((number, pixels));
-        }
-    }
-}
-
 /// Features that a worker takes at a time, at least.
 const BATCH: usize = 32;
 
@@ -397,33 +367,24 @@ impl<'a> WorkerPool<'a> {
     }
 
     fn wake(&self) -> WorkerGuard<'_, 'a> {
-        WorkerGuard { judge: self.idle().pop(), of: self }
+        WorkerGuard { worker: self.idle().pop(), of: self }
     }
 }
 
 /// A worker that rests again when it is let go.
 struct WorkerGuard<'j, 'a> {
-    judge: Option<Worker<'a>>,
+    worker: Option<Worker<'a>>,
     of: &'j WorkerPool<'a>,
 }
 
 impl<'a> WorkerGuard<'_, 'a> {
-    fn judge(&mut self) -> &mut Worker<'a> {
-        self.judge.get_or_insert_with(|| Worker::new(self.of.frame))
+    fn worker(&mut self) -> &mut Worker<'a> {
+        self.worker.get_or_insert_with(|| Worker::new(self.of.frame))
     }
 }
 
 impl Drop for WorkerGuard<'_, '_> {
     fn drop(&mut self) {
-        self.of.idle().extend(self.judge.take());
-    }
-}
-
-fn layer_of(shape: &FeatureShape) -> u32 {
-    match shape {
-        FeatureShape::Point { .. } | FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. } => 0,
-        FeatureShape::Segment { .. } => 1,
-        FeatureShape::Contour { .. } => 2,
-        FeatureShape::Patch { .. } => 3,
+        self.of.idle().extend(self.worker.take());
     }
 }

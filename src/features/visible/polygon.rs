@@ -20,8 +20,6 @@ pub(super) struct PreparedPolygon {
     off: [f64; 2],
     /// First edge plane and corner, and how many.
     edges: (u32, u32),
-    /// The last feature that asked for it.
-    pub asked: u32,
 }
 
 /// Is a polygon that covers a point's ray nearer than the point?
@@ -68,17 +66,17 @@ impl PreparedPolygon {
     }
 }
 
-/// Polygons by slot.
-pub(super) struct Faces {
-    /// By slot: index in `known` + 1. Pages that nothing touches cost nothing.
+/// Polygons that were set up, by number and by slot.
+pub(super) struct PolygonCache {
+    /// By slot: number + 1. Pages that nothing touches cost nothing.
     at: Vec<u32>,
-    pub known: Vec<PreparedPolygon>,
+    known: Vec<PreparedPolygon>,
     planes: Vec<DVec3>,
     corners: Vec<DVec3>,
     face: Face,
 }
 
-impl Faces {
+impl PolygonCache {
     pub fn new(frame: &VisibilityContext<'_>) -> Self {
         let at = vec![0; frame.environment.slot_count() as usize];
         Self {
@@ -90,17 +88,23 @@ impl Faces {
         }
     }
 
-    /// The polygon of a slot; `None` if there is none.
+    /// The polygon of a number.
     #[inline]
-    pub fn of_slot(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<usize> {
+    pub fn get(&self, number: u32) -> &PreparedPolygon {
+        &self.known[number as usize]
+    }
+
+    /// The number of the polygon of a slot; `None` if there is none.
+    #[inline]
+    pub fn of_slot(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<u32> {
         match self.at.get(slot as usize) {
             Some(0) => self.set_up(frame, slot),
-            Some(at) => Some(*at as usize - 1),
+            Some(at) => Some(at - 1),
             None => None,
         }
     }
 
-    fn set_up(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<usize> {
+    fn set_up(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<u32> {
         let (object, polygon) = frame.environment.locate(slot)?;
         let instance = frame.instance(object);
         let mesh = &frame.environment.objects()[object as usize].mesh;
@@ -121,10 +125,9 @@ impl Faces {
             inverse: face.normal / face.distance,
             off,
             edges: (first, face.edges.len() as u32),
-            asked: 0,
         });
         self.at[slot as usize] = self.known.len() as u32;
-        Some(self.known.len() - 1)
+        Some(self.known.len() as u32 - 1)
     }
 
     /// Planes through the sensor and the sides of a polygon: inside is where all products are >= 0.

@@ -7,7 +7,7 @@
 //! is seen.
 
 use super::VisibilityContext;
-use super::polygon::{Faces, PreparedPolygon};
+use super::polygon::{PolygonCache, PreparedPolygon};
 use crate::features::PlacedFeature;
 use crate::features::contour::ContourSet;
 use crate::features::place::clip;
@@ -28,9 +28,9 @@ pub(super) fn select(
     of: (&[PlacedFeature], &ContourSet),
 ) -> Vec<u32> {
     let view = View::new(frame.sensor);
-    let (faces, points, some) = (Faces::new(frame), Vec::new(), Vec::new());
+    let (polygons, points, some) = (PolygonCache::new(frame), Vec::new(), Vec::new());
     let (placed, contours) = of;
-    let mut selection = Selection { frame, tree, placed, contours, view, faces, points, some };
+    let mut selection = Selection { frame, tree, placed, contours, view, polygons, points, some };
     tree.groups.iter().for_each(|group| selection.group(group));
     let mut some = selection.some;
     some.sort_unstable();
@@ -43,7 +43,7 @@ struct Selection<'s, 'a> {
     placed: &'s [PlacedFeature],
     contours: &'s ContourSet,
     view: View,
-    faces: Faces,
+    polygons: PolygonCache,
     points: Vec<DVec3>,
     some: Vec<u32>,
 }
@@ -80,9 +80,9 @@ impl Selection<'_, '_> {
         if !self.view.meets(middle, &axes) {
             return true;
         }
-        let Some(face) = self.face_at(middle) else { return false };
-        let known = &self.faces.known[face];
-        hides_box(known, self.faces.planes_of(known), middle, &axes, rounding)
+        let Some(number) = self.polygon_at(middle) else { return false };
+        let known = self.polygons.get(number);
+        hides_box(known, self.polygons.planes_of(known), middle, &axes, rounding)
             && !self.tree.carries(known.slot, &node.some)
     }
 
@@ -111,9 +111,10 @@ impl Selection<'_, '_> {
 
     /// True if the polygon that the image shows in the middle of the points hides all of them.
     fn hides_whole(&mut self, middle: DVec3, placed: &PlacedFeature, rounding: f64) -> bool {
-        let Some(face) = self.face_at(middle) else { return false };
-        let known = &self.faces.known[face];
-        !placed.slots.contains(&known.slot) && hides_points(known, self.faces.planes_of(known), &self.points, rounding)
+        let Some(number) = self.polygon_at(middle) else { return false };
+        let known = self.polygons.get(number);
+        !placed.slots.contains(&known.slot)
+            && hides_points(known, self.polygons.planes_of(known), &self.points, rounding)
     }
 
     /// True if polygons that the image shows in front of parts of the hull of the points hide all of it together.
@@ -122,14 +123,14 @@ impl Selection<'_, '_> {
         for _ in 0..MOST_PARTS {
             let Some(part) = rest.pop() else { return true };
             let middle = part.iter().sum::<DVec3>() / part.len() as f64;
-            let Some(face) = self.face_at(middle) else { return false };
-            let known = &self.faces.known[face];
+            let Some(number) = self.polygon_at(middle) else { return false };
+            let known = self.polygons.get(number);
             if placed.slots.contains(&known.slot) {
                 return false;
             }
             let far = part.iter().map(|p| p.length()).fold(0.0, f64::max);
             let mut inside = part;
-            for e in self.faces.planes_of(known) {
+            for e in self.polygons.planes_of(known) {
                 let beyond = INSIDE * far * e.length();
                 let out = clip(&inside, |p| -e.dot(*p));
                 if out.iter().any(|p| e.dot(*p) < -beyond) {
@@ -145,8 +146,8 @@ impl Selection<'_, '_> {
         false
     }
 
-    /// The polygon that the image shows in a direction, by its number among the faces, if it covers rays.
-    fn face_at(&mut self, at: DVec3) -> Option<usize> {
+    /// The polygon that the image shows in a direction, by its number in the cache, if it covers rays.
+    fn polygon_at(&mut self, at: DVec3) -> Option<u32> {
         let frame = self.frame;
         let (u, v) = frame.sensor.project(at)?;
         let (w, h) = (frame.images.width, frame.images.height);
@@ -157,7 +158,7 @@ impl Selection<'_, '_> {
         let (column, row) = frame.sampler.nearest_pixel((u, v).into());
         let id = frame.images.polygon_id[row as usize * w as usize + column as usize];
         let slot = if id == 0 { None } else { frame.slot_of_id(id) };
-        self.faces.of_slot(frame, slot?).filter(|face| self.faces.known[*face].covers)
+        self.polygons.of_slot(frame, slot?).filter(|number| self.polygons.get(*number).covers)
     }
 }
 

@@ -6,8 +6,8 @@
 //! only features that lie on it look at what is behind.
 
 use super::VisibilityContext;
-use super::polygon::{Faces, PreparedPolygon};
-use super::worker::FeatureSurface;
+use super::polygon::{PolygonCache, PreparedPolygon};
+use super::surface::FeatureSurface;
 use crate::geometry::Aabb;
 use crate::index::{QueryResult, Region};
 use glam::DVec3;
@@ -24,6 +24,8 @@ const SLACK: f64 = 1e-9;
 const FARTHER: f64 = 1.25;
 /// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
 const BEHIND: f64 = 1e-6;
+/// What is beside a polygon's cone is so by this part of the distance, far more than the rounding of a product.
+const BESIDE: f64 = 1e-12;
 /// No polygon.
 const NONE: u32 = u32::MAX;
 
@@ -34,15 +36,15 @@ struct TilePolygon {
     bounds: Bounds,
     /// n / d.
     inverse: DVec3,
-    /// Number among the faces.
-    face: u32,
+    /// Number in the cache.
+    number: u32,
 }
 
 impl TilePolygon {
-    fn new(faces: &Faces, face: u32, square: &Square) -> Self {
-        let known = &faces.known[face as usize];
-        let bounds = Bounds::of(faces.corners_of(known), square);
-        Self { bounds, inverse: known.inverse, face }
+    fn new(polygons: &PolygonCache, number: u32, square: &Square) -> Self {
+        let known = polygons.get(number);
+        let bounds = Bounds::of(polygons.corners_of(known), square);
+        Self { bounds, inverse: known.inverse, number }
     }
 }
 
@@ -141,16 +143,16 @@ struct Tile {
 
 impl Tile {
     /// A tile of some polygons, of which it takes those that cover a ray of it.
-    fn new(square: Square, radius: f64, faces: &Faces, some: impl Iterator<Item = TilePolygon>) -> Self {
+    fn new(square: Square, radius: f64, polygons: &PolygonCache, some: impl Iterator<Item = TilePolygon>) -> Self {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
         let mut tile =
             Self { square, radius, candidates: Vec::new(), cover: NONE, behind: Vec::new(), most_behind: 0.0 };
         let mut nearest: Option<(f64, [f64; 4], u32)> = None;
         for candidate in some.filter(|c| c.bounds.meets(&bounds)) {
-            let known = &faces.known[candidate.face as usize];
+            let known = polygons.get(candidate.number);
             let (mut beside, mut covers) = (false, true);
-            for e in faces.planes_of(known) {
+            for e in polygons.planes_of(known) {
                 let inside = corners.map(|c| e.dot(c) >= 0.0);
                 beside |= inside == [false; 4];
                 covers &= inside == [true; 4];
@@ -162,7 +164,7 @@ impl Tile {
             if covers && is_sharp(known, radius) {
                 let least = at.into_iter().fold(f64::INFINITY, f64::min);
                 if nearest.is_none_or(|n| least > n.0) {
-                    nearest = Some((least, at, candidate.face));
+                    nearest = Some((least, at, candidate.number));
                 }
             }
             tile.candidates.push(candidate);
@@ -216,41 +218,58 @@ impl Tiles {
     }
 
     /// The tile of a place, with what may hide something in it up to a range in metres at least.
-    pub fn tile(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, at: DVec3, farthest: f64) -> u32 {
+    pub fn tile(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        at: DVec3,
+        farthest: f64,
+    ) -> u32 {
         let (number, square) = self.of(at);
         if !self.knows(number, farthest) {
-            let tile = self.find(frame, faces, square, FARTHER * farthest);
+            let tile = self.find(frame, polygons, square, FARTHER * farthest);
             self.numbers.insert(number, self.tiles.len() as u32);
             self.tiles.push(tile);
         }
         self.numbers[&number]
     }
 
-    /// Polygons, by number among the faces, that may hide something at some places of a tile, or between them: those that meet
-    /// the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
-    /// feature's own.
+    /// Polygons, by number in the cache, that may hide something at some places of a tile, or between them: those that meet
+    /// the box around them on the side of the cube, are neither behind nor beside all of the box around them in space, and are
+    /// not the feature's own.
     pub fn between<'s>(
         &'s self,
         tile: u32,
         places: &[DVec3],
         own: &'s FeatureSurface<'_>,
-        faces: &'s Faces,
+        polygons: &'s PolygonCache,
     ) -> impl Iterator<Item = u32> + use<'s> {
         let tile = &self.tiles[tile as usize];
         let bounds = Bounds::of(places, &tile.square);
         let Aabb { min, max } = Aabb::of(places.iter().copied());
         let reach = min.abs().max(max.abs()).max_element();
         let look_behind =
-            tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(faces.known[tile.cover as usize].slot);
+            tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(polygons.get(tile.cover).slot);
         let behind = if look_behind { tile.behind.as_slice() } else { &[] };
         let greatest = move |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
+        // Its cone is beside all of the box by more than rounding.
+        let beside = move |c: &TilePolygon| {
+            let mut planes = polygons.planes_of(polygons.get(c.number)).iter();
+            planes.any(|e| greatest(*e) < -BESIDE * reach * e.abs().element_sum())
+        };
         let all = tile.candidates.iter().chain(behind);
-        all.filter(move |c| c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0)
-            .map(|c| c.face)
-            .filter(|face| !own.holds(faces.known[*face as usize].slot))
+        all.filter(move |c| c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0 && !beside(c))
+            .map(|c| c.number)
+            .filter(|number| !own.holds(polygons.get(*number).slot))
     }
 
-    fn find(&mut self, frame: &VisibilityContext<'_>, faces: &mut Faces, square: Square, radius: f64) -> Tile {
+    fn find(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        square: Square,
+        radius: f64,
+    ) -> Tile {
         let corners = square.corners();
         let middle: DVec3 = corners.iter().sum();
         let world_from_image = frame.image_from_world.transpose();
@@ -261,11 +280,10 @@ impl Tiles {
         let region = Region::frustum(frame.world_from_sensor.translation, &planes, radius);
         self.found.clear();
         frame.world.index().query(frame.environment, &region, &mut self.found);
-        let some: Vec<u32> =
-            self.found.all().filter_map(|slot| faces.of_slot(frame, slot)).map(|face| face as u32).collect();
-        let faces = &*faces;
-        let some = some.into_iter().filter(|face| faces.known[*face as usize].covers);
-        Tile::new(square, radius, faces, some.map(|face| TilePolygon::new(faces, face, &square)))
+        let some: Vec<u32> = self.found.all().filter_map(|slot| polygons.of_slot(frame, slot)).collect();
+        let polygons = &*polygons;
+        let some = some.into_iter().filter(|number| polygons.get(*number).covers);
+        Tile::new(square, radius, polygons, some.map(|number| TilePolygon::new(polygons, number, &square)))
     }
 }
 

@@ -1,23 +1,37 @@
 //! Samples that only what is between them and the sensor decides, and what hides them.
 
-use super::polygon::{Faces, PreparedPolygon, RelativeDepth};
+use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth};
+use super::tally::SampleState;
+use crate::features::Reason;
 use glam::DVec3;
 
 /// A sample that only what is between it and the sensor decides.
 pub(super) struct UndecidedSample {
-    pub piece: u32,
+    /// Image frame.
     pub at: DVec3,
     pub range: f64,
-    /// Where on the segment it is: samples rise with it.
-    pub t: f64,
     /// The nearest polygon that hides it so far, and its share of the range.
     pub by: Option<u32>,
-    pub share: f64,
+    share: f64,
     /// A polygon of unknown range covers it.
-    pub unknown: bool,
+    unknown: bool,
 }
 
 impl UndecidedSample {
+    /// Of a place in the image frame.
+    pub fn new(at: DVec3, range: f64) -> Self {
+        Self { at, range, by: None, share: 0.0, unknown: false }
+    }
+
+    /// What was found of it.
+    pub fn state(&self) -> SampleState {
+        match self.by {
+            Some(slot) => SampleState::Hidden(Reason::Occluded, Some(slot)),
+            None if self.unknown => SampleState::Hidden(Reason::Undecided, None),
+            None => SampleState::Seen,
+        }
+    }
+
     #[inline]
     fn hide(&mut self, slot: u32, share: f64) {
         if share > self.share {
@@ -27,9 +41,9 @@ impl UndecidedSample {
 
     /// Marks it if a polygon hides it.
     #[inline]
-    pub fn hide_by(&mut self, known: &PreparedPolygon, faces: &Faces, rounding: f64) {
+    pub fn hide_by(&mut self, known: &PreparedPolygon, polygons: &PolygonCache, rounding: f64) {
         let share = known.inverse.dot(self.at);
-        if !(share > 1.0) || !faces.holds(known, self.at) {
+        if !(share > 1.0) || !polygons.holds(known, self.at) {
             return;
         }
         match known.nearer(share, self.range, rounding) {
@@ -43,11 +57,25 @@ impl UndecidedSample {
 /// A segment's points a + t d, image frame.
 #[derive(Clone, Copy)]
 pub(super) struct Line {
-    pub a: DVec3,
-    pub d: DVec3,
+    a: DVec3,
+    d: DVec3,
+    /// Its product with a place's way from a is t.
+    along: DVec3,
 }
 
-/// Marks what a polygon hides of some samples of a segment. All that decides is linear along it: e_k . p(t) >= 0 leaves
+impl Line {
+    /// From a to b.
+    pub fn new(a: DVec3, b: DVec3) -> Self {
+        let d = b - a;
+        Self { a, d, along: d / d.length_squared().max(f64::MIN_POSITIVE) }
+    }
+
+    fn t(&self, at: DVec3) -> f64 {
+        self.along.dot(at - self.a)
+    }
+}
+
+/// Marks what a polygon hides of some samples of a segment, which rise along it. All that decides is linear along it: e_k . p(t) >= 0 leaves
 /// one interval, and n . p(t) / d > 1 is where the polygon is nearer.
 pub(super) fn hide_along(
     known: &PreparedPolygon,
@@ -57,11 +85,12 @@ pub(super) fn hide_along(
     rounding: f64,
 ) {
     let (Some(first), Some(last)) = (open.first(), open.last()) else { return };
-    let (mut from, mut to) = (first.t, last.t);
     let (ends, inverse) = ([first.at, last.at], known.inverse);
     if !(inverse.dot(ends[0]) > 1.0 || inverse.dot(ends[1]) > 1.0) {
         return;
     }
+    let start_t = line.t(first.at);
+    let (mut from, mut to) = (start_t, line.t(last.at));
     for e in planes {
         let [p, q] = ends.map(|at| e.dot(at));
         if p < 0.0 && q < 0.0 {
@@ -75,8 +104,8 @@ pub(super) fn hide_along(
     if !(from <= to) {
         return;
     }
-    let start = if from > first.t { open.partition_point(|o| o.t < from) } else { 0 };
-    for o in open[start..].iter_mut().take_while(|o| o.t <= to) {
+    let start = if from > start_t { open.partition_point(|o| line.t(o.at) < from) } else { 0 };
+    for o in open[start..].iter_mut().take_while(|o| line.t(o.at) <= to) {
         let share = inverse.dot(o.at);
         match known.nearer(share, o.range, rounding) {
             RelativeDepth::Yes => o.hide(known.slot, share),

@@ -15,10 +15,7 @@ use super::shaders;
 use super::stage::{Binding, Stage};
 use crate::error::{ErrorKind, Result};
 use crate::features::roi::{Roi, RoiFlag};
-use crate::features::{BoxFrame, BoxOptions, FeaturePrediction, PlacedFeature, Tails};
-use crate::geometry::Pose;
-use crate::sensor::Sensor;
-use crate::world::World;
+use crate::features::{BoxFrame, BoxQuery, FeaturePrediction, Tails};
 
 /// `LINEAR` in roi.wgsl: the box is good.
 pub(super) const LINEAR: u32 = 1;
@@ -142,18 +139,10 @@ impl GpuEngine {
     /// # Errors
     /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] as
     /// [`GpuEngine::render`]: the boxes may then be found on the CPU; those of [`crate::Threads::new`].
-    pub fn add_boxes(
-        &mut self,
-        prediction: &mut FeaturePrediction,
-        placed: &[PlacedFeature],
-        world: &World,
-        sensor: &Sensor,
-        world_from_sensor: &Pose,
-        options: &BoxOptions,
-    ) -> Result<usize> {
-        let frame = BoxFrame::new(world, sensor, world_from_sensor, options)?;
+    pub fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
+        let frame = BoxFrame::new(query)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));
-        let kind = stage.plan.fill(&frame, prediction, placed);
+        let kind = stage.plan.fill(&frame, prediction, query.placed);
         let boxes = match kind {
             Some(kind) => stage.run(&self.gpu, kind)?,
             None => Vec::new(),
@@ -169,7 +158,7 @@ impl GpuEngine {
             }
         }
         self.threads = self.threads.started()?;
-        self.threads.run(|| frame.finish(prediction, placed, &beyond))?;
+        self.threads.run(|| frame.finish(prediction, query.placed, &beyond))?;
         let count = stage.plan.on_device.len() + stage.plan.on_host.len();
         let made = count.saturating_sub(beyond.len());
         stage.plan.on_host = beyond;

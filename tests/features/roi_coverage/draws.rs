@@ -4,7 +4,7 @@ use super::common::Random;
 use super::{CONFIDENCES, Covariance, draws};
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
+use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight::{Pose, Sensor, World};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -110,7 +110,17 @@ impl Case {
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
         let options = BoxOptions::default().with_sensor(self.covariance).with_confidence(confidence);
-        add_boxes(&mut prediction, &[placed], &world, &self.sensor, &self.pose, &options).unwrap();
+        add_boxes(
+            &mut prediction,
+            &BoxQuery {
+                placed: &[placed],
+                world: &world,
+                sensor: &self.sensor,
+                world_from_sensor: &self.pose,
+                options: &options,
+            },
+        )
+        .unwrap();
         let seen = &prediction.features[0];
         (seen.roi.expect("it has an image"), seen.roi_flag.expect("with a flag"))
     }

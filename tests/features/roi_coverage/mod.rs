@@ -12,7 +12,7 @@ use common::{Random, env_number, scenes};
 use draws::{Best, Case};
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureSettings, PlacedFeature, add_boxes, predict_features};
+use presight::features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight::{Angles, Camera, Distortion, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
 use std::sync::Arc;
 
@@ -333,7 +333,11 @@ fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let options = FeatureSettings::default();
     let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();
     let options = BoxOptions::default().with_sensor(case.covariance).with_confidence(confidence);
-    add_boxes(&mut prediction, &placed, world, &case.sensor, &case.pose, &options).unwrap();
+    add_boxes(
+        &mut prediction,
+        &BoxQuery { placed: &placed, world, sensor: &case.sensor, world_from_sensor: &case.pose, options: &options },
+    )
+    .unwrap();
     prediction.features[0].roi.expect("it is seen")
 }
 

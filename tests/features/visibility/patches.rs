@@ -5,7 +5,7 @@ use super::common::{Random, env_number, scenes};
 use super::{SHORT, predict, sensors};
 use glam::{DMat3, DVec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, Piece, PlacedFeature, Sampler, add_boxes};
+use presight::features::{BoxOptions, BoxQuery, Piece, PlacedFeature, Sampler, add_boxes};
 use presight::{Angles, Environment, Geometry, Pose, Scanner, Sensor, SensorSpec, World};
 
 /// The same places as patches (the polygons) and points (their corners).
@@ -169,7 +169,17 @@ fn boxes_without_errors_hold_all_that_shows() {
         let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
         for sensor in &all {
             let (mut prediction, _) = predict(&world, sensor, &pose, &placed);
-            add_boxes(&mut prediction, &placed, &world, sensor, &pose, &BoxOptions::default()).unwrap();
+            add_boxes(
+                &mut prediction,
+                &BoxQuery {
+                    placed: &placed,
+                    world: &world,
+                    sensor,
+                    world_from_sensor: &pose,
+                    options: &BoxOptions::default(),
+                },
+            )
+            .unwrap();
             let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
             for (placed, seen) in placed.iter().zip(&prediction.features).filter(|(_, f)| f.points_world.len() > 2) {
                 let corners: Vec<DVec3> =

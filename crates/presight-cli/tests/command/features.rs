@@ -43,6 +43,30 @@ fn features_are_predicted_beside_images() {
     assert!(place.path("a.png").exists());
 }
 
+/// Two points at one place, and one beside them: the second of the two tells nothing new. One of no contrast tells hardly
+/// anything.
+#[test]
+fn the_features_that_tell_most_are_kept() {
+    let place = Place::new();
+    let point = |id: u32, y: f64, contrast: f64| json!({"id": id, "kind": "point", "points": [[2, y, 1]], "sigma": 0.001, "properties": {"contrast": contrast}});
+    let features = [point(6, 0.0, 1.0), point(5, 0.0, 1.0), point(8, 0.5, 1e-9), point(9, -0.5, 1.0)];
+    let layer = json!({"format": 1, "class": "video", "features": features});
+    place.write("l.json", layer.to_string().as_bytes());
+    for (most, kept) in [(0, &[][..]), (2, &[5, 9]), (3, &[5, 6, 9]), (4, &[5, 6, 8, 9]), (9, &[5, 6, 8, 9])] {
+        let said =
+            place.done(&format!("{AT_WALL} --layer l.json --features f.json --stats s.json --max-features {most}"));
+        let read = |name: &str| -> Value { serde_json::from_slice(&fs::read(place.path(name)).unwrap()).unwrap() };
+        let features = read("f.json")["features"].as_array().unwrap().clone();
+        let mut ids: Vec<u64> = features.iter().map(|f| f["id"].as_u64().unwrap()).collect();
+        ids.sort_unstable();
+        assert_eq!(ids, kept, "{most}: {said:?}");
+        let dropped = read("s.json")["counts"]["features not chosen"].as_u64();
+        assert_eq!(dropped.unwrap_or(0), 4 - kept.len() as u64, "{most}");
+    }
+    let refused = place.run(&format!("{AT_WALL} --layer l.json --features f.json --max-features -1"));
+    assert_eq!(refused.status, Some(2), "{}", refused.stderr);
+}
+
 #[test]
 fn layers_for_others_are_left_out_and_features_need_a_layer() {
     let place = Place::new();

@@ -4,7 +4,7 @@ use presight::Result;
 use presight::Threads;
 use presight::World;
 use presight::engine::{Engine, EngineKind};
-use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature};
+use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature};
 use presight::geometry::Pose;
 use presight::internal::add_boxes;
 use presight::plan::{CountName, FramePlan, Images, Stats};
@@ -58,8 +58,8 @@ impl Subject {
         }
         let mut prediction = setting.prediction.clone();
         let BoxSetting { world, sensor, world_from_sensor, placed, options, .. } = setting;
-        let seen_from = (world, sensor, world_from_sensor);
-        add_boxes(&mut *self.engine, &self.threads, &mut prediction, placed, seen_from, options)?;
+        let query = BoxQuery { placed, world, sensor, world_from_sensor, options };
+        add_boxes(&mut *self.engine, &self.threads, &mut prediction, &query)?;
         Ok(Some(prediction))
     }
 }

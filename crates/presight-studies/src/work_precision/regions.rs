@@ -10,7 +10,9 @@ use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
 use presight::Result;
 use presight::environment::FeatureShape;
-use presight::features::{BoxMethod, BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval};
+use presight::features::{
+    BoxMethod, BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval,
+};
 use presight::geometry::Pose;
 use presight::internal::{SplitMix64, add_boxes, parallel_or_here};
 use presight::plan::{CountName, StageName, Stats};
@@ -145,7 +147,8 @@ impl RegionPath {
         let (world, sensor, mut stats) = (&one.scene.world, one.sensor, Stats::default());
         let (engine, threads) = one.engines.predictor(self.which)?.engine_mut();
         let start = Instant::now();
-        let made = add_boxes(engine, threads, seen, placed, (world, sensor, case.pose), &self.options)?;
+        let query = BoxQuery { placed, world, sensor, world_from_sensor: case.pose, options: &self.options };
+        let made = add_boxes(engine, threads, seen, &query)?;
         made.into_iter().for_each(|made| stats.count(CountName::RegionsOnDevice, made));
         stats.stage(StageName::RegionsOfInterest, start);
         for (flag, name) in [

@@ -1,7 +1,8 @@
 //! A segment's straight image in a pinhole camera, in equal steps.
 
-use super::Reason;
-use super::sample::Piece;
+use super::{MAX_SEGMENT_SAMPLES, Piece, Sample, Sampler};
+use crate::features::Reason;
+use crate::sensor::Camera;
 use glam::{DVec2, DVec3};
 
 /// What a pinhole camera sees of a segment, in equal steps of its straight image.
@@ -76,7 +77,7 @@ impl Straight {
 }
 
 /// Parts of a segment outside a pinhole image: behind the camera, or beside the image.
-pub(super) fn before_camera(a: DVec3, b: DVec3, [from, to]: [f64; 2], visit: &mut impl FnMut(Piece)) {
+fn before_camera(a: DVec3, b: DVec3, [from, to]: [f64; 2], visit: &mut impl FnMut(Piece)) {
     let z = |t: f64| a.z + t * (b.z - a.z);
     let mut put = |t: [f64; 2], behind: bool| {
         let reason = if behind { Reason::BehindSensor } else { Reason::OutsideImage };
@@ -89,4 +90,54 @@ pub(super) fn before_camera(a: DVec3, b: DVec3, [from, to]: [f64; 2], visit: &mu
     }
     put([from, between], start);
     put([between, to], end);
+}
+
+impl Sampler<'_> {
+    /// A pinhole camera: the image of a segment is straight.
+    pub(super) fn straight(&self, camera: &Camera, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        let Some(part) = self.clip(camera, a, b) else { return before_camera(a, b, [0.0, 1.0], visit) };
+        part.before(a, b, visit);
+        let (mut t0, mut p0) = part.bound(0);
+        for i in 0..part.count {
+            let (t1, p1) = part.bound(i + 1);
+            let weight = part.length * part.step;
+            let (at, pixel) = part.middle(i);
+            visit(Piece::Inside(Sample { t: [t0, t1], at, pixel, ends: [p0, p1], weight }));
+            (t0, p0) = (t1, p1);
+        }
+        part.after(a, b, visit);
+    }
+
+    /// The part of a segment in the image of a pinhole camera; `None` for other sensors, and if there is none.
+    pub(crate) fn straight_part(&self, a: DVec3, b: DVec3) -> Option<Straight> {
+        self.clip(self.pinhole?, a, b)
+    }
+
+    fn clip(&self, camera: &Camera, a: DVec3, b: DVec3) -> Option<Straight> {
+        // Positive inside the four sides of the image: linear along the segment. Together they put it in front.
+        let sides = |p: DVec3| {
+            let (x, y) = (camera.fx * p.x, camera.fy * p.y);
+            let (left, top) = (camera.cx + 0.5, camera.cy + 0.5);
+            [x + left * p.z, (self.size.x - left) * p.z - x, y + top * p.z, (self.size.y - top) * p.z - y, p.z]
+        };
+        let (mut from, mut to) = (0.0f64, 1.0f64);
+        for (s, e) in sides(a).into_iter().zip(sides(b)) {
+            match (s >= 0.0, e >= 0.0) {
+                (true, true) => {}
+                (false, false) => to = -1.0,
+                (false, true) => from = from.max(s / (s - e)),
+                (true, false) => to = to.min(s / (s - e)),
+            }
+        }
+        let at = |t: f64| if t == 1.0 { b } else { a + t * (b - a) };
+        let (start, end) = (at(from), at(to.max(0.0)));
+        if !(from < to && start.z > 0.0 && end.z > 0.0) {
+            return None;
+        }
+        let place = |p: DVec3| DVec2::new(camera.fx * (p.x / p.z) + camera.cx, camera.fy * (p.y / p.z) + camera.cy);
+        let pixels = [place(start), place(end)];
+        let length = pixels[0].distance(pixels[1]);
+        let count = (length / self.step).ceil().clamp(1.0, MAX_SEGMENT_SAMPLES as f64);
+        Some(Straight { t: [from, to], ends: [start, end], pixels, count: count as usize, length, step: 1.0 / count })
+    }
 }

@@ -1,7 +1,7 @@
-//! The CPU twin of resolve.wgsl: from keys to the asked images. On a software adapter it takes the stage's place.
+//! Images from keys, the nearest polygon and inverse depth of every ray, as a device leaves them: the CPU twin of resolve.wgsl. On
+//! a software adapter it takes the stage's place.
 
-use super::layout::{Params, Slot};
-use crate::plan::{FramePlan, IdScheme, Images};
+use super::{FramePlan, IdScheme, Images};
 use crate::sensor::{LineAxis, PixelGrid};
 
 /// What a pixel shows.
@@ -11,24 +11,43 @@ enum PixelContent {
     Hit(Hit),
 }
 
-struct Keys<'a> {
-    plan: &'a FramePlan,
-    params: &'a Params,
-    keys: &'a [[u32; 2]],
+/// The polygon of a slot, as pixels show it.
+pub(crate) struct KeySurface {
+    /// From the sensor to its plane, metres.
+    pub distance: f32,
+    /// Object and source as the id images number them, from 1.
+    pub object: u32,
+    pub source: u32,
+}
+
+/// Keys of all rays, and what they were drawn with.
+pub(crate) struct Keys<'a> {
+    pub plan: &'a FramePlan,
+    /// Column and row of the first pixel from the principal point, and focal lengths, pixels; for cameras.
+    pub first: [f32; 2],
+    pub focal: [f32; 2],
+    /// Least and greatest range, metres.
+    pub range: [f32; 2],
+    /// The slot, inverted, and the bits of the inverse depth; column by column for scanners.
+    pub keys: &'a [[u32; 2]],
 }
 
 impl Keys<'_> {
+    fn size(&self) -> [u32; 2] {
+        [self.plan.sensor.width(), self.plan.sensor.height()]
+    }
+
     /// Length of the ray whose inverse depth was rasterized, depth per unit of it, and where its key lies.
     fn scale(&self, column: u32, row: u32) -> Option<(f32, f32, usize)> {
-        let p = self.params;
-        let index = (row * p.width + column) as usize;
+        let [width, height] = self.size();
+        let index = (row * width + column) as usize;
         match self.plan.sensor.grid() {
             PixelGrid::Lines(grid) if grid.axis() == LineAxis::Rows => {
-                let x = (p.first_sample + column as f32) / p.fx;
-                let y = (p.first_line + row as f32) / p.fy;
+                let x = (self.first[0] + column as f32) / self.focal[0];
+                let y = (self.first[1] + row as f32) / self.focal[1];
                 Some(((1.0 + x * x + y * y).sqrt(), 1.0, index))
             }
-            PixelGrid::Lines(_) => Some((1.0, 0.0, (column * p.height + row) as usize)),
+            PixelGrid::Lines(_) => Some((1.0, 0.0, (column * height + row) as usize)),
             PixelGrid::Rays(grid) => {
                 let z = grid.direction(column, row).z;
                 (!z.is_nan()).then_some((1.0, z as f32, index))
@@ -44,10 +63,10 @@ impl Keys<'_> {
         }
         let k = f32::from_bits(bits);
         let range = ray / k;
-        if range > self.params.range_max {
+        if range > self.range[1] {
             return PixelContent::Nothing;
         }
-        PixelContent::Hit(Hit { slot: !id, k, ray, depth, below: range < self.params.range_min })
+        PixelContent::Hit(Hit { slot: !id, k, ray, depth, below: range < self.range[0] })
     }
 }
 
@@ -121,33 +140,31 @@ fn put<T>(image: &mut [T], index: usize, value: T) {
     }
 }
 
-/// Fills the images that are there; the answer is the number of hits without an id.
-pub(super) fn resolve(
-    plan: &FramePlan,
-    params: &Params,
-    keys: &[[u32; 2]],
-    slots: &[Slot],
+/// Fills the images that are there, with the surfaces of slots; returns the number of hits without an id.
+pub(crate) fn resolve_keys(
+    keys: &Keys<'_>,
+    surface_of: &(impl Fn(u32) -> KeySurface + Sync),
     images: &mut Images,
 ) -> u32 {
     let rows = Rows {
         first: 0,
-        count: params.height,
+        count: keys.size()[1],
         range: &mut images.range,
         depth_z: &mut images.depth_z,
         polygon_id: &mut images.polygon_id,
         object_id: &mut images.object_id,
         cos_incidence: &mut images.cos_incidence,
     };
-    fill(&Keys { plan, params, keys }, slots, rows);
-    keys.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count() as u32
+    fill(keys, surface_of, rows);
+    keys.keys.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count() as u32
 }
 
 /// Halves the rows until they are few: no list of them is made.
-fn fill(keys: &Keys<'_>, slots: &[Slot], mut rows: Rows<'_>) {
-    let width = keys.params.width;
+fn fill(keys: &Keys<'_>, surface_of: &(impl Fn(u32) -> KeySurface + Sync), mut rows: Rows<'_>) {
+    let width = keys.size()[0];
     if rows.count > 1 && rows.count * width > FEW_PIXELS {
         let (upper, lower) = rows.halves(width as usize);
-        rayon::join(|| fill(keys, slots, upper), || fill(keys, slots, lower));
+        rayon::join(|| fill(keys, surface_of, upper), || fill(keys, surface_of, lower));
         return;
     }
     let source = keys.plan.drawn_ids() == IdScheme::Source;
@@ -157,11 +174,11 @@ fn fill(keys: &Keys<'_>, slots: &[Slot], mut rows: Rows<'_>) {
                 PixelContent::NoRay => (f32::NAN, f32::NAN, [0; 2], f32::NAN),
                 PixelContent::Nothing => (f32::INFINITY, f32::INFINITY, [0; 2], f32::NAN),
                 PixelContent::Hit(h) => {
-                    let slot = slots[h.slot as usize];
-                    let id = if source { slot.source } else { h.slot + 1 };
-                    let cosine = (h.k * slot.distance / h.ray).min(1.0);
+                    let surface = surface_of(h.slot);
+                    let id = if source { surface.source } else { h.slot + 1 };
+                    let cosine = (h.k * surface.distance / h.ray).min(1.0);
                     let limited = |value: f32| if h.below { f32::NEG_INFINITY } else { value };
-                    (limited(h.ray / h.k), limited(h.depth / h.k), [id, slot.object], cosine)
+                    (limited(h.ray / h.k), limited(h.depth / h.k), [id, surface.object], cosine)
                 }
             };
             let i = (row * width + column) as usize;

@@ -1,12 +1,13 @@
 //! Segments in a pinhole camera: samples in equal steps of a straight image, decided run by run and not one by one.
 
-use super::polygon::{PreparedPolygon, RelativeDepth};
+use super::VisibilityContext;
+use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth};
+use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::tiles::Square;
-use super::worker::{FeatureSurface, Worker};
-use super::{Visibility, VisibilityContext};
-use crate::features::Reason;
-use crate::features::straight::Straight;
+use crate::environment::FeatureShape;
+use crate::features::sample::Straight;
+use crate::features::{FeatureStats, Reason};
 use glam::DVec3;
 use std::ops::Range;
 
@@ -35,19 +36,19 @@ impl<'s> Stretch<'s> {
         Self { part, some, ends, ranges, rounding }
     }
 
-    /// Marks what a polygon hides; false if nothing is known about its range there.
-    fn hide(&self, known: &PreparedPolygon, planes: &[DVec3], by: &mut [u32]) -> bool {
+    /// Marks what a polygon hides; `None` if nothing is known about its range there.
+    fn hide(&self, known: &PreparedPolygon, polygons: &PolygonCache, by: &mut [u32]) -> Option<()> {
         let [p, q] = self.ends;
         let shares = [known.inverse.dot(p), known.inverse.dot(q)];
         if !(shares[0] > 1.0 || shares[1] > 1.0) {
-            return true;
+            return Some(());
         }
         // Shares of the way from p to q.
         let (mut from, mut to) = (0.0f64, 1.0f64);
-        for e in planes {
+        for e in polygons.planes_of(known) {
             let (f, g) = (e.dot(p), e.dot(q));
             if f < 0.0 && g < 0.0 {
-                return true;
+                return Some(());
             }
             if f < 0.0 {
                 from = from.max(f / (f - g));
@@ -56,18 +57,18 @@ impl<'s> Stretch<'s> {
             }
         }
         if !(from <= to) {
-            return true;
+            return Some(());
         }
         let number = |share: f64| self.part.number_at(p + share * (q - p));
         let first = if from > 0.0 { (number(from).ceil() as usize).max(self.some.start) } else { self.some.start };
         let end = if to < 1.0 { ((number(to) + 1.0) as usize).min(self.some.end) } else { self.some.end };
-        let Some(by) = by.get_mut(first..end) else { return true };
+        let Some(by) = by.get_mut(first..end) else { return Some(()) };
         let [near, far] = self.ranges;
         let least = [near, far].map(|range| known.least_share(shares[0].max(shares[1]), range, self.rounding));
         let least = least[0].max(least[1]);
         if shares[0] > least && shares[1] > least {
             by.iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
-            return true;
+            return Some(());
         }
         // It crosses the segment, or nearly: one by one.
         for (i, by) in by.iter_mut().enumerate().filter(|(_, by)| **by == NONE) {
@@ -75,114 +76,103 @@ impl<'s> Stretch<'s> {
             match known.nearer(known.inverse.dot(at), at.length(), self.rounding) {
                 RelativeDepth::Yes => *by = known.slot,
                 RelativeDepth::No => {}
-                RelativeDepth::Unknown => return false,
+                RelativeDepth::Unknown => return None,
             }
         }
-        true
+        Some(())
     }
 }
 
-impl Worker<'_> {
-    /// Decides about a segment; `None` if it takes more than what is in between, or more care.
-    pub(super) fn straight(
-        &mut self,
-        [a, b]: [DVec3; 2],
-        own: &FeatureSurface<'_>,
-        told: Option<&[Option<u32>]>,
-    ) -> Option<Tally> {
-        let frame = self.frame;
-        if frame.options.visibility != Visibility::Image
-            || !own.is_plain()
-            || frame.sensor.spec().max_incidence.is_some()
-        {
-            return None;
-        }
-        let part = frame.sampler.straight_part(a, b)?;
-        let ranges = ranges(&part);
-        let spec = frame.sensor.spec();
-        if part.count < 3 || !(ranges[0] >= spec.range_min && ranges[1] <= spec.range_max && ranges[0] > 0.0) {
-            return None;
-        }
-        let mut by = std::mem::take(&mut self.by);
-        by.clear();
-        by.resize(part.count, NONE);
-        let decided = self.decide_straight(&part, ranges, own, told, &mut by);
-        let tally = decided.then(|| tally_of(frame, &part, [a, b], &by));
-        self.by = by;
-        tally
+/// Decides about a segment in a straight image, if only what is in between decides, and no more care is needed.
+pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
+    let FeatureQuery { frame, shape: FeatureShape::Segment { .. }, points: [a, b], own, .. } = query else {
+        return None;
+    };
+    let spec = frame.sensor.spec();
+    if !own.is_plain() || spec.max_incidence.is_some() {
+        return None;
     }
+    let part = frame.sampler.straight_part(*a, *b)?;
+    let ranges = ranges(&part);
+    if part.count < 3 || !(ranges[0] >= spec.range_min && ranges[1] <= spec.range_max && ranges[0] > 0.0) {
+        return None;
+    }
+    let mut by = vec![NONE; part.count];
+    let whole = Stretch::new(&part, 0..part.count, ranges, own.rounding());
+    hide_by_image(&whole, query, workspace, &mut by)?;
+    let left = open(&by);
+    let first = by.iter().position(|b| *b == NONE).unwrap_or(part.count);
+    let end = by.iter().rposition(|b| *b == NONE).map_or(first, |last| last + 1);
+    hide_by_tiles(&whole, first..end, query, workspace, &mut by)?;
+    let visible = open(&by);
+    let stats = FeatureStats {
+        features: 1,
+        samples: part.count,
+        hidden_by_neighbours: part.count - left,
+        hidden_in_space: left - visible,
+        visible,
+        ..FeatureStats::default()
+    };
+    Some(Decision { tally: tally_of(frame, &part, [*a, *b], &by), stats })
+}
 
-    fn decide_straight(
-        &mut self,
-        part: &Straight,
-        ranges: [f64; 2],
-        own: &FeatureSurface<'_>,
-        told: Option<&[Option<u32>]>,
-        by: &mut [u32],
-    ) -> bool {
-        self.begin();
-        match told {
-            Some(told) => self.take_told(told, own),
-            None => {
-                let [from, to] = part.pixels;
-                let blocks = ((to - from).abs().max_element() / BLOCKS_APART).ceil().max(1.0);
-                (0..=blocks as u32).for_each(|i| self.gather(from.lerp(to, f64::from(i) / blocks), own));
+/// How many samples nothing hides.
+fn open(by: &[u32]) -> usize {
+    by.iter().filter(|by| **by == NONE).count()
+}
+
+/// Marks what polygons seen around a part of the samples hide; `None` if more care is needed.
+fn hide_by_image(
+    whole: &Stretch<'_>,
+    query: &FeatureQuery<'_>,
+    workspace: &mut Workspace,
+    by: &mut [u32],
+) -> Option<()> {
+    let FeatureQuery { frame, own, .. } = query;
+    let Workspace { polygons, candidates, .. } = workspace;
+    candidates.begin();
+    match query.hints {
+        Some(hints) => candidates.add_hints(frame, polygons, hints, own),
+        None => {
+            let [from, to] = whole.part.pixels;
+            let blocks = ((to - from).abs().max_element() / BLOCKS_APART).ceil().max(1.0);
+            for i in 0..=blocks as u32 {
+                candidates.add_around(frame, polygons, from.lerp(to, f64::from(i) / blocks), own);
             }
         }
-        if !self.hide_near(&Stretch::new(part, 0..part.count, ranges, own.rounding()), by) {
-            return false;
-        }
-        let open = |by: &[u32]| by.iter().filter(|by| **by == NONE).count();
-        let left = open(by);
-        let first = by.iter().position(|b| *b == NONE).unwrap_or(part.count);
-        let end = by.iter().rposition(|b| *b == NONE).map_or(first, |last| last + 1);
-        if !self.confirm(part, first..end, ranges, own, by) {
-            return false;
-        }
-        self.stats.samples = part.count;
-        self.stats.hidden_by_neighbours = part.count - left;
-        self.stats.visible = open(by);
-        self.stats.hidden_in_space = left - self.stats.visible;
-        true
     }
+    let hide = |number: &u32| whole.hide(polygons.get(*number), polygons, by);
+    candidates.numbers().iter().try_for_each(hide)
+}
 
-    /// Whatever may hide samples, tile by tile.
-    fn confirm(
-        &mut self,
-        part: &Straight,
-        left: Range<usize>,
-        ranges: [f64; 2],
-        own: &FeatureSurface<'_>,
-        by: &mut [u32],
-    ) -> bool {
-        let open_from = |start: usize, by: &[u32]| {
-            let open = by[start..left.end].iter().position(|by| *by == NONE);
-            open.map_or(left.end, |more| start + more)
-        };
-        let mut start = left.start;
-        while start < left.end {
-            let first = part.middle(start).0;
-            let end = end_in(part, &self.tiles.of(first).1, start..left.end);
-            let farthest = first.length().max(part.middle(end - 1).0.length());
-            let tile = self.tiles.tile(self.frame, &mut self.faces, first, farthest);
-            let stretch = Stretch::new(part, start..end, ranges, own.rounding());
-            for face in self.tiles.between(tile, &stretch.ends, own, &self.faces) {
-                let known = &self.faces.known[face as usize];
-                if !stretch.hide(known, self.faces.planes_of(known), by) {
-                    return false;
-                }
-            }
-            start = open_from(end, by);
+/// Marks whatever hides some samples, tile by tile; `None` if more care is needed.
+fn hide_by_tiles(
+    whole: &Stretch<'_>,
+    some: Range<usize>,
+    query: &FeatureQuery<'_>,
+    workspace: &mut Workspace,
+    by: &mut [u32],
+) -> Option<()> {
+    let FeatureQuery { frame, own, .. } = query;
+    let Workspace { polygons, tiles, .. } = workspace;
+    let part = whole.part;
+    let open_from = |start: usize, by: &[u32]| {
+        let open = by[start..some.end].iter().position(|by| *by == NONE);
+        open.map_or(some.end, |more| start + more)
+    };
+    let mut start = some.start;
+    while start < some.end {
+        let first = part.middle(start).0;
+        let end = end_in(part, &tiles.of(first).1, start..some.end);
+        let farthest = first.length().max(part.middle(end - 1).0.length());
+        let tile = tiles.tile(frame, polygons, first, farthest);
+        let stretch = Stretch::new(part, start..end, whole.ranges, whole.rounding);
+        for number in tiles.between(tile, &stretch.ends, own, polygons) {
+            stretch.hide(polygons.get(number), polygons, by)?;
         }
-        true
+        start = open_from(end, by);
     }
-
-    fn hide_near(&self, stretch: &Stretch<'_>, by: &mut [u32]) -> bool {
-        self.near.iter().all(|face| {
-            let known = &self.faces.known[*face as usize];
-            stretch.hide(known, self.faces.planes_of(known), by)
-        })
-    }
+    Some(())
 }
 
 /// The first of some samples that is not in a tile any more, of which the first is.
