@@ -112,12 +112,11 @@ impl CpuEngine {
 
     /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
     fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
-        let elapsed = || plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
-        let (mut of_part, mut since) = (std::mem::take(&mut self.part), elapsed());
+        let (mut of_part, mut since) = (std::mem::take(&mut self.part), plan.elapsed());
         let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
         let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
         if stride.is_some() {
-            since = elapsed();
+            since = plan.elapsed();
             self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
         }
         let left_out = images.spread(&of_part, &part, &plan.sensor)?;
@@ -247,7 +246,7 @@ fn draw_waves(
         let start = Instant::now();
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
-        let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
+        let beyond = left_out.unwrap_or_else(|| plan.nearest_after(done));
         if waves == 0
             && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1])
         {

@@ -6,7 +6,7 @@
 
 use super::batch::Batch;
 use super::{FIRST_WAVE, thinning};
-use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Watch, Wave};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
 use crate::plan::{CountName, FramePlan, Stats};
 use crate::sensor::ImagePart;
 use std::time::Duration;
@@ -46,8 +46,14 @@ pub(super) struct FrameProgress<'a> {
 
 impl<'a> FrameProgress<'a> {
     pub fn new(plan: &'a FramePlan, bands: usize) -> Self {
-        let begun = plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
-        Self { plan, bands: vec![Band::default(); bands], begun, stopped_at: None, has_stopped: false, wave: None }
+        Self {
+            plan,
+            bands: vec![Band::default(); bands],
+            begun: plan.elapsed(),
+            stopped_at: None,
+            has_stopped: false,
+            wave: None,
+        }
     }
 
     /// Takes note of the first wave after its setup, which took so long. `beyond` is the nearest distance of what follows. The answer
@@ -141,13 +147,5 @@ pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration),
         given_up.stride = part.stride;
         let at_ms = since.as_secs_f64() * 1e3;
         given_up.means.insert(0, DegradationStep { means: DegradationKind::Stride, at_ms, metres: None });
-    }
-}
-
-/// Metres: no polygon beyond the first `done` runs is nearer.
-pub(super) fn nearest_after(plan: &FramePlan, done: usize) -> f32 {
-    match plan.runs.get(done) {
-        Some(run) => run.nearest_below(),
-        None => plan.radius.unwrap_or(f32::INFINITY),
     }
 }

@@ -16,6 +16,7 @@ mod device;
 mod frame_buffers;
 mod geometry;
 mod grid;
+mod in_time;
 mod layout;
 mod near;
 mod resolve;
@@ -43,6 +44,7 @@ use geometry::Arena;
 use grid::Tables;
 use layout::Counters;
 use stages::{Stages, Variants};
+use std::ops::Range;
 use std::time::Instant;
 use uploads::FrameUploads;
 use visible::Visible;
@@ -166,6 +168,9 @@ impl GpuEngine {
         let start = Instant::now();
         self.gpu.check()?;
         self.drawn = false;
+        if plan.watch.is_some() {
+            return self.draw_in_time(plan, images, stats);
+        }
         if plan.polygon_count == 0 {
             images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             images.show_nothing(plan.sensor.grid());
@@ -228,13 +233,18 @@ impl GpuEngine {
     }
 
     fn upload(&mut self, plan: &FramePlan) -> Result<()> {
+        self.upload_some(plan, 0..plan.runs.len())
+    }
+
+    /// Works out the uploads of some of a plan's runs.
+    fn upload_some(&mut self, plan: &FramePlan, runs: Range<usize>) -> Result<()> {
         self.store.uploads.clear();
         self.take_sensor(&plan.sensor)?;
         let objects = plan.environment().objects();
         let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
         if let Some((_, tables)) = self.sensors.first() {
-            self.frame.fill(plan, tables, &self.arena, self.software);
+            self.frame.fill_some(plan, runs, tables, &self.arena, self.software);
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         if self.frame.on_host {
@@ -266,16 +276,8 @@ impl GpuEngine {
     }
 
     fn submit(&mut self) -> Result<Variants> {
-        let tables = &self.sensors[0].1;
-        let variants = self.stages.prepare(&self.gpu, tables, &self.frame)?;
-        if self.rebind {
-            self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
-            self.visible.iter_mut().for_each(Visible::rebind);
-            self.rebind = false;
-        }
-        if !self.placed {
-            self.store.put_grid(tables);
-        }
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame)?;
+        self.bind();
         self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.store.uploads.encode(&self.gpu, &mut encoder)?;
@@ -285,6 +287,18 @@ impl GpuEngine {
         self.placed = true;
         self.store.uploads.recall();
         Ok(variants)
+    }
+
+    /// Binds buffers that are others now, and has the sensor's tables uploaded if they are not there.
+    fn bind(&mut self) {
+        if self.rebind {
+            self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
+            self.visible.iter_mut().for_each(Visible::rebind);
+            self.rebind = false;
+        }
+        if !self.placed {
+            self.store.put_grid(&self.sensors[0].1);
+        }
     }
 
     fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {

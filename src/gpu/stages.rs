@@ -138,9 +138,27 @@ impl Stages {
         frame: &FrameUploads,
         store: &FrameBuffers,
     ) {
-        debug_assert!(frame.params.polygon_count > 0, "nothing is in view");
+        Self::clear(encoder, frame, store);
+        self.draw(gpu, encoder, v, frame, store);
+        self.resolve(gpu, encoder, v, frame, store);
+    }
+
+    /// Encodes that nothing is seen yet.
+    pub fn clear(encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads, store: &FrameBuffers) {
         let pixels = frame.params.width * frame.params.height;
         encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));
+    }
+
+    /// Encodes the drawing of at least one polygon, over what the keys hold already.
+    pub fn draw(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        v: &Variants,
+        frame: &FrameUploads,
+        store: &FrameBuffers,
+    ) {
+        debug_assert!(frame.params.polygon_count > 0, "nothing is in view");
         let counters = store.counters.buffer();
         let mut pass = gpu.pass(encoder, &store.pass(0, frame));
         if self.cull.set(&mut pass, v.cull) {
@@ -162,10 +180,21 @@ impl Stages {
                 pass.dispatch_workgroups_indirect(store.dispatch.buffer(), 0);
             }
         }
-        drop(pass);
+    }
+
+    /// Encodes the making of images, unless the CPU makes them.
+    pub fn resolve(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        v: &Variants,
+        frame: &FrameUploads,
+        store: &FrameBuffers,
+    ) {
         if frame.on_host {
             return;
         }
+        let pixels = frame.params.width * frame.params.height;
         let mut pass = gpu.pass(encoder, &store.pass(RESOLVE as u32, frame));
         if self.resolve.set(&mut pass, v.resolve) {
             gpu.dispatch(&mut pass, layout::groups_for(pixels));

@@ -5,8 +5,9 @@ use super::grid::Tables;
 use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS, WorkRun};
 use super::near::{NearList, is_near};
 use super::stages::{NAMES, RESOLVE};
-use crate::plan::{FramePlan, IdScheme, Output, Outputs, StageName};
+use crate::plan::{FramePlan, IdScheme, Output, Outputs, Run, StageName};
 use glam::{DMat3, DVec3, Vec3};
+use std::ops::Range;
 
 /// Most slots that are read back to resolve images on the CPU.
 const MOST_SLOTS_ON_HOST: u32 = 1 << 20;
@@ -52,12 +53,17 @@ impl FrameUploads {
     /// Works it out; the arena holds every mesh of the plan. On a software adapter the images are resolved on the
     /// CPU, unless so many slots would have to be read back that nothing is gained.
     pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, software: bool) {
+        self.fill_some(plan, 0..plan.runs.len(), tables, arena, software);
+    }
+
+    /// [`FrameUploads::fill`] with some of the runs.
+    pub fn fill_some(&mut self, plan: &FramePlan, runs: Range<usize>, tables: &Tables, arena: &Arena, software: bool) {
         self.slots = plan.environment().slot_count();
         self.on_host = software && self.slots <= MOST_SLOTS_ON_HOST;
         self.params = tables.params;
         self.plain = plan.instances.iter().all(|i| i.plain);
         self.fill_instances(plan, arena);
-        self.fill_work(plan, tables);
+        self.fill_work(plan, &plan.runs[runs], tables);
         self.place_outputs(plan);
         self.params.source_ids = u32::from(plan.drawn_ids() == IdScheme::Source);
     }
@@ -95,12 +101,12 @@ impl FrameUploads {
         }
     }
 
-    fn fill_work(&mut self, plan: &FramePlan, tables: &Tables) {
+    fn fill_work(&mut self, plan: &FramePlan, runs: &[Run], tables: &Tables) {
         self.work.clear();
         self.near.clear();
         let objects = plan.environment().objects();
         let mut start = 0;
-        for run in &plan.runs {
+        for run in runs {
             let instance = &plan.instances[run.instance as usize];
             let near = is_near(&objects[instance.object as usize].mesh, instance, run);
             if near {
@@ -111,12 +117,12 @@ impl FrameUploads {
             start += run.count;
         }
         self.work.extend_from_slice(bytemuck::cast_slice(&[WorkRun { start, ..WorkRun::default() }]));
-        debug_assert_eq!(self.work.len(), (plan.runs.len() + 1) * RUN_WORDS);
+        debug_assert_eq!(self.work.len(), (runs.len() + 1) * RUN_WORDS);
         self.params.polygon_count = start;
         self.params.stamp = self.near.stamp;
         self.params.groups_at = self.work.len() as u32;
         let mut end = 0;
-        for (index, run) in plan.runs.iter().enumerate() {
+        for (index, run) in runs.iter().enumerate() {
             // Workgroups whose first polygon lies in this run.
             let first = (end as u32).next_multiple_of(GROUP);
             end += run.count as usize;
@@ -130,6 +136,10 @@ impl FrameUploads {
         self.outputs = plan.drawn();
         if !plan.sensor.is_camera() {
             self.outputs = self.outputs.without(Output::DepthZ);
+        }
+        if plan.watch.is_some() {
+            // It tells what is final.
+            self.outputs = self.outputs.with(Output::Range);
         }
         let pixels = plan.sensor.width() * plan.sensor.height();
         for (i, output) in self.outputs.iter().enumerate() {

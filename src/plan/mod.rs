@@ -237,6 +237,19 @@ impl FramePlan {
         self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
     }
 
+    /// Time since the call; zero without a deadline.
+    pub(crate) fn elapsed(&self) -> Duration {
+        self.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed)
+    }
+
+    /// Metres: no polygon beyond the first `done` runs is nearer.
+    pub(crate) fn nearest_after(&self, done: usize) -> f32 {
+        match self.runs.get(done) {
+            Some(run) => run.nearest_below(),
+            None => self.radius.unwrap_or(f32::INFINITY),
+        }
+    }
+
     /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
     pub(crate) fn narrow(&mut self, part: ImagePart) -> Result<()> {
         let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;

@@ -8,7 +8,7 @@ mod cut;
 mod features;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
-use crate::deadline::{Clock, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
+use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
 use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
 use crate::sensor::Sensor;
@@ -40,6 +40,8 @@ pub(crate) struct DeadlineFrame {
     watch: Watch,
     key: Key,
     priority: Priority,
+    /// The angle may shrink.
+    may_narrow: bool,
     pixels: u64,
     images: u64,
     /// Selection began and ended so long after the call, and images were there.
@@ -69,7 +71,7 @@ impl Controller {
         self.clock = clock;
     }
 
-    /// Begins a prediction; `None` without a deadline. `threads` are those of an engine that can stop.
+    /// Begins a prediction; `None` without a deadline, and `engine` if it cannot stop.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for no time at all, and for an engine that cannot stop; [`ErrorKind::Deadline`] if not even an image
@@ -77,7 +79,7 @@ impl Controller {
     pub fn begin(
         &mut self,
         deadline: Option<(Duration, &Priority)>,
-        threads: Option<usize>,
+        engine: Option<DeadlineEngine>,
         (sensor, outputs): (&Sensor, Outputs),
     ) -> Result<Option<DeadlineFrame>> {
         let Some((limit, priority)) = deadline else { return Ok(None) };
@@ -85,14 +87,15 @@ impl Controller {
         if limit.is_zero() {
             return Err(Error::usage("a deadline of 0 ms", "give a time above 0, or no deadline"));
         }
-        let Some(threads) = threads else {
+        let Some(DeadlineEngine { name, adapter, threads, draws_parts }) = engine else {
             let what = "this engine cannot stop when its time is up, and keeps no deadline";
             return Err(Error::usage(what, "take the CPU engine (--backend cpu), or give no deadline"));
         };
-        let key = Key::new("cpu", None, threads, sensor, outputs, Forecast::Images);
+        let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
         let images = outputs.iter().count() as u64;
-        let timed = DeadlineFrame::new(limit, watch, key, priority, (pixels, images));
+        let mut timed = DeadlineFrame::new(limit, watch, key, priority, (pixels, images));
+        timed.may_narrow = draws_parts;
         let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
         let doubt = self.doubt(&timed.key);
         let believed =
@@ -225,6 +228,7 @@ impl DeadlineFrame {
             watch,
             key,
             priority,
+            may_narrow: true,
             pixels,
             images,
             begun,
@@ -289,7 +293,7 @@ fn finished(stats: &Stats, timed: &DeadlineFrame) -> WorkCounts {
     let of = |name| stats.count_of(name).unwrap_or(0);
     WorkCounts {
         runs: of(CountName::RunsSelected),
-        polygons: of(CountName::PolygonsSetUp),
+        polygons: stats.count_of(CountName::PolygonsSetUp).unwrap_or(of(CountName::PolygonsInView)),
         waves: of(CountName::Waves),
         samples_tested: of(CountName::SamplesTested),
         samples_written: of(CountName::SamplesWritten),
