@@ -1,7 +1,7 @@
 //! What the command, the studies and the test kit of this repository share with the library. It is no part of the API.
 
 pub use crate::engine::add_boxes;
-pub use crate::environment::{CUBOID_FACES, check_covariance, cuboid_corners};
+pub use crate::environment::{CUBOID_FACES, cuboid_corners};
 pub use crate::io::atomic::{is_given, target_of};
 pub use crate::io::png::preview_size;
 pub use crate::printable::{clipped, printable};

@@ -101,6 +101,11 @@ pub struct FrameMemory {
 }
 
 impl FrameMemory {
+    /// Bytes of the images alone.
+    pub fn of_images(&self) -> u64 {
+        4 * self.images * self.pixels
+    }
+
     /// Bytes at the peak: buffers and images stay while one file after the other is made.
     ///
     /// ```
@@ -113,7 +118,7 @@ impl FrameMemory {
         let engine = if self.on_device { 4 * self.images } else { 16 };
         // A pointer and a length for each row of each image in each band of at least 32 columns; padding of the buffers.
         let turning = if self.scanner { 1 + self.images.div_ceil(2) } else { 0 };
-        let drawn = self.pixels * (engine + turning + 4 * self.images) + self.pixels / 2;
+        let drawn = self.pixels * (engine + turning) + self.of_images() + self.pixels / 2;
         let files = [
             4 * self.exr * self.pixels,
             // Colours, and by pixel how crowded with borders it is and a sum for that; the page.

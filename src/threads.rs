@@ -56,6 +56,14 @@ impl Threads {
         Ok(Self { count: pool.current_num_threads(), pool: Some(pool) })
     }
 
+    /// How many they are, started if they do not run yet.
+    ///
+    /// # Errors
+    /// As [`Threads::new`].
+    pub fn count(&self) -> Result<usize> {
+        Ok(self.pool()?.current_num_threads())
+    }
+
     /// Does work on these threads: what it does in parallel uses no others.
     ///
     /// # Errors

@@ -22,6 +22,7 @@ pub mod ply;
 pub mod png;
 mod point_fields;
 mod points;
+pub mod pose_covariance;
 pub mod prediction_json;
 pub mod robot_toml;
 #[cfg(feature = "script")]

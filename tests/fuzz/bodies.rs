@@ -10,9 +10,8 @@ mod generate;
 
 use check::{check_world, near_unit, sound_sensor};
 use presight::Pose;
-use presight::io::{camera_info, corridor, exr, layer, log, materials, sensor_toml, tum};
+use presight::io::{camera_info, corridor, exr, layer, log, materials, pose_covariance, sensor_toml, tum};
 use presight_cli::pose::parse_pose;
-use presight_cli::pose_cov;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
@@ -184,8 +183,8 @@ pub fn pose_covariance(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let json = text.trim_start().starts_with('[');
     let parsed = match (json, text.contains(',')) {
-        (true, _) => pose_cov::from_json(&text),
-        (false, true) => pose_cov::parse(&text),
+        (true, _) => pose_covariance::from_json(&text),
+        (false, true) => pose_covariance::parse(&text),
         // The name of a file.
         (false, false) => return false,
     };

@@ -1,15 +1,15 @@
 //! Features in a prediction: layers read and placed, visibility predicted, results written.
 
-use super::pose_cov;
+use super::predict::Shown;
 use super::print;
 use presight::features::roi::PoseCovariance;
 use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, Hidden};
 use presight::frames::ExternalPose;
 use presight::geometry::Pose;
-use presight::io::prediction_json;
+use presight::io::{pose_covariance, prediction_json};
 use presight::plan::{Output, Outputs};
 use presight::sensor::Sensor;
-use presight::virtual_sensors::{VirtualReading, VirtualSensor};
+use presight::virtual_sensors::VirtualSensor;
 use presight::{Error, Prediction, Request, Result, Scene, SceneFeatures};
 use std::path::{Path, PathBuf};
 
@@ -107,7 +107,7 @@ impl LayerArgs {
 
     /// Files that are named to be read.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
-        let covariance = self.pose_cov.as_deref().and_then(pose_cov::file);
+        let covariance = self.pose_cov.as_deref().and_then(pose_covariance::file);
         self.layers.iter().map(PathBuf::as_path).chain(covariance)
     }
 
@@ -162,7 +162,13 @@ impl LayerArgs {
         if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
             options.hidden = Hidden::Full;
         }
-        let covariance = self.pose_cov.as_deref().map(pose_cov::parse).transpose()?.unwrap_or_default();
+        let covariance = self
+            .pose_cov
+            .as_deref()
+            .map(pose_covariance::parse)
+            .transpose()
+            .map_err(|e| e.at("--pose-cov"))?
+            .unwrap_or_default();
         let mut boxes = BoxOptions::default();
         boxes.confidence = self.confidence.unwrap_or(boxes.confidence);
         // An image of numbers and the answer of a virtual sensor are made without boxes.
@@ -172,25 +178,18 @@ impl LayerArgs {
     }
 
     /// Writes the prediction's file, if one is asked for.
-    pub fn write(
-        &self,
-        scene: &Scene,
-        prediction: &Prediction,
-        layers: Option<&Layers>,
-        reading: Option<&VirtualReading>,
-        path: Option<&Path>,
-    ) -> Result<()> {
+    pub fn write(&self, scene: &Scene, prediction: &Prediction, shown: &Shown, path: Option<&Path>) -> Result<()> {
         let Some(path) = path else { return Ok(()) };
         let header = prediction_json::Header {
             sensor: prediction.sensor.spec().name.clone(),
             world_from_sensor: prediction.world_from_sensor,
-            pose_covariance: layers.map(|layers| layers.boxes.sensor),
-            confidence: layers.map(|layers| layers.boxes.confidence),
+            pose_covariance: shown.boxes.as_ref().map(|boxes| boxes.sensor),
+            confidence: shown.boxes.as_ref().map(|boxes| boxes.confidence),
             given_up: prediction.degradation().cloned(),
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);
-        prediction_json::write(path, &header, seen, scene.world.environment(), reading)
+        prediction_json::write(path, &header, seen, scene.world.environment(), shown.reading.as_ref())
     }
 }
 
@@ -199,6 +198,11 @@ impl Layers {
     pub fn move_to(&mut self, pose: &ExternalPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
         let (covariance, world_from_gltf) = (&self.covariance, &scene.world_from_gltf);
         self.boxes.sensor = pose.covariance_of_sensor(covariance, sensor.spec(), world_from_sensor, world_from_gltf);
+    }
+
+    /// What regions of interest are of.
+    pub fn boxes(&self) -> &BoxOptions {
+        &self.boxes
     }
 
     /// The request with their features.

@@ -12,7 +12,7 @@ use super::virtual_sensor::VirtualArgs;
 use super::{CommandOutcome, open_scene, predict_poses, print};
 use clap::ValueEnum;
 use presight::Threads;
-use presight::features::SeenFeature;
+use presight::features::{BoxOptions, SeenFeature};
 use presight::frames::ExternalPose;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
@@ -23,7 +23,7 @@ use presight::limits;
 use presight::memory::{self, FrameMemory};
 use presight::plan::{IdScheme, Output, Outputs, Stats};
 use presight::sensor::{Geometry, Sensor};
-use presight::virtual_sensors::VirtualReading;
+use presight::virtual_sensors::{Settings, VirtualReading};
 use presight::{Backend, Options, Prediction, Predictor, Request, Scene, blake3_of};
 use presight::{Error, Result};
 use std::io::Write;
@@ -332,11 +332,6 @@ impl Args {
         self.out.is_some()
     }
 
-    /// True if a preview is drawn.
-    pub fn draws(&self) -> bool {
-        self.png.is_some()
-    }
-
     fn import_options(&self) -> Result<ImportOptions> {
         let default = self.frame.options()?;
         match (self.ids, self.merge_tolerance) {
@@ -483,16 +478,12 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         outputs: request.outputs.iter().map(Output::name).collect(),
     };
     let statistics = Statistics::of(subject, &times_ms, &runs);
-    let reading = args.virtual_sensor.read(&scene, &prediction, &settings)?;
-    let sides = match args.png.is_some() {
-        true => predictor.predict_outlines(&scene.world, &prediction)?,
-        false => Vec::new(),
-    };
+    let shown = Shown::of(args, &scene, &mut predictor, &prediction, (layers.as_ref(), &settings))?;
     job.files.check_read()?;
     args.deadline.write_costs(&predictor)?;
     let paths = job.names.paths(&Names { sensor: &sensor.spec().name, ..Names::default() })?;
     let attributes = args.out.as_ref().map(|_| attributes(args, &scene, &sensor)).transpose()?;
-    write_files(args, &paths, &scene, &prediction, attributes, (layers.as_ref(), &sides), reading.as_ref())?;
+    write_files(args, &paths, &scene, &prediction, attributes, &shown)?;
     paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?;
     job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
     if let Some(path) = &args.stats {
@@ -512,6 +503,34 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
+/// What files show beside images and features.
+pub struct Shown {
+    /// What the regions of interest are of.
+    pub boxes: Option<BoxOptions>,
+    /// Sides of patches, as pictures show them.
+    pub sides: Vec<SeenFeature>,
+    /// Of the virtual sensor.
+    pub reading: Option<VirtualReading>,
+}
+
+impl Shown {
+    /// Of a prediction with these layers and settings.
+    pub fn of(
+        args: &Args,
+        scene: &Scene,
+        predictor: &mut Predictor,
+        prediction: &Prediction,
+        (layers, settings): (Option<&Layers>, &Settings),
+    ) -> Result<Self> {
+        let reading = args.virtual_sensor.read(scene, prediction, settings)?;
+        let sides = match args.png.is_some() {
+            true => predictor.predict_outlines(&scene.world, prediction)?,
+            false => Vec::new(),
+        };
+        Ok(Self { boxes: layers.map(|layers| layers.boxes().clone()), sides, reading })
+    }
+}
+
 /// Writes all files of a prediction but arrays; `sides` are of patches that are seen in part.
 pub fn write_files(
     args: &Args,
@@ -519,9 +538,9 @@ pub fn write_files(
     scene: &Scene,
     prediction: &Prediction,
     attributes: Option<exr::Attributes>,
-    (layers, sides): (Option<&Layers>, &[SeenFeature]),
-    reading: Option<&VirtualReading>,
+    shown: &Shown,
 ) -> Result<()> {
+    let reading = shown.reading.as_ref();
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
         let world_from_sensor = Some(prediction.world_from_sensor);
@@ -531,7 +550,7 @@ pub fn write_files(
     if let Some(path) = &paths.png {
         let overlay = prediction.features.as_ref().map(|features| png::Overlay {
             features,
-            sides,
+            sides: &shown.sides,
             sensor,
             world_from_sensor: &prediction.world_from_sensor,
             numbers: args.layers.numbers(),
@@ -541,7 +560,7 @@ pub fn write_files(
         let marks = png::Marks { overlay: overlay.as_ref(), mask: mark, given_up: &given_up };
         png::write_preview_with(path, images, sensor, args.png_of, &marks)?;
     }
-    args.layers.write(scene, prediction, layers, reading, paths.features.as_deref())?;
+    args.layers.write(scene, prediction, shown, paths.features.as_deref())?;
     args.virtual_sensor.tell(reading, paths.mask.as_deref(), args.layers.writes_something())?;
     if let Some(path) = &paths.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);

@@ -2,7 +2,8 @@
 
 use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
-use super::predict::{self, Args, Job};
+use super::overlap::{make_and_write, make_then_write};
+use super::predict::{self, Args, Job, Shown};
 use super::summary::Summary;
 use super::{CommandOutcome, bar, open_scene, print};
 use presight::frames::ExternalPose;
@@ -10,7 +11,7 @@ use presight::io::npy::{self, Stack, Values};
 use presight::io::series::SeriesProgress;
 use presight::io::templates::Names;
 use presight::io::{exr, sensor_toml};
-use presight::memory;
+use presight::memory::{self, FrameMemory};
 use presight::plan::{Output, SampleKind};
 use presight::sensor::Sensor;
 use presight::{Error, Result};
@@ -27,8 +28,10 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;
     args.deadline().read_costs(&mut predictor)?;
-    let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor).bytes());
-    let largest = frames.max().unwrap_or(0);
+    // With one thread everything is done in turns; otherwise a frame is written while the next one is made.
+    let overlapped = job.import.threads.count()? > 1;
+    let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor));
+    let largest = of_frames(frames, if overlapped { 2 } else { 1 });
     memory::require(largest)?;
     let scene = open_scene(args.scene(), &job.import, args.index())?;
     let sensors = std::mem::take(&mut job.sensors);
@@ -43,31 +46,41 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     for setup in &setups {
         job.names.rays(&setup.sensor)?.iter().try_for_each(|path| npy::write_rays(path, &setup.sensor))?;
     }
-    let mut series = Series { args, scene: &scene, names: &job.names, poses: &job.poses, told: HashSet::new() };
-    let progress = series.progress(&mut setups)?;
+    let series = Series { args, scene: &scene, names: &job.names, poses: &job.poses };
+    let (mut progress, mut stacks) = series.progress(&setups)?;
     let bar = bar::bar(job.poses.len() as u64);
-    let mut work = |index: usize| {
-        setups.iter_mut().try_for_each(|setup| series.predict(&mut predictor, setup, index))?;
-        bar.set_position(index as u64 + 1);
-        Ok(())
+    let mut told = HashSet::new();
+    let numbers = progress.as_ref().map_or(0, SeriesProgress::next)..job.poses.len();
+    let make = |index: usize, spare: Option<Vec<Frame>>| {
+        let mut spare = spare.into_iter().flatten();
+        let mut make = |setup| series.predict(&mut predictor, setup, index, spare.next().map(|frame| frame.prediction));
+        let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
+        let notices = frames.iter().flat_map(|frame| &frame.prediction.stats.notices);
+        print::notices(notices.filter(|notice| told.insert((*notice).clone())));
+        Ok(frames)
     };
-    match progress {
-        None => {
-            (0..job.poses.len()).try_for_each(work)?;
-            args.deadline().write_costs(&predictor)?;
-        }
-        Some(mut progress) => {
-            for index in progress.next()..job.poses.len() {
-                work(index)?;
-                progress.append(index, &format!("{index}\n"))?;
-            }
-            args.deadline().write_costs(&predictor)?;
-            setups.into_iter().flat_map(|setup| setup.stacks).try_for_each(|(_, stack)| stack.finish())?;
-            progress.remove()?;
-        }
-    }
+    let write = |index: usize, frames: &mut Vec<Frame>| {
+        let stacks = stacks.iter_mut().map(Some).chain(std::iter::repeat_with(|| None));
+        frames.iter().zip(stacks).try_for_each(|(frame, stacks)| series.write(frame, stacks, index))?;
+        bar.set_position(index as u64 + 1);
+        progress.as_mut().map_or(Ok(()), |progress| progress.append(index, &format!("{index}\n")))
+    };
+    if overlapped { make_and_write(numbers, make, write) } else { make_then_write(numbers, make, write) }?;
+    args.deadline().write_costs(&predictor)?;
+    stacks.into_iter().flatten().try_for_each(|(_, stack)| stack.finish())?;
+    progress.map_or(Ok(()), SeriesProgress::remove)?;
     bar.finish_and_clear();
     Ok(CommandOutcome::Done)
+}
+
+/// What predictions of all sensors take, of which so many are kept, and work on one.
+fn of_frames(frames: impl Iterator<Item = FrameMemory>, kept: u64) -> u64 {
+    let (mut images, mut work) = (0, 0);
+    for frame in frames {
+        images += kept * frame.of_images();
+        work = work.max(frame.bytes() - frame.of_images());
+    }
+    images + work
 }
 
 /// A sensor with what its predictions need.
@@ -77,10 +90,6 @@ struct Setup {
     request: Request,
     layers: Option<Layers>,
     attributes: Option<exr::Attributes>,
-    /// Arrays of all poses.
-    stacks: Vec<(Output, Stack)>,
-    /// The last one, whose memory the next takes.
-    last: Option<Prediction>,
 }
 
 impl Setup {
@@ -90,9 +99,22 @@ impl Setup {
             sensor.check_projection().map_err(|e| e.at(&sensor.spec().name))?;
         }
         let attributes = args.writes_exr().then(|| predict::attributes(args, scene, &sensor)).transpose()?;
-        Ok(Self { sensor, request, layers, attributes, stacks: Vec::new(), last: None })
+        Ok(Self { sensor, request, layers, attributes })
     }
 }
+
+/// A prediction with all that is written of it.
+struct Frame {
+    prediction: Prediction,
+    shown: Shown,
+    attributes: Option<exr::Attributes>,
+    /// How long it took, and on which engine.
+    ms: f64,
+    engine: String,
+}
+
+/// Arrays of all poses, of one sensor.
+type Stacks = Vec<(Output, Stack)>;
 
 /// Predictions at all poses.
 struct Series<'a> {
@@ -100,8 +122,6 @@ struct Series<'a> {
     scene: &'a Scene,
     names: &'a FileNames,
     poses: &'a [(String, ExternalPose)],
-    /// Notices that were printed.
-    told: HashSet<String>,
 }
 
 impl Series<'_> {
@@ -111,23 +131,25 @@ impl Series<'_> {
     }
 
     /// What an interrupted series left, with the arrays that it was filling; `None` if nothing is written.
-    fn progress(&self, setups: &mut [Setup]) -> Result<Option<SeriesProgress>> {
+    fn progress(&self, setups: &[Setup]) -> Result<(Option<SeriesProgress>, Vec<Stacks>)> {
         if !self.names.write_predictions() {
-            return Ok(None);
+            return Ok((None, Vec::new()));
         }
         let head = format!("presight series 1 {}", self.job(setups)?);
         let mut progress = SeriesProgress::open(&self.record(setups)?, &head, 0..self.poses.len(), 1)?;
         let until = progress.written().filter(|_| progress.finished() > 0);
-        let mut kept = true;
-        for setup in setups.iter_mut().filter(|_| self.names.are_stacked()) {
+        let (mut kept, mut stacks) = (true, Vec::new());
+        for setup in setups.iter().filter(|_| self.names.are_stacked()) {
+            let mut of_setup = Stacks::new();
             for (output, path) in self.paths(&setup.sensor, 0)?.npy {
                 let descr = if output.info().kind == SampleKind::Id { "<u4" } else { "<f4" };
                 let image = npy::image_shape(setup.sensor.width(), setup.sensor.height(), output);
                 let shape = [vec![self.poses.len()], image].concat();
                 let (stack, goes_on) = Stack::open(&path, &shape, descr, until)?;
                 kept &= goes_on;
-                setup.stacks.push((output, stack));
+                of_setup.push((output, stack));
             }
+            stacks.push(of_setup);
         }
         let stacked = self.names.are_stacked();
         let are_there = |setup: &Setup, i| {
@@ -138,7 +160,7 @@ impl Series<'_> {
         if progress.replaced() {
             print::message("note: another series was left unfinished here; all files are written anew");
         }
-        Ok(Some(progress))
+        Ok((Some(progress), stacks))
     }
 
     /// The record of what is finished: beside the first file.
@@ -175,10 +197,16 @@ impl Series<'_> {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// Predicts at one pose for one sensor, and writes its files.
-    fn predict(&mut self, predictor: &mut Predictor, setup: &mut Setup, index: usize) -> Result<()> {
+    /// Predicts at one pose for one sensor, into the memory of an older prediction.
+    fn predict(
+        &self,
+        predictor: &mut Predictor,
+        setup: &mut Setup,
+        index: usize,
+        spare: Option<Prediction>,
+    ) -> Result<Frame> {
         let Self { args, scene, .. } = *self;
-        let Setup { sensor, request, layers, attributes, stacks, last } = setup;
+        let Setup { sensor, request, layers, attributes } = setup;
         let pose = &self.poses[index].1;
         let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         if let Some(layers) = layers {
@@ -187,35 +215,33 @@ impl Series<'_> {
         let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
         let settings = args.virtual_sensor().settings(scene, sensor, &world_from_sensor, predictor)?;
         let start = Instant::now();
-        let prediction = match last {
-            None => last.insert(predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?),
-            Some(prediction) => {
+        let prediction = match spare {
+            None => predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?,
+            Some(mut prediction) => {
                 prediction.request = request;
-                predictor.predict_again(&scene.world, &world_from_sensor, prediction)?;
+                predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction)?;
                 prediction
             }
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;
-        for notice in &prediction.stats.notices {
-            if self.told.insert(notice.clone()) {
-                print::notices([notice]);
+        let shown = Shown::of(args, scene, predictor, &prediction, (layers.as_ref(), &settings))?;
+        Ok(Frame { prediction, shown, attributes: attributes.clone(), ms, engine: predictor.engine_name() })
+    }
+
+    /// Writes the files of a prediction, and prints its line.
+    fn write(&self, frame: &Frame, stacks: Option<&mut Stacks>, index: usize) -> Result<()> {
+        let Frame { prediction, shown, attributes, ms, engine } = frame;
+        let paths = self.paths(&prediction.sensor, index)?;
+        predict::write_files(self.args, &paths, self.scene, prediction, attributes.clone(), shown)?;
+        match stacks {
+            Some(stacks) => stacks.iter_mut().try_for_each(|(output, stack)| {
+                Values::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))
+            })?,
+            None => {
+                paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?
             }
         }
-        let reading = args.virtual_sensor().read(scene, prediction, &settings)?;
-        let sides = match args.draws() {
-            true => predictor.predict_outlines(&scene.world, prediction)?,
-            false => Vec::new(),
-        };
-        let paths = self.paths(sensor, index)?;
-        let shown = (layers.as_ref(), sides.as_slice());
-        predict::write_files(args, &paths, scene, prediction, attributes.clone(), shown, reading.as_ref())?;
-        for (output, stack) in stacks.iter_mut() {
-            Values::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))?;
-        }
-        for (output, path) in paths.npy.iter().filter(|_| stacks.is_empty()) {
-            npy::write_image(path, &prediction.images, *output)?;
-        }
-        self.tell(prediction, index, (ms, &predictor.engine_name()))
+        self.tell(prediction, index, (*ms, engine))
     }
 
     fn tell(&self, prediction: &Prediction, index: usize, (ms, engine): (f64, &str)) -> Result<()> {

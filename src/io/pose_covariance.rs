@@ -1,30 +1,36 @@
-//! Pose covariances as the command line gives them.
+//! Covariances of poses as text: standard deviations, or 36 numbers as a ROS message has them.
 
-use presight::features::roi::PoseCovariance;
-use presight::internal::check_covariance;
-use presight::internal::text::read_settings;
-use presight::limits;
-use presight::{Error, Result};
+use super::text::read_settings;
+use crate::environment::check_covariance;
+use crate::error::{Error, Result};
+use crate::features::roi::PoseCovariance;
+use crate::limits;
 use std::path::Path;
 
-/// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations), or a JSON file of 36 numbers, row-major, metres
-/// and radians, as a ROS message has them.
+/// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the JSON file that the text names.
+///
+/// ```
+/// let covariance = presight::io::pose_covariance::parse("0.1,0.1,0,0,0,2")?;
+/// assert!((covariance[1][1] - 0.01).abs() < 1e-15);
+/// assert!((covariance[5][5].sqrt().to_degrees() - 2.0).abs() < 1e-12);
+/// # Ok::<(), presight::Error>(())
+/// ```
 ///
 /// # Errors
-/// [`presight::ErrorKind::Usage`] for numbers that are none or negative; [`presight::ErrorKind::Invalid`] for a file that
-/// is no covariance.
+/// [`crate::ErrorKind::Usage`] for numbers that are none or negative; [`crate::ErrorKind::Invalid`] for a file that is no
+/// covariance.
 pub fn parse(text: &str) -> Result<PoseCovariance> {
     file(text).map_or_else(|| deviations(text), from_file)
 }
 
-/// The file that it names, if it does.
+/// The file that a text for [`parse`] names; `None` for standard deviations.
 pub fn file(text: &str) -> Option<&Path> {
     (!text.contains(',')).then_some(Path::new(text))
 }
 
 fn deviations(text: &str) -> Result<PoseCovariance> {
     let remedy = "give sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, metres and degrees, or a JSON file of 36 numbers";
-    let wrong = |what: String| Error::usage(format!("--pose-cov {text}: {what}"), remedy);
+    let wrong = |what: String| Error::usage(format!("pose covariance {text}: {what}"), remedy);
     let words: Vec<&str> = text.split(',').map(str::trim).collect();
     if words.len() != 6 {
         return Err(wrong(format!("{} numbers where 6 are needed", words.len())));
@@ -43,10 +49,10 @@ fn from_file(path: &Path) -> Result<PoseCovariance> {
     read_settings(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
 }
 
-/// Reads the JSON text of 36 numbers.
+/// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.
 ///
 /// # Errors
-/// [`presight::ErrorKind::Invalid`] for text that is no covariance.
+/// [`crate::ErrorKind::Invalid`] for text that is no covariance.
 pub fn from_json(text: &str) -> Result<PoseCovariance> {
     let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
     let numbers: Vec<f64> = serde_json::from_str(text)
