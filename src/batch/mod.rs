@@ -339,7 +339,7 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         let done: Result<Vec<Result<BatchItem>>> = match &self.threads {
             Some(threads) => {
                 let (task, lanes, cuts) = (&self.task, &self.lanes, self.predictor.row_cuts());
-                // Allocated by the thread that frees them: allocators keep memory by thread, and what others free lies idle there.
+                // Allocated by the thread that frees them, as is the list: allocators keep memory by thread.
                 let rooms: Result<Vec<Images>> = poses.iter().map(|_| task.room()).collect();
                 let work = |(given, room): (&(usize, Pose), Images)| {
                     // Nothing in it hands work to other threads: no lane is asked for twice at a time.
@@ -347,7 +347,11 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
                     let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
                     task.run(given.0, &given.1, room, cuts, &mut lane).map_err(|e| placed(given, e))
                 };
-                rooms.and_then(|rooms| threads.run(|| poses.par_iter().zip(rooms).map(work).collect()))
+                let mut done = Vec::with_capacity(poses.len());
+                rooms.and_then(|rooms| {
+                    threads.run(|| poses.par_iter().zip(rooms).map(work).collect_into_vec(&mut done))?;
+                    Ok(done)
+                })
             }
             None => Ok(self.by_engine(&poses)),
         };

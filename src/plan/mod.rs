@@ -150,7 +150,7 @@ pub struct FramePlan {
 }
 
 /// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Pace {
     pub wave: f64,
     pub polygon: f64,
@@ -158,6 +158,8 @@ pub(crate) struct Pace {
     pub sample: f64,
     /// What is kept free for making images when drawing has ended.
     pub images: f64,
+    /// Drawing of all runs, from selection on; 0 if that is not known.
+    pub drawing: f64,
 }
 
 impl Pace {

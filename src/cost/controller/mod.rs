@@ -18,6 +18,8 @@ use std::time::Duration;
 
 /// Time for what no cost counts: learning, and the way back to the caller.
 const MARGIN: Duration = Duration::from_micros(100);
+/// Images that take so much longer than on average are planned for, whatever else is given up.
+const SLOW: f64 = 1.25;
 /// What is left of a doubted estimate after each refusal by it, and at least.
 const DOUBT: f64 = 0.98;
 const MOST_DOUBT: f64 = 0.25;
@@ -98,8 +100,9 @@ impl Controller {
         timed.may_narrow = draws_parts;
         let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
         let doubt = self.doubt(&timed.key);
-        let believed =
-            |e: &TimeEstimate| if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(2.0 * e.mean) * doubt };
+        let believed = |e: &TimeEstimate| {
+            if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(SLOW * e.mean) * doubt }
+        };
         let least = floor.iter().map(believed).sum::<f64>();
         if limit.as_secs_f64() < least {
             self.doubts.insert(timed.key, (doubt * DOUBT).max(MOST_DOUBT));
@@ -127,7 +130,7 @@ impl Controller {
         // Half of the time is kept for the images at most, unless they take longer on average: a slow frame that may come is no reason
         // to give up all.
         let seconds = |s: f64| Duration::from_secs_f64(s.min(1e6)) + MARGIN;
-        let mean = if images.frames == 0 { Duration::ZERO } else { seconds(1.25 * images.mean) };
+        let mean = if images.frames == 0 { Duration::ZERO } else { seconds(SLOW * images.mean) };
         let after = seconds(images.upper).min(mean.max(left / 2));
         let features = self.reserve(timed, left.saturating_sub(after));
         timed.watch.stop_after(timed.limit.saturating_sub(after + features));
@@ -137,21 +140,23 @@ impl Controller {
         timed.first_estimate = (drawing.frames > 0 && images.frames > 0).then_some(first_estimate);
         self.cut(timed, plan)?;
         plan.watch = Some(timed.watch.clone());
-        plan.pace = self.pace(timed, after);
+        plan.pace = self.pace(timed, after, &plan.runs);
         Ok(())
     }
 
     /// What drawing takes, by what was learnt, where so much is kept for the images.
-    fn pace(&self, timed: &DeadlineFrame, images: Duration) -> Option<Pace> {
+    fn pace(&self, timed: &DeadlineFrame, images: Duration, runs: &[Run]) -> Option<Pace> {
         let key = timed.key_of(Forecast::Wave);
         let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
         let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
+        let whole = self.costs.estimate(&timed.key_of(Forecast::Selection), &counts_of(runs));
         (none.frames > 0).then(|| Pace {
             wave: none.mean,
             polygon: each(WorkCounts { polygons: most, ..WorkCounts::default() }),
             sample: each(WorkCounts { samples_tested: most, ..WorkCounts::default() }),
             images: images.as_secs_f64(),
+            drawing: if whole.frames > 0 { whole.mean } else { 0.0 },
         })
     }
 
