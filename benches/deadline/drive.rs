@@ -108,7 +108,13 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
         .draw_series(LineSeries::new(ends, BLACK))?
         .label("deadline")
         .legend(|(x, y)| PathElement::new([(x, y), (x + 20, y)], BLACK));
-    times.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+    let corner = SeriesLabelPosition::UpperRight;
+    times
+        .configure_series_labels()
+        .position(corner.clone())
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK)
+        .draw()?;
     // What was not cut is drawn at the sensor's range.
     let top = if range_max.is_finite() { range_max } else { 50.0 };
     let mut metres = chart_in(&areas[1], "radius and complete_to, m", frames.len(), ROOM * top)?;
@@ -124,7 +130,7 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
             .label(name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color));
     }
-    metres.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+    metres.configure_series_labels().position(corner).background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
     let mut strides = chart_in(&areas[2], "stride (0: refused)", frames.len(), 9.0)?;
     let stride: fn(&Frame) -> f64 = |f| if f.refused { 0.0 } else { f64::from(f.stride) };
     strides.draw_series(LineSeries::new(number(stride), RGBColor(0x1f, 0x6f, 0xb4)))?;
