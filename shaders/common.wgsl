@@ -8,7 +8,7 @@ override GRID: u32 = 0u;
 
 // Work of one frame. Fields that end in _at are word offsets into a buffer.
 struct Params {
-    // Lines and samples of a line grid; supertiles and 0 of a ray grid.
+    // Lines and samples of a line grid; height and width of a ray grid.
     line_count: u32,
     sample_count: u32,
     width: u32,
@@ -25,10 +25,12 @@ struct Params {
     rays_at: u32,
     tile_columns: u32,
     tile_count: u32,
-    // Into `work`.
-    groups_at: u32,
+    // Into `work`: units of the waves, facings by material.
+    units_at: u32,
     facings_at: u32,
-    polygon_count: u32,
+    // The runs of this wave.
+    first_run: u32,
+    end_run: u32,
     // Room in buffers that are appended to.
     record_words: u32,
     item_room: u32,
@@ -53,7 +55,13 @@ struct Params {
     range_max: f32,
     // Number of this frame, with the highest bit set: no place of a record is as large.
     stamp: u32,
-    padding: u32,
+    // Into `grid`, behind the sensor's tables: blocks of coarse depth, and blocks along a line.
+    coarse_at: u32,
+    coarse_columns: u32,
+    // 1: earlier waves have drawn, and may hide what this one holds.
+    hiding: u32,
+    // Into `grid`: where rays that all look ahead lie (cull_rays.wgsl); 0 for all others.
+    ahead_at: u32,
 }
 
 // One object. v = linear * ((p - center_high) - center_low) keeps the digits of what is near.
@@ -94,14 +102,32 @@ struct Counters {
     raster_z: u32,
     // Internal errors: a hit without an id.
     lost_ids: atomic<u32>,
+    cull_groups: atomic<u32>,
+    cull_y: u32,
+    cull_z: u32,
+    units: atomic<u32>,
+    // For the items of all waves.
+    all_raster_groups: atomic<u32>,
+    all_raster_y: u32,
+    all_raster_z: u32,
+    // Where this wave's units, survivors and items begin.
+    units_before: u32,
+    survivors_before: u32,
+    items_before: u32,
+    // Workgroups that earlier waves dispatched by counters.
+    groups_before: u32,
+    // What earlier waves hide.
+    runs_hidden: atomic<u32>,
+    polygons_hidden: atomic<u32>,
 }
 
 // A polygon that passed the cull.
 struct Survivor {
     polygon: u32,
     instance: u32,
-    // First line and number of lines, 16 bits each.
+    // First line and number of lines, 16 bits each; the same of samples.
     lines: u32,
+    samples: u32,
     // NEAR, ONE_SIDED.
     flags: u32,
 }
@@ -132,13 +158,16 @@ const RECORD_CAP_AXIS: u32 = 5u;
 const RECORD_CAP_CHORD: u32 = 8u;
 const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
-// Words of an item. PART: first line | count << 16 (line grids) or supertile (ray grids).
+// Words of an item. PART: first line | count << 16 (line grids) or supertile (ray grids). WITHIN: first sample | end << 16 (line
+// grids) or tiles of the supertile: first row, last row, first column, last column, three bits each (ray grids).
 const ITEM_RECORD: u32 = 0u;
 const ITEM_PART: u32 = 1u;
-const ITEM_WORDS: u32 = 2u;
-// The most items that one polygon is cut into, and the fewest lines that make one.
+const ITEM_WITHIN: u32 = 2u;
+const ITEM_WORDS: u32 = 3u;
+// The most stretches of lines that one polygon is cut into, the fewest lines of one, and the samples of a line in an item of a wide one.
 const ITEMS_PER_POLYGON: u32 = 256u;
 const LINES_PER_ITEM: u32 = 4u;
+const SAMPLES_PER_ITEM: u32 = 64u;
 
 // Words of a slot that has a record. DISTANCE: |d| of the unit normal. SOURCE: number of the source triangle + 1. RECORD:
 // where the record is, or, with the highest bit set, the stamp of the last frame in which the CPU set it up.
@@ -148,8 +177,9 @@ const SLOT_SOURCE: u32 = 2u;
 const SLOT_RECORD: u32 = 3u;
 const SLOT_WORDS: u32 = 4u;
 
-// Where stages that read Counters as plain words find `items`.
+// Where stages that read Counters as plain words find `items` and `items_before`.
 const COUNTED_ITEMS: u32 = 2u;
+const COUNTED_ITEMS_BEFORE: u32 = 21u;
 
 // Stands for infinity where comparisons must stay well-defined.
 const HUGE: f32 = 3.0e38;

@@ -1,6 +1,9 @@
 // Cones around the rays of tiles and supertiles: 4 words in `grid`, the axis and the chord, which is how far a ray of length one may
 // be from it; 4 where that bounds nothing, negative where there is no ray. Chords keep the digits of narrow cones, which cosines lose.
 
+const RAYS_PER_TILE: u32 = 8u;
+const TILES_PER_SUPERTILE: u32 = 8u;
+
 struct Cone {
     axis: vec3f,
     chord: f32,
@@ -31,4 +34,14 @@ fn cap_meets(axis: vec3f, chord: f32, cone: Cone) -> bool {
 fn is_beside(e: vec3f, cone: Cone) -> bool {
     let d = dot(e, cone.axis);
     return d < 0.0 && d * d > cone.sine2 * dot(e, e);
+}
+
+// True if no ray of a tile, or of a square of tiles, can meet the plane m in front of what earlier waves drew there: no ray is farther from
+// the axis than the chord, and rounding adds less than this.
+fn is_behind(m: vec3f, cone: Cone, level: u32, row: u32, column: u32) -> bool {
+    if params.hiding == 0u {
+        return false;
+    }
+    let most = dot(m, cone.axis) + length(m) * (cone.chord + 2.0e-6);
+    return bitcast<f32>(grid[coarse_at(level, row, column)]) > most;
 }

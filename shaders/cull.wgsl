@@ -1,4 +1,5 @@
-// Stage 1: one invocation per selected polygon. Keeps what may cover a ray, with the lines that it may reach.
+// Stage 1: one invocation per selected polygon. Keeps what may cover a ray and is not behind what earlier waves have drawn, with the
+// lines and samples that it may reach.
 
 override PLAIN: bool = false;
 
@@ -10,39 +11,21 @@ override PLAIN: bool = false;
 @group(0) @binding(5) var<storage, read_write> survivors: array<Survivor>;
 @group(0) @binding(6) var<storage, read_write> counters: Counters;
 @group(0) @binding(7) var<uniform> few_instances: array<Instance, FEW_INSTANCES>;
-
-// A run in `work`: start, instance, first polygon, near.
-const RUN_START: u32 = 0u;
-const RUN_INSTANCE: u32 = 1u;
-const RUN_POLYGON: u32 = 2u;
-const RUN_NEAR: u32 = 3u;
-const RUN_WORDS: u32 = 4u;
-
-// Lines that a polygon may reach, as first | count << 16; 0 if it covers no ray.
-struct Reach {
-    first: u32,
-    count: u32,
-}
+@group(0) @binding(8) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
 
 @compute @workgroup_size(64)
-fn cull(
-    @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let g = group.y * groups.x + group.x;
-    let i = g * GROUP + lane;
-    if i >= params.polygon_count {
-        return;
+fn cull(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let begin = counters.units_before;
+    let end = atomicLoad(&counters.units);
+    for (var i = id.x; i < (end - begin) * UNIT; i += groups.x * GROUP) {
+        let unit = work[params.units_at + begin + i / UNIT];
+        let run = (unit >> UNIT_SHIFT) * RUN_WORDS;
+        let place = (unit & ((1u << UNIT_SHIFT) - 1u)) * UNIT + i % UNIT;
+        let count = work[run + RUN_COUNT];
+        if place < (count & ~RUN_NEAR_BIT) {
+            examine(work[run + RUN_INSTANCE], work[run + RUN_POLYGON] + place, (count & RUN_NEAR_BIT) != 0u);
+        }
     }
-    var run = work[params.groups_at + g];
-    while i >= work[(run + 1u) * RUN_WORDS + RUN_START] {
-        run++;
-    }
-    let instance = work[run * RUN_WORDS + RUN_INSTANCE];
-    let polygon = work[run * RUN_WORDS + RUN_POLYGON] + (i - work[run * RUN_WORDS + RUN_START]);
-    let near = work[run * RUN_WORDS + RUN_NEAR] != 0u;
-    examine(instance, polygon, near);
 }
 
 fn examine(index: u32, polygon: u32, near: bool) {
@@ -73,9 +56,46 @@ fn examine(index: u32, polygon: u32, near: bool) {
     if reach.count == 0u {
         return;
     }
-    let place = atomicAdd(&counters.survivors, 1u);
-    if place % GROUP == 0u {
-        atomicMax(&counters.setup_groups, min(place / GROUP + 1u, MAX_GROUPS));
+    if params.hiding != 0u && !near && is_hidden(instance, polygon, first_corner, corner_count, reach) {
+        atomicAdd(&counters.polygons_hidden, 1u);
+        return;
     }
-    survivors[place] = Survivor(polygon, index, reach.first | (reach.count << 16u), flags);
+    let place = atomicAdd(&counters.survivors, 1u);
+    let own = place - counters.survivors_before;
+    if own % GROUP == 0u {
+        atomicMax(&counters.setup_groups, min(own / GROUP + 1u, MAX_GROUPS));
+    }
+    let samples = reach.first_sample | (reach.sample_count << 16u);
+    survivors[place] = Survivor(polygon, index, reach.first | (reach.count << 16u), samples, flags);
+}
+
+// How many times farther off than its plane a polygon may be: flatter ones are too much moved by rounding.
+const CLEAR: f32 = 4096.0;
+
+// True if it is behind what earlier waves drew by more than rounding, its own included, may move it.
+fn is_hidden(instance: Instance, polygon: u32, first_corner: u32, corner_count: u32, reach: Reach) -> bool {
+    if !(reach.nearest > 0.0) {
+        return false;
+    }
+    let inverse = 1.0 / reach.nearest;
+    let least = least_around(reach, inverse);
+    if least == 0.0 {
+        return false;
+    }
+    // Few come so far: what the plane decides is worked out for them alone.
+    let normal = polygon_normal(instance, polygon);
+    let stretch = length(normal_to_image(instance, normal));
+    var nearest = HUGE;
+    var distance = 0.0;
+    var reached = 0.0;
+    for (var k = 0u; k < corner_count; k++) {
+        let q = from_center(instance, vertex(instance, arena[first_corner + k * CORNER_WORDS]));
+        let length2 = dot(q, q);
+        distance = select(distance, dot(normal, q), length2 < nearest);
+        nearest = min(nearest, length2);
+        reached = max(reached, length(to_image(instance, q)));
+    }
+    let times = (sqrt(nearest) + stretch * reached) / abs(distance);
+    // Written so that what is not a number hides nothing.
+    return times < CLEAR && least > inverse * (1.0 + ROUNDING * (4.0 + times));
 }

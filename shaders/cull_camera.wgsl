@@ -1,7 +1,5 @@
 // Bounds of a polygon in a pinhole image.
 
-@group(0) @binding(8) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
-
 struct Bounds {
     // Pixels from the principal point: lines (y) and samples (x); sound only if everything is in front.
     lines: vec2f,
@@ -10,10 +8,12 @@ struct Bounds {
     // Greatest signed distance of a vertex inside each side of the frustum: left, right, top, bottom.
     inside: vec4f,
     in_front: f32,
+    // Least depth of a vertex, less what rounding may move it.
+    nearest: f32,
 }
 
 fn bounds_start() -> Bounds {
-    return Bounds(vec2f(HUGE, -HUGE), vec2f(HUGE, -HUGE), true, vec4f(-1.0), -1.0);
+    return Bounds(vec2f(HUGE, -HUGE), vec2f(HUGE, -HUGE), true, vec4f(-1.0), -1.0, HUGE);
 }
 
 fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {
@@ -29,6 +29,7 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
         params.last_line * v.z - y,
     ));
     (*b).in_front = max((*b).in_front, v.z);
+    (*b).nearest = min((*b).nearest, v.z - 1.0e-6 * reach);
     // Flatter than 1 : 1000 to the image plane is left to the frustum test.
     (*b).all_in_front = (*b).all_in_front && v.z > 1.0e-3 * reach;
     let w = 1.0 / v.z;
@@ -39,12 +40,14 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
 
 fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {}
 
+fn bounds_of_box(b: ptr<function, Bounds>) {}
+
 fn bounds_reach(b: Bounds) -> Reach {
     if b.in_front <= 0.0 || any(b.inside < vec4f()) {
-        return Reach(0u, 0u);
+        return no_reach();
     }
     if !b.all_in_front {
-        return Reach(0u, params.line_count);
+        return whole_reach();
     }
     let samples = clamp(vec2f(ceil(b.samples.x - params.first_sample), floor(b.samples.y - params.first_sample)),
         vec2f(-1.0), vec2f(f32(params.sample_count)));
@@ -52,9 +55,11 @@ fn bounds_reach(b: Bounds) -> Reach {
         vec2f(-1.0), vec2f(f32(params.line_count)));
     let first = max(lines.x, 0.0);
     let last = min(lines.y, f32(params.line_count) - 1.0);
+    let left = max(samples.x, 0.0);
+    let right = min(samples.y, f32(params.sample_count) - 1.0);
     // Between pixel centres, or outside.
-    if first > last || max(samples.x, 0.0) > min(samples.y, f32(params.sample_count) - 1.0) {
-        return Reach(0u, 0u);
+    if first > last || left > right {
+        return no_reach();
     }
-    return Reach(u32(first), u32(last - first) + 1u);
+    return Reach(u32(first), u32(last - first) + 1u, u32(left), u32(right - left) + 1u, b.nearest);
 }

@@ -1,17 +1,107 @@
-// Ray tables: the selection has tested boxes; single polygons meet the tiles' cones in the setup stage.
+// Bounds of a polygon in a ray table. Where all rays look ahead, by where they meet a plane at distance 1 (`ahead_at`): right, down and
+// forward; then for each row of tiles, and for each column, the greatest place of it and all before it, and the least of it and all
+// after it. All other polygons may reach every ray, and meet the cones of tiles in the setup stage.
+
+const AHEAD_ROWS: u32 = 9u;
 
 struct Bounds {
-    unused: u32,
+    // Places down and to the right, sound only if everything is in front.
+    rows: vec2f,
+    columns: vec2f,
+    all_in_front: bool,
+    // Greatest signed distance of a vertex inside each side of the pyramid around the rays.
+    inside: vec4f,
+    in_front: f32,
+    // The box around the vertices, their greatest distance, squared, and their least one forward.
+    low: vec3f,
+    high: vec3f,
+    farthest2: f32,
+    forward: f32,
 }
 
 fn bounds_start() -> Bounds {
-    return Bounds(0u);
+    return Bounds(vec2f(HUGE, -HUGE), vec2f(HUGE, -HUGE), true, vec4f(-1.0), -1.0, vec3f(HUGE), vec3f(-HUGE), 0.0, HUGE);
 }
 
-fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {}
+fn ahead(word: u32) -> f32 {
+    return bitcast<f32>(grid[params.ahead_at + word]);
+}
+
+fn ahead_axis(axis: u32) -> vec3f {
+    return vec3f(ahead(3u * axis), ahead(3u * axis + 1u), ahead(3u * axis + 2u));
+}
+
+fn tile_rows() -> u32 {
+    return params.tile_count / params.tile_columns;
+}
+
+fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {
+    (*b).low = min((*b).low, v);
+    (*b).high = max((*b).high, v);
+    (*b).farthest2 = max((*b).farthest2, dot(v, v));
+    if params.ahead_at == 0u {
+        return;
+    }
+    let place = vec3f(dot(ahead_axis(0u), v), dot(ahead_axis(1u), v), dot(ahead_axis(2u), v));
+    let reach = abs(v.x) + abs(v.y) + abs(v.z);
+    // What rounding may move it, metres.
+    let slack = 2.0e-6 * reach;
+    let columns_at = AHEAD_ROWS + 2u * tile_rows();
+    let least = vec2f(ahead(columns_at + 1u), ahead(AHEAD_ROWS + 1u));
+    let greatest = vec2f(ahead(columns_at + 2u * params.tile_columns - 2u), ahead(columns_at - 2u));
+    (*b).inside = max((*b).inside, vec4f(
+        place.xy - least * place.z + slack * (1.0 + abs(least)),
+        greatest * place.z - place.xy + slack * (1.0 + abs(greatest)),
+    ));
+    (*b).in_front = max((*b).in_front, place.z + slack);
+    (*b).forward = min((*b).forward, place.z - slack);
+    // Flatter than 1 : 1000 to the plane is left to the sides.
+    (*b).all_in_front = (*b).all_in_front && place.z > 1.0e-3 * reach;
+    let w = 1.0 / place.z;
+    let pad = slack * w * (1.0 + reach * w);
+    (*b).columns = vec2f(min((*b).columns.x, place.x * w - pad), max((*b).columns.y, place.x * w + pad));
+    (*b).rows = vec2f(min((*b).rows.x, place.y * w - pad), max((*b).rows.y, place.y * w + pad));
+}
 
 fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {}
 
+fn bounds_of_box(b: ptr<function, Bounds>) {}
+
+// First tile and end of those that have a ray between two places; `count` pairs of bounds are at `at`.
+fn tiles_between(at: u32, count: u32, places: vec2f) -> vec2u {
+    var first = 0u;
+    var end = 0u;
+    for (var step = 1u << firstLeadingBit(count); step > 0u; step >>= 1u) {
+        if first + step <= count && ahead(at + 2u * (first + step - 1u)) < places.x {
+            first += step;
+        }
+        if end + step <= count && ahead(at + 2u * (end + step - 1u) + 1u) <= places.y {
+            end += step;
+        }
+    }
+    return vec2u(first, end);
+}
+
 fn bounds_reach(b: Bounds) -> Reach {
-    return Reach(0u, 1u);
+    let beside = max(max(b.low, -b.high), vec3f());
+    let distance = length(beside) - 2.0e-6 * sqrt(b.farthest2);
+    var reach = whole_reach();
+    reach.nearest = distance;
+    if params.ahead_at == 0u {
+        return reach;
+    }
+    if b.in_front <= 0.0 || any(b.inside < vec4f()) {
+        return no_reach();
+    }
+    if !b.all_in_front {
+        return reach;
+    }
+    let rows = tiles_between(AHEAD_ROWS, tile_rows(), b.rows);
+    let columns = tiles_between(AHEAD_ROWS + 2u * tile_rows(), params.tile_columns, b.columns);
+    if rows.x >= rows.y || columns.x >= columns.y {
+        return no_reach();
+    }
+    let first = vec2u(rows.x, columns.x) * TILE_SIDE;
+    let count = min(vec2u(rows.y, columns.y) * TILE_SIDE, vec2u(params.height, params.width)) - first;
+    return Reach(first.x, count.x, first.y, count.y, max(distance, b.forward));
 }

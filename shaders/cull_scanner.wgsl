@@ -1,7 +1,5 @@
 // Bounds of a polygon in a scanner's image: azimuths as diamond angles, elevations as t = -tan(elevation).
 
-@group(0) @binding(8) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
-
 struct Bounds {
     // Horizontal direction of the first vertex; angles below are relative to it.
     start: vec2f,
@@ -12,16 +10,24 @@ struct Bounds {
     // Least share of the horizontal in a vertex's distance, squared: small near the poles.
     flatness: f32,
     z: vec2f,
+    // The box around the vertices, and their greatest distance, squared.
+    low: vec3f,
+    high: vec3f,
+    farthest2: f32,
 }
 
 fn bounds_start() -> Bounds {
-    return Bounds(vec2f(), vec2f(), vec2f(), vec2f(), vec2f(HUGE, -HUGE), 1.0, vec2f(HUGE, -HUGE));
+    return Bounds(vec2f(), vec2f(), vec2f(), vec2f(), vec2f(HUGE, -HUGE), 1.0, vec2f(HUGE, -HUGE),
+        vec3f(HUGE), vec3f(-HUGE), 0.0);
 }
 
 fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {
     let h2 = dot(v.xy, v.xy);
     (*b).flatness = min((*b).flatness, h2 / dot(v, v));
     (*b).z = vec2f(min((*b).z.x, -v.z), max((*b).z.y, -v.z));
+    (*b).low = min((*b).low, v);
+    (*b).high = max((*b).high, v);
+    (*b).farthest2 = max((*b).farthest2, dot(v, v));
     if first {
         (*b).start = v.xy;
         (*b).least = v.xy;
@@ -45,6 +51,22 @@ fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {
     bounds_edge(b, start, previous);
 }
 
+// Of the corners of a box, which were added in any order: its faces and edges lie between these.
+fn bounds_of_box(b: ptr<function, Bounds>) {
+    let beside = max(max((*b).low.xy, -(*b).high.xy), vec2f());
+    let near = inverseSqrt(max(dot(beside, beside), 1.0e-37));
+    let far = inverseSqrt(max((*b).farthest2, 1.0e-37));
+    (*b).t.y = max((*b).t.y, (*b).z.y * select(far, near, (*b).z.y > 0.0));
+    (*b).t.x = min((*b).t.x, (*b).z.x * select(near, far, (*b).z.x > 0.0));
+    (*b).flatness = min((*b).flatness, dot(beside, beside) * far * far);
+}
+
+// Less than the distance of what was added; 0 where the outline may go round the axis.
+fn nearest_of(b: Bounds, around: bool) -> f32 {
+    let beside = max(max(b.low, -b.high), vec3f());
+    return select(length(beside) - 2.0e-6 * sqrt(b.farthest2), 0.0, around);
+}
+
 fn bounds_edge(b: ptr<function, Bounds>, v: vec3f, previous: vec3f) {
     // t = z / h along an edge lies between these, for z is linear and h is least at the foot of the perpendicular.
     let d = v.xy - previous.xy;
@@ -66,11 +88,13 @@ fn bounds_reach(b: Bounds) -> Reach {
     }
     // What rounding may move it: 2^-23 of the distance, seen across the elevation.
     let pad = 2.0e-6 * (vec2f(1.0) + min(abs(t), vec2f(1.0e15)) * min(abs(t), vec2f(1.0e15)));
-    if first_at_or_above(t.x - pad.x) >= first_above(t.y + pad.y) {
-        return Reach(0u, 0u);
+    let first_sample = first_at_or_above(t.x - pad.x);
+    let end_sample = first_above(t.y + pad.y);
+    if first_sample >= end_sample {
+        return no_reach();
     }
     if around {
-        return Reach(0u, params.line_count);
+        return Reach(0u, params.line_count, first_sample, end_sample - first_sample, 0.0);
     }
     let turn_pad = 4.0e-6 + 1.0e-6 * inverseSqrt(b.flatness);
     let low = diamond(b.least) - turn_pad;
@@ -79,10 +103,10 @@ fn bounds_reach(b: Bounds) -> Reach {
     let first = line_at_or_above(low);
     let end = line_above(high);
     if end <= first {
-        return Reach(0u, 0u);
+        return no_reach();
     }
     let n = i32(params.line_count);
-    return Reach(u32((first + n) % n), u32(min(end - first, n)));
+    return Reach(u32((first + n) % n), u32(min(end - first, n)), first_sample, end_sample - first_sample, nearest_of(b, around));
 }
 
 // The first line whose bucket is not below the angle; angles beyond -2..2 are whole turns away.

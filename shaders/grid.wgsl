@@ -62,3 +62,20 @@ fn first_above(t: f32) -> u32 {
     }
     return i;
 }
+
+struct Line {
+    c: vec2f,
+    // Where its keys lie: image row of a camera, image column of a scanner, whose lines are sorted by angle.
+    place: u32,
+}
+
+fn line_at(index: u32) -> Line {
+    if GRID == CAMERA {
+        return Line(vec2f(params.first_line + f32(index), 1.0), index);
+    }
+    if GRID == RAYS {
+        return Line(vec2f(), index);
+    }
+    let at = params.lines_at + index * 3u;
+    return Line(vec2f(grid_float(at), grid_float(at + 1u)), grid_word(at + 2u));
+}

@@ -1,14 +1,24 @@
-// Work items of a line grid: a polygon and some of its lines, so that a big polygon spreads over many invocations.
+// Work items of a line grid: a polygon, some of its lines and of their samples, so that a big polygon spreads over many invocations.
 
 fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     write_cap(at, instance, first_corner, corner_count);
     let first = survivor.lines & 0xffffu;
     let count = survivor.lines >> 16u;
     let share = max(LINES_PER_ITEM, (count + ITEMS_PER_POLYGON - 1u) / ITEMS_PER_POLYGON);
-    let wanted = (count + share - 1u) / share;
-    let base = reserve_items(wanted);
-    for (var i = 0u; i < wanted; i++) {
-        put_item(base + i, at, (first + i * share) | (min(share, count - i * share) << 16u));
+    let stretches = (count + share - 1u) / share;
+    let begin = survivor.samples & 0xffffu;
+    let width = survivor.samples >> 16u;
+    let parts = max(1u, width / SAMPLES_PER_ITEM);
+    let base = reserve_items(stretches * parts);
+    for (var i = 0u; i < stretches; i++) {
+        let lines = (first + i * share) | (min(share, count - i * share) << 16u);
+        // The parts share out the whole line: rounding may draw a sample beyond the polygon's own.
+        var start = 0u;
+        for (var k = 1u; k <= parts; k++) {
+            let end = select(begin + k * width / parts, params.sample_count, k == parts);
+            put_item(base + i * parts + k - 1u, at, lines, start | (end << 16u));
+            start = end;
+        }
     }
 }
 

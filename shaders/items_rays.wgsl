@@ -1,4 +1,4 @@
-// Work items of a ray table: a polygon and a supertile whose cone it may meet.
+// Work items of a ray table: a polygon and some tiles of a supertile whose cone it may meet.
 
 fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     var axis = vec3f();
@@ -19,26 +19,58 @@ fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32,
     records[at + RECORD_CAP_CHORD] = bitcast<u32>(squared);
 
     let chord = cap_chord(squared);
+    let m = vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
     // Triangles are most of all: more edges than three would leave out little more.
     let e0 = edge_of(at, 0u);
     let e1 = edge_of(at, 1u);
     let e2 = edge_of(at, 2u);
-    for (var first = 0u; first < params.line_count; first += 32u) {
-        var met = 0u;
-        for (var s = first; s < min(first + 32u, params.line_count); s++) {
-            let cone = cone_at(params.lines_at + s * 4u);
-            let meets = cap_meets(axis, chord, cone)
-                && !(is_beside(e0, cone) || is_beside(e1, cone) || is_beside(e2, cone));
-            met |= select(0u, 1u, meets) << (s - first);
-        }
-        if met != 0u {
-            var index = reserve_items(countOneBits(met));
+    let across = (params.tile_columns + TILES_PER_SUPERTILE - 1u) / TILES_PER_SUPERTILE;
+    let tile_rows = tiles_of(survivor.lines);
+    let tile_columns = tiles_of(survivor.samples);
+    let rows = tile_rows / TILES_PER_SUPERTILE;
+    let columns = tile_columns / TILES_PER_SUPERTILE;
+    for (var row = rows.x; row <= rows.y; row++) {
+        for (var first = columns.x; first <= columns.y; first += 32u) {
+            var met = 0u;
+            for (var column = first; column <= min(first + 31u, columns.y); column++) {
+                let cone = cone_at(params.lines_at + (row * across + column) * 4u);
+                let meets = cap_meets(axis, chord, cone)
+                    && !(is_beside(e0, cone) || is_beside(e1, cone) || is_beside(e2, cone))
+                    && !is_behind(m, cone, LEVELS - 1u, row, column);
+                met |= select(0u, 1u, meets) << (column - first);
+            }
             while met != 0u {
-                put_item(index, at, first + firstTrailingBit(met));
-                index++;
+                let column = first + firstTrailingBit(met);
+                put_tiles(at, row * across + column, clamped(tile_rows, row), clamped(tile_columns, column));
                 met &= met - 1u;
             }
         }
+    }
+}
+
+// First and last of the tiles that a stretch of rays lies in.
+fn tiles_of(stretch: u32) -> vec2u {
+    let first = stretch & 0xffffu;
+    return vec2u(first, first + (stretch >> 16u) - 1u) / RAYS_PER_TILE;
+}
+
+// First and last of the tiles that lie in a row (or column) of supertiles, counted from its own first.
+fn clamped(tiles: vec2u, supertile: u32) -> vec2u {
+    let first = supertile * TILES_PER_SUPERTILE;
+    return vec2u(max(tiles.x, first), min(tiles.y, first + TILES_PER_SUPERTILE - 1u)) - first;
+}
+
+// Tiles of an item where there are more.
+const TILES_PER_ITEM: u32 = 16u;
+
+fn put_tiles(record: u32, supertile: u32, rows: vec2u, columns: vec2u) {
+    let share = TILES_PER_ITEM / (columns.y - columns.x + 1u);
+    let wanted = (rows.y - rows.x + share) / share;
+    let base = reserve_items(wanted);
+    for (var i = 0u; i < wanted; i++) {
+        let row = rows.x + i * share;
+        let last = min(row + share - 1u, rows.y);
+        put_item(base + i, record, supertile, row | (last << 3u) | (columns.x << 6u) | (columns.y << 9u));
     }
 }
 

@@ -19,3 +19,8 @@ fn offer(pixel: u32, k: f32, slot: u32) {
         }
     }
 }
+
+// The second pass goes over the items of all waves again.
+fn first_item() -> u32 {
+    return select(counted[COUNTED_ITEMS_BEFORE], 0u, SECOND);
+}

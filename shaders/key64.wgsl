@@ -9,3 +9,7 @@ fn offer(pixel: u32, k: f32, slot: u32) {
         atomicMax(&keys[pixel], key);
     }
 }
+
+fn first_item() -> u32 {
+    return counted[COUNTED_ITEMS_BEFORE];
+}

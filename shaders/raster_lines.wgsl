@@ -12,9 +12,10 @@
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     // No more than fit were written.
     let count = min(counted[COUNTED_ITEMS], params.item_room);
-    for (var i = id.x; i < count; i += groups.x * GROUP) {
+    for (var i = first_item() + id.x; i < count; i += groups.x * GROUP) {
         let part = items[i * ITEM_WORDS + ITEM_PART];
-        rasterize(items[i * ITEM_WORDS + ITEM_RECORD], part & 0xffffu, part >> 16u);
+        let within = items[i * ITEM_WORDS + ITEM_WITHIN];
+        rasterize(items[i * ITEM_WORDS + ITEM_RECORD], part & 0xffffu, part >> 16u, within & 0xffffu, within >> 16u);
     }
 }
 
@@ -43,7 +44,7 @@ fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
     return vec2f(select(low, HUGE, e.z == 0.0 && a < 0.0), high);
 }
 
-fn rasterize(record: u32, first: u32, count: u32) {
+fn rasterize(record: u32, first: u32, count: u32, first_sample: u32, end_sample: u32) {
     let m = vector_of(record + RECORD_M);
     let slot = records[record + RECORD_SLOT];
     let edge_count = records[record + RECORD_EDGE_COUNT];
@@ -69,8 +70,8 @@ fn rasterize(record: u32, first: u32, count: u32) {
         if interval.x <= interval.y {
             let k0 = m.x * line.c.x + m.y * line.c.y;
             let base = line.place * params.sample_count;
-            let end = first_above(interval.y);
-            for (var s = first_at_or_above(interval.x); s < end; s++) {
+            let end = min(first_above(interval.y), end_sample);
+            for (var s = max(first_at_or_above(interval.x), first_sample); s < end; s++) {
                 let w = weights(s);
                 if chord < 0.0 || in_cap(axis, chord, vec3f(line.c * w.x, w.y)) {
                     offer(base + s, k0 * w.x + m.z * w.y, slot);
@@ -88,20 +89,6 @@ fn in_cap(axis: vec3f, chord: f32, ray: vec3f) -> bool {
     }
     let apart = u - axis;
     return dot(apart, apart) <= chord;
-}
-
-struct Line {
-    c: vec2f,
-    // Where its keys lie: image row of a camera, image column of a scanner, whose lines are sorted by angle.
-    place: u32,
-}
-
-fn line_at(index: u32) -> Line {
-    if GRID == CAMERA {
-        return Line(vec2f(params.first_line + f32(index), 1.0), index);
-    }
-    let at = params.lines_at + index * 3u;
-    return Line(vec2f(grid_float(at), grid_float(at + 1u)), grid_word(at + 2u));
 }
 
 fn weights(s: u32) -> vec2f {

@@ -1,4 +1,4 @@
-// Stage 3 for ray tables: one invocation per polygon and supertile; tiles by their cones, then ray by ray.
+// Stage 3 for ray tables: one invocation per polygon and some tiles; tiles by their cones, then ray by ray.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> records: array<u32>;
@@ -6,14 +6,13 @@
 @group(0) @binding(3) var<storage, read> grid: array<u32>;
 @group(0) @binding(4) var<storage, read> counted: array<u32>;
 
-const TILE: u32 = 8u;
-const TILES_PER_SUPERTILE: u32 = 8u;
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = min(counted[COUNTED_ITEMS], params.item_room);
-    for (var i = id.x; i < count; i += groups.x * GROUP) {
-        supertile(polygon_at(items[i * ITEM_WORDS + ITEM_RECORD]), items[i * ITEM_WORDS + ITEM_PART]);
+    for (var i = first_item() + id.x; i < count; i += groups.x * GROUP) {
+        let at = i * ITEM_WORDS;
+        tiles(polygon_at(items[at + ITEM_RECORD]), items[at + ITEM_PART], items[at + ITEM_WITHIN]);
     }
 }
 
@@ -64,35 +63,36 @@ fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
     return vector_of(record + RECORD_WORDS + k * EDGE_WORDS);
 }
 
-fn supertile(p: Polygon, index: u32) {
+fn tiles(p: Polygon, supertile: u32, within: u32) {
     let across = (params.tile_columns + TILES_PER_SUPERTILE - 1u) / TILES_PER_SUPERTILE;
-    let first = vec2u(index % across, index / across) * TILES_PER_SUPERTILE;
-    let end = min(first + TILES_PER_SUPERTILE, vec2u(params.tile_columns, params.tile_count / params.tile_columns));
+    let origin = vec2u(supertile % across, supertile / across) * TILES_PER_SUPERTILE;
+    let first = origin + vec2u(within >> 6u, within) % TILES_PER_SUPERTILE;
+    let last = min(origin + vec2u(within >> 9u, within >> 3u) % TILES_PER_SUPERTILE,
+        vec2u(params.tile_columns, params.tile_count / params.tile_columns) - 1u);
     let chord = cap_chord(p.chord);
-    // Half a supertile at once: which tiles first, then these one after another, so that neighbouring invocations draw together.
-    for (var half = first.y; half < end.y; half += 4u) {
-        var met = 0u;
-        for (var row = half; row < min(half + 4u, end.y); row++) {
-            for (var column = first.x; column < end.x; column++) {
-                let cone = cone_at(params.tiles_at + (row * params.tile_columns + column) * 4u);
-                let beside = is_beside(p.e0, cone) || is_beside(p.e1, cone) || is_beside(p.e2, cone) || is_beside(p.e3, cone);
-                let meets = cap_meets(p.axis, chord, cone) && !beside;
-                met |= select(0u, 1u, meets) << ((row - half) * TILES_PER_SUPERTILE + column - first.x);
-            }
+    let columns = last.x - first.x + 1u;
+    // Which tiles first, then these one after another, so that neighbouring invocations draw together: no item has more than 32.
+    var met = 0u;
+    for (var row = first.y; row <= last.y; row++) {
+        for (var column = first.x; column <= last.x; column++) {
+            let cone = cone_at(params.tiles_at + (row * params.tile_columns + column) * 4u);
+            let beside = is_beside(p.e0, cone) || is_beside(p.e1, cone) || is_beside(p.e2, cone) || is_beside(p.e3, cone);
+            let meets = cap_meets(p.axis, chord, cone) && !beside && !is_behind(p.m, cone, 0u, row, column);
+            met |= select(0u, 1u, meets) << ((row - first.y) * columns + column - first.x);
         }
-        while met != 0u {
-            let bit = firstTrailingBit(met);
-            tile(p, (first.x + bit % TILES_PER_SUPERTILE) * TILE, (half + bit / TILES_PER_SUPERTILE) * TILE);
-            met &= met - 1u;
-        }
+    }
+    while met != 0u {
+        let bit = firstTrailingBit(met);
+        tile(p, (first.x + bit % columns) * RAYS_PER_TILE, (first.y + bit / columns) * RAYS_PER_TILE);
+        met &= met - 1u;
     }
 }
 
 // Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
 // planes meet, and rounded to f32 may hold rays there, far from the polygon.
 fn tile(p: Polygon, first_column: u32, first_row: u32) {
-    for (var row = first_row; row < min(first_row + TILE, params.height); row++) {
-        for (var column = first_column; column < min(first_column + TILE, params.width); column++) {
+    for (var row = first_row; row < min(first_row + RAYS_PER_TILE, params.height); row++) {
+        for (var column = first_column; column < min(first_column + RAYS_PER_TILE, params.width); column++) {
             let pixel = row * params.width + column;
             let at = params.rays_at + pixel * 3u;
             // No ray is stored as zero: its inverse range is not above zero.

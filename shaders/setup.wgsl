@@ -14,7 +14,7 @@
 @compute @workgroup_size(64)
 fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = atomicLoad(&counters.survivors);
-    for (var i = id.x; i < count; i += groups.x * GROUP) {
+    for (var i = counters.survivors_before + id.x; i < count; i += groups.x * GROUP) {
         set_up(survivors[i]);
     }
 }
@@ -71,6 +71,7 @@ fn set_up(survivor: Survivor) {
         // The engine sees the count, grows the buffer and runs the frame again.
         return;
     }
+    atomicAdd(&counters.records, 1u);
     write_head(at, instance, survivor.polygon, corner_count, image_normal, distance);
     // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
     let sign = select(-1.0, 1.0, instance.handedness * distance > 0.0);
@@ -136,14 +137,16 @@ fn write_edges(at: u32, instance: Instance, first_corner: u32, corner_count: u32
 
 fn reserve_items(wanted: u32) -> u32 {
     let first = atomicAdd(&counters.items, wanted);
-    atomicMax(&counters.raster_groups, min((first + wanted + GROUP - 1u) / GROUP, MAX_GROUPS));
-    atomicAdd(&counters.records, 1u);
+    let end = first + wanted;
+    atomicMax(&counters.raster_groups, min((end - counters.items_before + GROUP - 1u) / GROUP, MAX_GROUPS));
+    atomicMax(&counters.all_raster_groups, min((end + GROUP - 1u) / GROUP, MAX_GROUPS));
     return first;
 }
 
-fn put_item(index: u32, record: u32, part: u32) {
+fn put_item(index: u32, record: u32, part: u32, within: u32) {
     if index < params.item_room {
         items[index * ITEM_WORDS + ITEM_RECORD] = record;
         items[index * ITEM_WORDS + ITEM_PART] = part;
+        items[index * ITEM_WORDS + ITEM_WITHIN] = within;
     }
 }

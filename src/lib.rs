@@ -89,6 +89,7 @@ pub mod engine;
 pub mod environment;
 mod error;
 pub mod estimate;
+pub mod extract;
 pub mod features;
 pub mod frame;
 pub mod frames;

@@ -37,6 +37,10 @@ pub const LISTED_PROBLEMS: usize = 20;
 pub const MAX_MERGE_TOLERANCE: f64 = 1e-3;
 /// Most steps of generating features where polygons lie upon each other, each of about ten nanoseconds of one core: some seconds.
 pub const MAX_FEATURE_STEPS: u64 = 1 << 29;
+/// Most corners looked at beside sides of polygons, to find where smooth surfaces go on: a second or two.
+pub const MAX_CONTOUR_STEPS: u64 = 1 << 27;
+/// Most polygons of all contours of a feature layer together.
+pub const MAX_CONTOUR_FACETS: u64 = 1 << 22;
 /// Most facets around a round solid, or steps of stairs.
 pub const MAX_FACETS: u32 = 1024;
 /// Most points of an outline that is drawn out.

@@ -36,7 +36,7 @@ use cull::Occlusion;
 use progress::FrameProgress;
 use raster_lines::Buffer;
 use rayon::prelude::*;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -55,8 +55,10 @@ pub struct CpuEngine {
 /// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
 const BAND_PIXELS: usize = 8192;
 
-/// Polygons of the first wave; every further one takes as many as all before it together.
-const FIRST_WAVE: usize = 4096;
+/// Pixels for each polygon of the first wave, and how many polygons it has at least and at most; every further wave takes as many
+/// as all before it together. Few pixels are soon covered, and another wave costs a pass over them.
+const PIXELS_PER_POLYGON: usize = 16;
+const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
 /// Runs that a task looks at to drop what is hidden.
 const SIFTED: usize = 64;
@@ -223,9 +225,11 @@ fn draw_waves(
     let mut times = [Duration::ZERO; 3];
     let (mut done, mut used, mut hidden, mut waves) = (0, 0, 0, 0);
     let mut progress = FrameProgress::new(plan, bands.count());
+    let pixels = plan.sensor.width() as usize * plan.sensor.height() as usize;
+    let first_wave = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
     loop {
         let start = Instant::now();
-        let wave = next_wave(&plan.runs, done, progress.most_polygons(done));
+        let wave = next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
         let runs = if waves == 0 {
             plan.runs[wave.clone()].to_vec()
         } else {
@@ -360,10 +364,10 @@ fn set_up(
     left_out.map(|i| new[i].nearest)
 }
 
-/// The runs to draw next: as many polygons as all before them, and at least [`FIRST_WAVE`], but no more than `most`.
-fn next_wave(runs: &[Run], start: usize, most: usize) -> Range<usize> {
+/// The runs to draw next: as many polygons as all before them, and at least `least`, but no more than `most`.
+fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -> Range<usize> {
     let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
-    let wanted = before.max(FIRST_WAVE).min(most);
+    let wanted = before.max(least).min(most);
     let mut polygons = 0;
     let mut end = start;
     while end < runs.len() && polygons < wanted {

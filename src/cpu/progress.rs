@@ -12,7 +12,7 @@ use crate::sensor::ImagePart;
 use std::time::Duration;
 
 /// Least size of a wave, which the time left may ask for.
-const LEAST_WAVE: usize = FIRST_WAVE / 4;
+const LEAST_WAVE: usize = *FIRST_WAVE.end() / 4;
 
 /// How far a band has come.
 #[derive(Clone, Copy, Debug, Default)]

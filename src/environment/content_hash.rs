@@ -14,7 +14,7 @@
 //! | polygon | list of corners, u32; u32 place of its material in the mesh's list; u32 `source` |
 //! | material | text name; f64 reflection; u8 one-sided; 3 f32 colour; list of (text class; u8: 1 transparent, 2 invisible) by rising class |
 //! | layer | text class; f64 tolerance; list of (text object; 36 f64 pose covariance) by rising object; list of features |
-//! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
+//! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial, 5 contour; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; a contour's f64 crease angle in degrees; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
 //!
 //! Not in it, because it is no content: numbers and slots of objects, what was deleted, the order in which things
 //! were added, materials that no polygon has, frames of groups that nothing is below, layers without features and covariances,
@@ -214,15 +214,20 @@ impl Encoder {
             FeatureShape::Patch { covariance, .. } => (2, vec![covariance]),
             FeatureShape::Reflector { covariance, .. } => (3, vec![covariance]),
             FeatureShape::Fiducial { covariance, .. } => (4, vec![covariance]),
+            FeatureShape::Contour { covariance, .. } => (5, vec![covariance]),
         };
         self.bytes(&[kind]);
         self.count(shape.points().len());
         shape.points().iter().for_each(|p| self.f64s(&p.to_array()));
         self.count(covariances.len());
         covariances.into_iter().for_each(|c| self.f64s(&c.to_cols_array()));
-        if let FeatureShape::Fiducial { family, code, .. } = shape {
-            self.text(family);
-            self.u32(*code);
+        match shape {
+            FeatureShape::Fiducial { family, code, .. } => {
+                self.text(family);
+                self.u32(*code);
+            }
+            FeatureShape::Contour { crease_deg, .. } => self.f64s(&[*crease_deg]),
+            _ => {}
         }
     }
 

@@ -107,6 +107,16 @@ pub enum FeatureShape {
         /// Number in the dictionary.
         code: u32,
     },
+    /// The silhouettes of a smooth surface: the polygons of one object that are connected with the one under the anchor over
+    /// edges that fold by no more than an angle. Where its front meets its back depends on the pose.
+    Contour {
+        /// A point on the surface.
+        anchor: DVec3,
+        /// The angle, degrees, above 0 and at most 90.
+        crease_deg: f64,
+        /// Of its position as a whole.
+        covariance: DMat3,
+    },
 }
 
 /// Temporal uncertainty: p(t) = p0 exp(-rate (t - t0)).
@@ -153,6 +163,7 @@ impl FeatureShape {
             Self::Patch { .. } => "patch",
             Self::Reflector { .. } => "reflector",
             Self::Fiducial { .. } => "fiducial",
+            Self::Contour { .. } => "contour",
         }
     }
 
@@ -169,6 +180,12 @@ impl FeatureShape {
             Self::Segment { ends, .. } => ends,
             Self::Patch { corners, .. } => corners,
             Self::Fiducial { corners, .. } => corners,
+            Self::Contour { anchor, .. } => std::slice::from_ref(anchor),
         }
+    }
+
+    /// True of contours.
+    pub(crate) fn is_contour(&self) -> bool {
+        matches!(self, Self::Contour { .. })
     }
 }

@@ -203,6 +203,13 @@ impl FeatureShape {
                 check_family(family, *code)?;
                 check_covariance(&rows(covariance))
             }
+            Self::Contour { crease_deg, covariance, .. } => {
+                if !(*crease_deg > 0.0 && *crease_deg <= 90.0) {
+                    let what = format!("the crease angle of {} degrees is out of its range", short(*crease_deg));
+                    return Err(Error::invalid(what, "give degrees above 0, up to 90"));
+                }
+                check_covariance(&rows(covariance))
+            }
         }
     }
 }

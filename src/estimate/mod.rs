@@ -35,12 +35,16 @@
 //! ```
 
 mod answer;
+mod fit;
+mod image;
 mod normal;
 mod range;
 mod solve;
 
 pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
+pub use fit::{Fit, fit};
+pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub(crate) use solve::drawn;

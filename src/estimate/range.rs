@@ -197,6 +197,11 @@ impl<'a> RangeSource<'a> {
             let s = 1.0 / q.z;
             return (q.z > 0.0).then_some((q.x * s * c.fx as f32 + c.cx as f32, q.y * s * c.fy as f32 + c.cy as f32));
         }
+        if let crate::Geometry::Rays(_) = &self.expected.sensor.spec().geometry {
+            // The window makes up for what this is off.
+            let (u, v) = self.expected.sensor.near_pixel(q.as_dvec3().try_normalize()?)?;
+            return Some((u as f32, v as f32));
+        }
         self.expected.sensor.project(q.as_dvec3()).map(|(u, v)| (u as f32, v as f32))
     }
 
@@ -359,7 +364,7 @@ impl RangeSource<'_> {
 
 impl Kernel {
     /// Weight, and cost in variances, of a residual in standard deviations. `wide` is the gate in standard deviations.
-    fn weigh(self, e: f64, wide: f64) -> (f64, f64) {
+    pub(super) fn weigh(self, e: f64, wide: f64) -> (f64, f64) {
         match self {
             Self::Wide => {
                 // Geman and McClure, as wide as the gate is, no narrower than the noise's own.
@@ -376,7 +381,7 @@ impl Kernel {
     }
 
     /// The cost of a point that is compared with nothing.
-    fn most(self) -> f64 {
+    pub(super) fn most(self) -> f64 {
         match self {
             Self::Wide => 0.0,
             Self::Redescending { spread } => (TUKEY * spread).powi(2) / 6.0,

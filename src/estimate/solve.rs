@@ -32,7 +32,7 @@ impl Prior {
         Self { pose, covariance }
     }
 
-    fn check(&self, freedom: Freedom) -> Result<()> {
+    pub(super) fn check(&self, freedom: Freedom) -> Result<()> {
         self.pose.check()?;
         let c = &self.covariance;
         let wrong = |what: &str| {
@@ -100,6 +100,12 @@ impl EstimateOptions {
     pub fn planar() -> Self {
         let (freedom, model_sigma) = (Freedom::Planar, 0.03);
         Self { freedom, model_sigma, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
+    }
+
+    /// For scans of points all round, in maps made of such scans: leaves and wires are seen at other places each time, and much
+    /// of what is seen was hidden before.
+    pub fn scan() -> Self {
+        Self { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
     }
 }
 

@@ -121,6 +121,22 @@ fn information(image: &Image<'_>, seen: &SeenFeature, pose: &Pose, world_from_fr
         (0..6).for_each(|i| (0..6).for_each(|j| sum[i][j] += weight * row[i] * row[j]));
     };
     match &seen.feature.shape {
+        FeatureShape::Contour { covariance, .. } => {
+            // Across itself, in the middle of what is seen of each of a few pieces.
+            const PIECES: usize = 16;
+            let pixel = |p: DVec3| image.project(rotation.transpose() * (p - pose.translation)).map(DVec2::from);
+            let pieces: Vec<[DVec3; 2]> = seen.visible.iter().flat_map(|v| seen.along(v.t)).collect();
+            for [a, b] in pieces.iter().step_by(pieces.len().div_ceil(PIECES).max(1)) {
+                let Some((p, q)) = pixel(*a).zip(pixel(*b)) else { continue };
+                let mut along = q - p;
+                if let Some(turn) = image.turn() {
+                    along.x -= turn * (along.x / turn).round();
+                }
+                if let Some(along) = along.try_normalize() {
+                    take(a.midpoint(*b), along.perp(), covariance);
+                }
+            }
+        }
         FeatureShape::Segment { covariances, .. } => {
             let from = seen.visible.iter().map(|v| v.t[0]).fold(1.0, f64::min);
             let to = seen.visible.iter().map(|v| v.t[1]).fold(0.0, f64::max);

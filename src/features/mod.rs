@@ -3,6 +3,7 @@
 mod boxes;
 mod choose;
 mod columns;
+mod contour;
 pub mod generate;
 pub(crate) mod normal;
 mod options;
@@ -22,6 +23,7 @@ pub use boxes::add_boxes;
 pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 pub(crate) use choose::choose;
+pub(crate) use contour::ContourSet;
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
@@ -30,6 +32,7 @@ pub use options::{FeatureOptions, FeatureSource, Hidden, PlacedFeatures};
 pub(crate) use place::lies_on;
 pub use place::place;
 pub(crate) use place::place_lying;
+pub(crate) use prediction::along;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
@@ -48,6 +51,7 @@ pub struct PlacedFeature {
     pub feature: Feature,
     /// Index of its object; `None` means the world.
     pub object: Option<u32>,
-    /// Slots of the polygons on which it lies. They never hide it.
+    /// Slots of the polygons on which it lies. They never hide it; of a contour, those of its surface, of which those hide no part of
+    /// a curve that touch it there.
     pub slots: Vec<u32>,
 }

@@ -69,7 +69,7 @@ impl Reason {
 /// A visible part of a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisibleInterval {
-    /// Interval in 0..=1 by length in space, from the first defining point to the second. [0, 1] for a point. For a patch it is a
+    /// Interval in 0..=1 by length in space, from the first defining point to the last. [0, 1] for a point. For a patch it is a
     /// share of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
     /// Pixel coordinates of both ends (column, row). For a patch, the least and greatest coordinates of the visible part.
@@ -103,7 +103,10 @@ pub struct Occluder {
 pub struct SeenFeature {
     /// The feature from the layer.
     pub feature: Feature,
-    /// Its defining points in the world, metres.
+    /// Of a contour the number of the curve: of those that its surface has at this pose the longest in the image is 0. The number
+    /// holds for this prediction alone.
+    pub branch: Option<u32>,
+    /// Its defining points in the world, metres. Of a contour those of the curve; a closed one ends where it begins.
     pub points_world: Vec<DVec3>,
     /// Unit normal of its surface in the world, if the layer gives one.
     pub normal_world: Option<DVec3>,
@@ -125,16 +128,22 @@ pub struct SeenFeature {
     /// How the region was found: `linear`, `set` or `whole_image`.
     pub roi_flag: Option<&'static str>,
     /// 2 x 2 covariance in the image of every defining point, pixels squared. Given for visible features whose defining points
-    /// all have an image.
+    /// all have an image, but not for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
 }
 
 impl SeenFeature {
+    /// The pieces of a segment or curve, in the world, in an interval of its length.
+    pub(crate) fn along(&self, t: [f64; 2]) -> Vec<[DVec3; 2]> {
+        along(&self.points_world, t)
+    }
+
     /// A feature of which everything is visible, given in the world's frame, with nothing else known.
     pub fn whole(feature: &Feature) -> Self {
         Self {
             points_world: feature.shape.points().to_vec(),
             feature: feature.clone(),
+            branch: None,
             normal_world: None,
             visible_fraction: 1.0,
             visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
@@ -147,6 +156,27 @@ impl SeenFeature {
             image_covariance: None,
         }
     }
+}
+
+/// The pieces of a line through points in an interval of its length, from 0 to 1.
+pub(crate) fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
+    if let [a, b] = *points {
+        let at = |t: f64| a + t * (b - a);
+        return vec![[at(from), at(to)]];
+    }
+    let whole: f64 = points.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    let (mut before, mut pieces) = (0.0, Vec::new());
+    for pair in points.windows(2) {
+        let length = pair[0].distance(pair[1]);
+        let [from, to] = [from, to].map(|t| (t * whole - before) / length);
+        let part = [from, to].map(|t| t.clamp(0.0, 1.0));
+        // A cut may leave a point.
+        if part[0] < part[1] || from == to && part == [from, to] && pieces.is_empty() {
+            pieces.push(part.map(|t| pair[0].lerp(pair[1], t)));
+        }
+        before += length;
+    }
+    pieces
 }
 
 /// How visibility was decided.
@@ -199,10 +229,11 @@ impl FeatureStats {
 pub struct FeaturePrediction {
     /// The features, in the order in which they were given; with [`super::Hidden::Count`] those that are seen.
     pub features: Vec<SeenFeature>,
-    /// Of each of `features` its number among those that were given. Empty if all are there.
+    /// Of each of `features` its number among those that were given: the curves of a contour have the same. Empty if all are
+    /// there, each once.
     pub given: Vec<u32>,
     /// The number of the feature in each pixel, row-major; 0 is none. Empty unless requested. Each sample marks one pixel. Points
-    /// and landmarks win over segments, and these over patches; then the lower number wins.
+    /// and landmarks win over segments, these over contours, and these over patches; then the lower number wins.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
     pub stats: FeatureStats,
@@ -217,4 +248,21 @@ impl FeaturePrediction {
 
 pub(super) fn given_at(given: &[u32], index: usize) -> usize {
     given.get(index).map_or(index, |number| *number as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::along;
+    use glam::DVec3;
+
+    #[test]
+    fn parts_of_curves_are_told_by_length() {
+        // 1 m along x, then 3 m along y.
+        let points = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 3.0, 0.0)];
+        let [first, second] = [[DVec3::X * 0.5, DVec3::X], [DVec3::X, DVec3::new(1.0, 1.0, 0.0)]];
+        assert_eq!(along(&points, [0.125, 0.5]), [first, second]);
+        assert_eq!(along(&points, [0.25, 0.5]), [second]);
+        assert_eq!(along(&points, [0.5, 0.5]), [[second[1]; 2]]);
+        assert_eq!(along(&points[..2], [0.5, 1.0]), [first]);
+    }
 }

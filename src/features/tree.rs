@@ -2,6 +2,7 @@
 //! serves while objects move.
 
 use super::PlacedFeature;
+use super::contour::ContourSet;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;
@@ -42,8 +43,13 @@ pub(crate) struct Node {
 }
 
 impl FeatureTree {
-    pub fn new(placed: &[PlacedFeature]) -> Self {
-        let boxes: Vec<Aabb> = placed.iter().map(|p| Aabb::of(p.feature.shape.points().iter().copied())).collect();
+    /// Of features whose contours are set up.
+    pub fn new(placed: &[PlacedFeature], contours: &ContourSet) -> Self {
+        let bounds = |(i, p): (usize, &PlacedFeature)| match contours.get(i) {
+            Some(surface) => Aabb::of(surface.hull),
+            None => Aabb::of(p.feature.shape.points().iter().copied()),
+        };
+        let boxes: Vec<Aabb> = placed.iter().enumerate().map(bounds).collect();
         let mut order: Vec<u32> = (0..placed.len() as u32).collect();
         order.sort_by_key(|i| placed[*i as usize].object);
         let (mut groups, mut nodes) = (Vec::new(), Vec::new());
@@ -140,7 +146,7 @@ mod tests {
         };
         let object = |i: u32| [None, Some(0), Some(4)][i as usize * 3 / 500];
         let placed: Vec<PlacedFeature> = (0..500).map(|i| point(i, at(i), object(i))).collect();
-        let tree = FeatureTree::new(&placed);
+        let tree = FeatureTree::new(&placed, &ContourSet::default());
         let mut order = tree.order.clone();
         order.sort_unstable();
         assert_eq!(order, (0..500).collect::<Vec<_>>());
@@ -162,6 +168,6 @@ mod tests {
             }
         }
         assert_eq!(leaves, 500);
-        assert!(FeatureTree::new(&[]).groups.is_empty());
+        assert!(FeatureTree::new(&[], &ContourSet::default()).groups.is_empty());
     }
 }

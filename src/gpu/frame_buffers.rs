@@ -4,12 +4,15 @@ use super::buffers::{Growable, Mapping, Uploads};
 use super::device::Gpu;
 use super::grid::Tables;
 use super::layout::{
-    Counters, FEW_INSTANCES, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, Params, SHORT_GRID, SLOT_WORDS, Survivor,
+    Counters, FEW_INSTANCES, GROUP, ITEM_WORDS, Instance, MAX_GROUPS, MAX_WAVES, Params, SHORT_GRID, SLOT_WORDS,
+    Survivor, WAVE_BYTES,
 };
-use super::stages::NAMES;
 use super::uploads::FrameUploads;
 use crate::error::Result;
 use std::mem::size_of;
+
+/// Five in each wave, and resolve.
+const MOST_PASSES: u32 = 5 * MAX_WAVES as u32 + 1;
 
 /// Every buffer but the meshes'.
 pub(super) struct FrameBuffers {
@@ -44,12 +47,12 @@ impl FrameBuffers {
             let queries = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("times"),
                 ty: wgpu::QueryType::Timestamp,
-                count: 2 * NAMES.len() as u32,
+                count: 2 * MOST_PASSES,
             });
             (queries, Growable::new(gpu, "times", U::QUERY_RESOLVE | U::COPY_SRC, false))
         });
         Self {
-            params: Growable::uniform(gpu, "parameters", size_of::<Params>() as u64),
+            params: Growable::uniform(gpu, "parameters", MAX_WAVES as u64 * WAVE_BYTES),
             few_instances: Growable::uniform(
                 gpu,
                 "few instances",
@@ -84,8 +87,8 @@ impl FrameBuffers {
         let instances = if frame.few() { 0 } else { frame.instances.len() * size_of::<Instance>() };
         let outputs = if frame.on_host { 0 } else { frame.output_words * 4 };
         let mut replaced = self.instances.reserve(gpu, instances as u64)?;
-        replaced |= self.work.reserve(gpu, size_of_val(&frame.work[..]) as u64)?;
-        let survivors = u64::from(frame.params.polygon_count) * size_of::<Survivor>() as u64;
+        replaced |= self.work.reserve(gpu, frame.work_bytes())?;
+        let survivors = u64::from(frame.polygon_count) * size_of::<Survivor>() as u64;
         replaced |= self.survivors.reserve(gpu, survivors)?;
         replaced |= self.records.reserve(gpu, size_of_val(&frame.near.records[..]) as u64)?;
         replaced |= self.items.reserve(gpu, size_of_val(&frame.near.items[..]) as u64)?;
@@ -101,7 +104,7 @@ impl FrameBuffers {
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
     pub fn reserve_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
-        self.grid.reserve(gpu, tables.words.len() as u64 * 4)
+        self.grid.reserve(gpu, tables.bytes())
     }
 
     /// Uploads a sensor's tables.
@@ -115,9 +118,12 @@ impl FrameBuffers {
 
     /// Uploads a frame, with room and counters as they are at its start.
     pub fn put(&mut self, frame: &FrameUploads) {
-        let params = Params { record_words: self.record_room(), item_room: self.item_room(), ..frame.params };
+        let (record_words, item_room) = (self.record_room(), self.item_room());
         let uploads = &mut self.uploads;
-        uploads.put(&self.params, 0, bytemuck::bytes_of(&params));
+        for wave in 0..frame.waves.len() {
+            let params = Params { record_words, item_room, ..frame.params_of(wave) };
+            uploads.put(&self.params, wave as u64 * WAVE_BYTES, bytemuck::bytes_of(&params));
+        }
         let instances = if frame.few() { &self.few_instances } else { &self.instances };
         uploads.put(instances, 0, bytemuck::cast_slice(&frame.instances));
         uploads.put(&self.work, 0, bytemuck::cast_slice(&frame.work));
@@ -136,6 +142,12 @@ impl FrameBuffers {
             raster_groups: items.div_ceil(GROUP).min(MAX_GROUPS),
             raster_y: 1,
             raster_z: 1,
+            cull_y: 1,
+            cull_z: 1,
+            units: frame.first_units(),
+            all_raster_groups: items.div_ceil(GROUP).min(MAX_GROUPS),
+            all_raster_y: 1,
+            all_raster_z: 1,
             ..Counters::default()
         };
         uploads.put(&self.counters, 0, bytemuck::bytes_of(&counters));
@@ -165,15 +177,15 @@ impl FrameBuffers {
         encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, self.readback.buffer(), 0, bytes);
     }
 
-    /// A compute pass that notes its times, if the frame is alone.
-    pub fn pass(&self, stage: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
+    /// The pass of that number, which notes its times if the frame is alone.
+    pub fn pass(&self, number: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
         wgpu::ComputePassDescriptor {
-            label: Some(NAMES[stage as usize].name()),
+            label: Some(frame.passes[number as usize].name()),
             timestamp_writes: self.times.as_ref().filter(|_| !frame.in_company).map(|(query_set, _)| {
                 wgpu::ComputePassTimestampWrites {
                     query_set,
-                    beginning_of_pass_write_index: Some(2 * stage),
-                    end_of_pass_write_index: Some(2 * stage + 1),
+                    beginning_of_pass_write_index: Some(2 * number),
+                    end_of_pass_write_index: Some(2 * number + 1),
                 }
             }),
         }
@@ -195,7 +207,7 @@ impl FrameBuffers {
         }
         copy(&self.counters, at.counters, size_of::<Counters>() as u64);
         if let Some((queries, resolved)) = self.times.as_ref().filter(|_| !frame.in_company) {
-            encoder.resolve_query_set(queries, 0..2 * frame.stages().len() as u32, resolved.buffer(), 0);
+            encoder.resolve_query_set(queries, 0..2 * frame.passes.len() as u32, resolved.buffer(), 0);
             let (to, bytes) = (first + at.times, at.bytes - at.times);
             encoder.copy_buffer_to_buffer(resolved.buffer(), 0, self.readback.buffer(), to, bytes);
         }
@@ -217,6 +229,6 @@ impl Readback {
         let counters = if frame.on_host { slots + frame.slot_bytes() } else { frame.output_words * 4 };
         // Query results are 8 bytes and must lie on 8.
         let times = (counters + size_of::<Counters>() as u64).next_multiple_of(8);
-        Self { slots, counters, times, bytes: times + 16 * frame.stages().len() as u64 }
+        Self { slots, counters, times, bytes: times + 16 * frame.passes.len() as u64 }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::buffers::Growable;
 use super::device::Gpu;
-use super::layout::{ArenaPolygon, CORNER_WORDS, POLYGON_WORDS, VERTEX_WORDS};
+use super::layout::{ArenaPolygon, BOX_WORDS, CORNER_WORDS, POLYGON_WORDS, VERTEX_WORDS};
 use crate::environment::Mesh;
 use crate::error::{ErrorKind, Result};
 use glam::DVec3;
@@ -15,6 +15,7 @@ pub(super) struct MeshLocation {
     pub polygons_at: u32,
     pub corners_at: u32,
     pub vertices_at: u32,
+    pub boxes_at: u32,
 }
 
 struct Resident {
@@ -104,7 +105,8 @@ impl Arena {
         let polygons_at = self.used as u32;
         let corners_at = polygons_at + mesh.polygon_count() as u32 * POLYGON_WORDS;
         let vertices_at = corners_at + mesh.all_corners().len() as u32 * CORNER_WORDS;
-        let place = MeshLocation { polygons_at, corners_at, vertices_at };
+        let boxes_at = vertices_at + mesh.vertices().len() as u32 * VERTEX_WORDS;
+        let place = MeshLocation { polygons_at, corners_at, vertices_at, boxes_at };
         self.residents.insert(key(mesh), Resident { mesh: Arc::downgrade(mesh), place });
         self.used += words;
         Ok(())
@@ -119,9 +121,10 @@ fn words_of(mesh: &Arc<Mesh>) -> u64 {
     mesh.polygon_count() as u64 * u64::from(POLYGON_WORDS)
         + mesh.all_corners().len() as u64 * u64::from(CORNER_WORDS)
         + mesh.vertices().len() as u64 * u64::from(VERTEX_WORDS)
+        + mesh.clusters().len() as u64 * u64::from(BOX_WORDS)
 }
 
-/// Polygons, corners, vertices, as common.wgsl describes them.
+/// Polygons, corners, vertices, boxes of clusters, as common.wgsl describes them.
 fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
     debug_assert_eq!(mesh.polygons().len(), mesh.planes().len());
     for (polygon, plane) in mesh.polygons().iter().zip(mesh.planes()) {
@@ -138,6 +141,9 @@ fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
     }
     words.extend(mesh.all_corners());
     words.extend(mesh.vertices().iter().flat_map(|v| v.to_array().map(f32::to_bits)));
+    // Around f32 positions: nothing is rounded.
+    let corners = mesh.clusters().iter().flat_map(|c| [c.bounds.min, c.bounds.max]);
+    words.extend(corners.flat_map(|p| p.as_vec3().to_array().map(f32::to_bits)));
 }
 
 /// How far corners are apart along the normal; triangles define their own plane.

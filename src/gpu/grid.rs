@@ -1,7 +1,7 @@
 //! A sensor's rays as the shaders read them: line tables with buckets for searching, or ray tables with cones.
 
-use super::layout::{GridKind, Params, SHORT_GRID, TILES_PER_SUPERTILE};
-use crate::sensor::{LineAxis, LineGrid, PixelGrid, RayGrid, Sensor, Tile};
+use super::layout::{BLOCK_WORDS, GridKind, Params, SHORT_GRID, TILE_SIDE, TILES_PER_BLOCK, TILES_PER_SUPERTILE};
+use crate::sensor::{ForwardView, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor, Tile, TileLookup};
 use glam::{DMat3, DVec3};
 
 /// Tables of one sensor and where they begin, words.
@@ -12,6 +12,10 @@ pub(super) struct Tables {
     pub params: Params,
     /// image_from_line; the identity for ray tables.
     pub image_from_line: DMat3,
+    /// Of coarse depth, which lies behind the words: along a line, and across lines.
+    pub blocks: (u32, u32),
+    /// Of a ray grid.
+    pub supertiles: u32,
 }
 
 /// Stands for an infinite position at a pole: comparisons stay defined.
@@ -29,6 +33,10 @@ impl Tables {
         tables.params.height = sensor.height();
         tables.params.range_min = sensor.spec().range_min as f32;
         tables.params.range_max = sensor.spec().range_max as f32;
+        let blocks = |pixels: u32| pixels.div_ceil(TILE_SIDE * TILES_PER_BLOCK);
+        tables.blocks = (blocks(tables.params.sample_count), blocks(tables.params.line_count));
+        tables.params.coarse_columns = tables.blocks.0;
+        tables.params.coarse_at = tables.words.len() as u32;
         tables
     }
 }
@@ -37,6 +45,12 @@ impl Tables {
     /// True if the whole table is read from a uniform buffer.
     pub fn short(&self) -> bool {
         self.kind != GridKind::Rays && self.words.len() <= 4 * SHORT_GRID as usize
+    }
+
+    /// Of the tables and of the coarse depth behind them.
+    pub fn bytes(&self) -> u64 {
+        let blocks = u64::from(self.blocks.0) * u64::from(self.blocks.1);
+        4 * (self.words.len() as u64 + blocks * u64::from(BLOCK_WORDS))
     }
 }
 
@@ -89,7 +103,7 @@ fn lines(grid: &LineGrid) -> Tables {
         (params.sample_buckets_at, params.sample_buckets) = buckets(&squeezed, -1.0, 1.0, &mut words);
     }
     let kind = if camera { GridKind::Camera } else { GridKind::Scanner };
-    Tables { kind, words, params, image_from_line: grid.image_from_line() }
+    Tables { kind, words, params, image_from_line: grid.image_from_line(), blocks: (0, 0), supertiles: 0 }
 }
 
 /// For every bucket the first entry that is not below it, in a table of one word more: where it begins, and how many
@@ -112,7 +126,8 @@ fn rays(grid: &RayGrid) -> Tables {
     let mut words = Vec::new();
     let supertiles = supertiles(grid);
     let mut params = Params {
-        line_count: supertiles.len() as u32,
+        line_count: grid.height(),
+        sample_count: grid.width(),
         tile_columns,
         tile_count: grid.tiles().len() as u32,
         fx: 1.0,
@@ -127,7 +142,44 @@ fn rays(grid: &RayGrid) -> Tables {
         let ray = if ray.is_nan() { DVec3::ZERO } else { ray };
         words.extend(ray.as_vec3().to_array().map(f32::to_bits));
     }
-    Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY }
+    if let TileLookup::Ahead(view) = grid.view() {
+        params.ahead_at = words.len() as u32;
+        push_ahead(grid, view, &mut words);
+    }
+    let (image_from_line, supertiles) = (DMat3::IDENTITY, supertiles.len() as u32);
+    Tables { kind: GridKind::Rays, words, params, image_from_line, blocks: (0, 0), supertiles }
+}
+
+/// Where rays that all look ahead meet a plane at distance 1, as cull_rays.wgsl describes it.
+fn push_ahead(grid: &RayGrid, view: &ForwardView, words: &mut Vec<u32>) {
+    let axes = view.turn.unwrap_or([DVec3::X, DVec3::Y, DVec3::Z]);
+    words.extend(axes.iter().flat_map(|axis| axis.as_vec3().to_array().map(f32::to_bits)));
+    let nothing = [f64::from(POLE), -f64::from(POLE)];
+    let side = crate::sensor::TILE_SIDE;
+    let mut spans = [grid.height(), grid.width()].map(|pixels| vec![nothing; pixels.div_ceil(side) as usize]);
+    for row in 0..grid.height() {
+        for column in 0..grid.width() {
+            let ray = grid.direction(column, row);
+            if !ray.is_nan() {
+                let depth = ray.dot(axes[2]);
+                for (k, (of_tile, along)) in [(row, axes[1]), (column, axes[0])].into_iter().enumerate() {
+                    let [least, greatest] = &mut spans[k][(of_tile / side) as usize];
+                    let place = ray.dot(along) / depth;
+                    (*least, *greatest) = (least.min(place), greatest.max(place));
+                }
+            }
+        }
+    }
+    for mut spans in spans {
+        for i in 1..spans.len() {
+            spans[i][1] = spans[i][1].max(spans[i - 1][1]);
+        }
+        for i in (1..spans.len()).rev() {
+            spans[i - 1][0] = spans[i - 1][0].min(spans[i][0]);
+        }
+        let rounded = |[least, greatest]: [f64; 2]| [(greatest as f32).next_up(), (least as f32).next_down()];
+        words.extend(spans.into_iter().flat_map(rounded).map(|place| place.clamp(-POLE, POLE).to_bits()));
+    }
 }
 
 /// Cones of 8 x 8 tiles each.

@@ -41,6 +41,7 @@ impl GpuEngine {
             drawn.survivors += counters.survivors;
             drawn.items += counters.items;
             drawn.edge_on += counters.edge_on;
+            drawn.records += counters.records;
             done = piece.end;
         }
         let drawn_ms = plan.elapsed().as_secs_f64() * 1e3;
@@ -50,7 +51,8 @@ impl GpuEngine {
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), outputs)?;
         if done > 0 {
             drawn.lost_ids = self.take_images(plan, images)?;
-            self.report(&self.frame, &drawn, 0, stats);
+            self.know(self.sensors[0].1.kind);
+            self.report_variants(&self.frame, stats);
         } else {
             images.show_nothing(plan.sensor.grid());
         }
@@ -58,7 +60,13 @@ impl GpuEngine {
         let kept = give_up(plan, stopped, (plan.nearest_after(done), drawn_ms), images);
         stats.deadline = Some(DeadlineOutcome { wave: pieces.first, ..kept });
         stats.count(CountName::RunsSelected, plan.runs.len());
+        stats.count(CountName::PolygonsSelected, plan.polygon_count);
         stats.count(CountName::Waves, pieces.number);
+        stats.count(CountName::PolygonsInView, drawn.survivors as usize);
+        stats.count(CountName::PolygonsSetUp, drawn.records as usize);
+        stats.count(CountName::PolygonsEdgeOn, drawn.edge_on as usize);
+        stats.count(CountName::WorkItems, drawn.items as usize);
+        stats.count(CountName::HitsWithoutId, drawn.lost_ids as usize);
         stats.stage(StageName::Readback, start);
         plan.finish_noting(images, stats)?;
         let image_bytes = stats.work.image_bytes;
@@ -69,10 +77,13 @@ impl GpuEngine {
     /// Draws some runs into the keys, again if there was too little room, and waits for it. The first ones find nothing there.
     fn draw_piece(&mut self, plan: &FramePlan, runs: Range<usize>) -> Result<Counters> {
         let is_first = runs.start == 0;
-        self.upload_some(plan, runs)?;
+        let mut piece = plan.clone();
+        piece.runs = plan.runs[runs].to_vec();
+        piece.polygon_count = piece.runs.iter().map(|run| run.count as usize).sum();
+        self.upload(&piece)?;
         self.frame.in_company = true;
         loop {
-            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame)?;
+            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
             self.bind();
             self.store.put(&self.frame);
             let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -97,7 +108,7 @@ impl GpuEngine {
 
     /// Makes images of the keys; the answer is the number of hits without an id.
     fn take_images(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame)?;
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.stages.resolve(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
         self.store.encode_readback(&mut encoder, &self.frame, 0);

@@ -30,9 +30,10 @@ pub(super) struct Params {
     pub rays_at: u32,
     pub tile_columns: u32,
     pub tile_count: u32,
-    pub groups_at: u32,
+    pub units_at: u32,
     pub facings_at: u32,
-    pub polygon_count: u32,
+    pub first_run: u32,
+    pub end_run: u32,
     pub record_words: u32,
     pub item_room: u32,
     pub range_at: u32,
@@ -50,7 +51,10 @@ pub(super) struct Params {
     pub range_min: f32,
     pub range_max: f32,
     pub stamp: u32,
-    pub padding: u32,
+    pub coarse_at: u32,
+    pub coarse_columns: u32,
+    pub hiding: u32,
+    pub ahead_at: u32,
 }
 
 /// `Instance` in common.wgsl.
@@ -91,6 +95,19 @@ pub(super) struct Counters {
     pub raster_y: u32,
     pub raster_z: u32,
     pub lost_ids: u32,
+    pub cull_groups: u32,
+    pub cull_y: u32,
+    pub cull_z: u32,
+    pub units: u32,
+    pub all_raster_groups: u32,
+    pub all_raster_y: u32,
+    pub all_raster_z: u32,
+    pub units_before: u32,
+    pub survivors_before: u32,
+    pub items_before: u32,
+    pub groups_before: u32,
+    pub runs_hidden: u32,
+    pub polygons_hidden: u32,
 }
 
 /// `Survivor` in common.wgsl.
@@ -100,6 +117,7 @@ pub(super) struct Survivor {
     pub polygon: u32,
     pub instance: u32,
     pub lines: u32,
+    pub samples: u32,
     pub flags: u32,
 }
 
@@ -138,14 +156,16 @@ pub(super) struct Slot {
     pub record: u32,
 }
 
-/// A run of polygons in the work table; `RUN_` in cull.wgsl.
+/// A run of polygons in the work table; `RUN_` in runs.wgsl.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct WorkRun {
-    pub start: u32,
     pub instance: u32,
     pub polygon: u32,
-    pub near: u32,
+    /// With [`RUN_NEAR`].
+    pub count: u32,
+    /// Of its cluster, in the arena.
+    pub r#box: u32,
 }
 
 /// A part of a polygon's image; `ITEM_` in common.wgsl.
@@ -155,6 +175,8 @@ pub(super) struct Item {
     pub record: u32,
     /// First line, number of lines in the higher 16 bits; or supertile.
     pub part: u32,
+    /// First sample, end in the higher 16 bits; or tiles of the supertile.
+    pub within: u32,
 }
 
 /// Words of a type that shaders read word by word.
@@ -174,6 +196,24 @@ pub(super) const CORNER_WORDS: u32 = 1;
 pub(super) const VERTEX_WORDS: u32 = 3;
 /// Words of a run in the work table.
 pub(super) const RUN_WORDS: usize = words_of::<WorkRun>() as usize;
+/// In the count of a run: it is around the sensor.
+pub(super) const RUN_NEAR: u32 = 1 << 31;
+/// Polygons of a unit, in which runs are culled.
+pub(super) const UNIT: u32 = 8;
+/// Bits for the number of a unit in its run.
+pub(super) const UNIT_SHIFT: u32 = 3;
+/// Words of a cluster's box in the arena.
+pub(super) const BOX_WORDS: u32 = 6;
+/// Side of the tiles of coarse depth.
+pub(super) const TILE_SIDE: u32 = 8;
+/// Tiles along a side of a block of coarse depth.
+pub(super) const TILES_PER_BLOCK: u32 = 8;
+/// Words of a block of coarse depth.
+pub(super) const BLOCK_WORDS: u32 = 85;
+/// Most waves of a frame.
+pub(super) const MAX_WAVES: usize = 4;
+/// Bytes between the parameters of waves: offsets of uniform buffers are multiples of it everywhere.
+pub(super) const WAVE_BYTES: u64 = 256;
 /// Words of a record before its edges.
 pub(super) const RECORD_WORDS: u32 = words_of::<Record>();
 /// Words of a slot that has a record.
@@ -190,6 +230,8 @@ pub(super) const ITEM_WORDS: u32 = words_of::<Item>();
 pub(super) const ITEMS_PER_POLYGON: u32 = 256;
 /// Fewest lines of an item.
 pub(super) const LINES_PER_ITEM: u32 = 4;
+/// Samples of a line in an item of a wide polygon.
+pub(super) const SAMPLES_PER_ITEM: u32 = 64;
 /// Tiles along a side of a supertile.
 pub(super) const TILES_PER_SUPERTILE: u32 = 8;
 

@@ -4,9 +4,11 @@
 //!
 //! | stage | shader | on the CPU |
 //! |---|---|---|
-//! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::cull`, for whole runs |
+//! | sift | `sift.wgsl`, from the second wave on | `cpu::cull`, for whole runs |
+//! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::setup` |
 //! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
+//! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
 //! | resolve | `resolve.wgsl` | `cpu::resolve`; `resolve` from the device's keys, for software adapters |
 //! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
 //! | roi | `roi.wgsl` | `features::roi` |
@@ -42,10 +44,10 @@ use device::Gpu;
 use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
-use layout::Counters;
+use layout::{Counters, GridKind};
 use stages::{Stages, Variants};
-use std::ops::Range;
 use std::time::Instant;
+use testing::Hiding;
 use uploads::FrameUploads;
 use visible::Visible;
 
@@ -86,6 +88,8 @@ pub struct GpuEngine {
     threads: Threads,
     /// How it was opened.
     opened: (DeviceOptions, testing::Setup),
+    /// Kinds of grids of which a frame was drawn: the first one, which may be a probe, goes through all stages.
+    known: Vec<GridKind>,
 }
 
 impl GpuEngine {
@@ -118,6 +122,7 @@ impl GpuEngine {
             roi: None,
             threads: Threads::SHARED,
             opened: (options, setup),
+            known: Vec::new(),
         })
     }
 
@@ -190,6 +195,7 @@ impl GpuEngine {
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
+                self.know(self.sensors[0].1.kind);
                 plan.finish_noting(images, stats)?;
                 self.report(&self.frame, &counters, reruns, stats);
                 let image_bytes = stats.work.image_bytes;
@@ -198,6 +204,12 @@ impl GpuEngine {
             }
             self.rebind = true;
             reruns += 1;
+        }
+    }
+
+    fn know(&mut self, kind: GridKind) {
+        if !self.known.contains(&kind) {
+            self.known.push(kind);
         }
     }
 
@@ -233,18 +245,15 @@ impl GpuEngine {
     }
 
     fn upload(&mut self, plan: &FramePlan) -> Result<()> {
-        self.upload_some(plan, 0..plan.runs.len())
-    }
-
-    /// Works out the uploads of some of a plan's runs.
-    fn upload_some(&mut self, plan: &FramePlan, runs: Range<usize>) -> Result<()> {
         self.store.uploads.clear();
         self.take_sensor(&plan.sensor)?;
         let objects = plan.environment().objects();
         let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
         if let Some((_, tables)) = self.sensors.first() {
-            self.frame.fill_some(plan, runs, tables, &self.arena, self.software);
+            let first = self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
+            let hiding = if first { Hiding::Always } else { self.opened.1.hiding };
+            self.frame.fill(plan, tables, &self.arena, self.software, hiding);
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         if self.frame.on_host {
@@ -276,7 +285,7 @@ impl GpuEngine {
     }
 
     fn submit(&mut self) -> Result<Variants> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame)?;
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
         self.bind();
         self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -354,7 +363,7 @@ impl GpuEngine {
             return;
         }
         let period = f64::from(self.gpu.queue.get_timestamp_period());
-        for (name, pair) in self.frame.stages().iter().zip(bytes.chunks_exact(16)) {
+        for (name, pair) in self.frame.passes.iter().zip(bytes.chunks_exact(16)) {
             let [begin, end]: [u64; 2] = bytemuck::pod_read_unaligned(pair);
             let ms = end.saturating_sub(begin) as f64 * period * 1e-6;
             stats.stages_ms.push((*name, ms));
@@ -364,8 +373,13 @@ impl GpuEngine {
     fn report(&self, frame: &FrameUploads, counters: &Counters, reruns: usize, stats: &mut Stats) {
         self.report_variants(frame, stats);
         let near = &frame.near;
-        stats.count(CountName::PolygonsSelected, frame.params.polygon_count as usize);
+        stats.count(CountName::RunsSelected, frame.waves.last().map_or(0, |wave| wave.end as usize));
+        stats.count(CountName::PolygonsSelected, frame.polygon_count as usize);
+        stats.count(CountName::RunsHidden, counters.runs_hidden as usize);
+        stats.count(CountName::PolygonsHidden, counters.polygons_hidden as usize);
+        stats.count(CountName::Waves, frame.waves.len());
         stats.count(CountName::PolygonsInView, counters.survivors as usize);
+        stats.count(CountName::PolygonsSetUp, counters.records as usize);
         stats.count(CountName::PolygonsSetUpInF64, near.slots.len());
         stats.count(CountName::PolygonsEdgeOn, (counters.edge_on + near.edge_on) as usize);
         stats.count(CountName::WorkItems, counters.items as usize);
@@ -379,10 +393,14 @@ impl GpuEngine {
     /// Which variants of stages were taken, and which were not.
     fn report_variants(&self, frame: &FrameUploads, stats: &mut Stats) {
         if self.store.times.is_none() {
-            frame.stages().iter().for_each(|name| stats.take(*name, "within device, which tells no times of stages"));
+            let passes: std::collections::BTreeSet<_> = frame.passes.iter().collect();
+            passes.iter().for_each(|name| stats.take(**name, "within device, which tells no times of stages"));
         }
         if frame.on_host {
             stats.leave_out(StageName::ResolveOnDevice, "the adapter is a program on the CPU's own cores");
+        }
+        if frame.waves.len() == 1 {
+            stats.leave_out(StageName::Hidden, "too few polygons are in view");
         }
         let short = self.sensors.first().is_some_and(|(_, tables)| tables.short());
         let mut choose = |what: StageName, needed: bool, why: [&'static str; 2]| {

@@ -4,7 +4,10 @@
 
 use super::geometry::spread;
 use super::grid::Tables;
-use super::layout::{EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, Item, LINES_PER_ITEM, RECORD_WORDS, Record, Slot};
+use super::layout::{
+    EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, Item, LINES_PER_ITEM, RECORD_WORDS, Record, SAMPLES_PER_ITEM, Slot,
+    TILES_PER_SUPERTILE,
+};
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::verify::SET_UP_FINELY;
@@ -31,11 +34,14 @@ pub(super) struct NearList {
     pub edge_on: u32,
 }
 
+/// The cluster in which a run begins.
+pub(super) fn cluster_of(mesh: &Mesh, run: &Run) -> usize {
+    mesh.clusters().partition_point(|c| c.first + c.count <= run.first)
+}
+
 /// True if the sensor is in or near one of the run's clusters, measured by the cluster's own size.
 pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
-    let clusters = mesh.clusters();
-    let first = clusters.partition_point(|c| c.first + c.count <= run.first);
-    clusters[first..].iter().take_while(|c| c.first < run.first + run.count).any(|c| {
+    mesh.clusters()[cluster_of(mesh, run)..].iter().take_while(|c| c.first < run.first + run.count).any(|c| {
         let size = c.bounds.size();
         c.bounds.distance_squared(instance.center_in_mesh) <= size * size
     })
@@ -111,14 +117,22 @@ impl NearList {
 
     /// Every line: bounds are not worth their while for so few.
     fn add_items(&mut self, record: u32, tables: &Tables) {
-        let lines = tables.params.line_count;
+        let (lines, samples) = (tables.params.line_count, tables.params.sample_count);
         if tables.kind == GridKind::Rays {
-            self.items.extend((0..lines).map(|part| Item { record, part }));
+            // Two rows of tiles each.
+            let rows = |first: u32| first | (first + 1) << 3 | (TILES_PER_SUPERTILE - 1) << 9;
+            let of =
+                |part| (0..TILES_PER_SUPERTILE).step_by(2).map(move |row| Item { record, part, within: rows(row) });
+            self.items.extend((0..tables.supertiles).flat_map(of));
             return;
         }
         let share = lines.div_ceil(ITEMS_PER_POLYGON).max(LINES_PER_ITEM);
         for first in (0..lines).step_by(share as usize) {
-            self.items.push(Item { record, part: first | share.min(lines - first) << 16 });
+            let part = first | share.min(lines - first) << 16;
+            for sample in (0..samples).step_by(SAMPLES_PER_ITEM as usize) {
+                let end = samples.min(sample + SAMPLES_PER_ITEM);
+                self.items.push(Item { record, part, within: sample | end << 16 });
+            }
         }
     }
 }

@@ -4,16 +4,29 @@ macro_rules! unit {
     ($($file:literal),+) => { concat!($(include_str!(concat!("../../shaders/", $file))),+) };
 }
 
-pub(super) const CULL_CAMERA: &str = unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "cull.wgsl", "cull_camera.wgsl");
-pub(super) const CULL_SCANNER: &str = unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "cull.wgsl", "cull_scanner.wgsl");
-pub(super) const CULL_RAYS: &str = unit!("common.wgsl", "arena.wgsl", "cull.wgsl", "cull_rays.wgsl");
+/// A stage that bounds polygons or boxes, of one kind of grid.
+macro_rules! bounding {
+    ($stage:literal, $grid:literal) => {
+        unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "runs.wgsl", "coarse.wgsl", $stage, $grid)
+    };
+}
+
+pub(super) const SIFT_CAMERA: &str = bounding!("sift.wgsl", "cull_camera.wgsl");
+pub(super) const SIFT_SCANNER: &str = bounding!("sift.wgsl", "cull_scanner.wgsl");
+pub(super) const SIFT_RAYS: &str = bounding!("sift.wgsl", "cull_rays.wgsl");
+pub(super) const CULL_CAMERA: &str = bounding!("cull.wgsl", "cull_camera.wgsl");
+pub(super) const CULL_SCANNER: &str = bounding!("cull.wgsl", "cull_scanner.wgsl");
+pub(super) const CULL_RAYS: &str = bounding!("cull.wgsl", "cull_rays.wgsl");
+pub(super) const FARTHEST: &str = unit!("common.wgsl", "grid.wgsl", "coarse.wgsl", "farthest.wgsl");
 pub(super) const SETUP_LINES: &str = unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "setup.wgsl", "items_lines.wgsl");
 pub(super) const SETUP_RAYS: &str =
-    unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "cones.wgsl", "setup.wgsl", "items_rays.wgsl");
+    unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "coarse.wgsl", "cones.wgsl", "setup.wgsl", "items_rays.wgsl");
 pub(super) const RASTER_LINES_64: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key64.wgsl");
 pub(super) const RASTER_LINES_32: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key32.wgsl");
-pub(super) const RASTER_RAYS_64: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
-pub(super) const RASTER_RAYS_32: &str = unit!("common.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
+pub(super) const RASTER_RAYS_64: &str =
+    unit!("common.wgsl", "coarse.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
+pub(super) const RASTER_RAYS_32: &str =
+    unit!("common.wgsl", "coarse.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
 pub(super) const RESOLVE: &str = unit!("common.wgsl", "resolve.wgsl");
 pub(super) const VISIBLE: &str = unit!("common.wgsl", "visible.wgsl");
 pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
@@ -27,7 +40,11 @@ mod tests {
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
-    const UNITS: [(&str, &str); 12] = [
+    const UNITS: [(&str, &str); 16] = [
+        ("sift camera", SIFT_CAMERA),
+        ("sift scanner", SIFT_SCANNER),
+        ("sift rays", SIFT_RAYS),
+        ("farthest", FARTHEST),
         ("cull camera", CULL_CAMERA),
         ("cull scanner", CULL_SCANNER),
         ("cull rays", CULL_RAYS),
@@ -92,14 +109,16 @@ mod tests {
         let module = parse("cull camera", CULL_CAMERA);
         assert_same!(&module, Params: line_count, sample_count, width, height, lines_at, weights_at, positions_at,
             line_buckets_at, sample_buckets_at, line_buckets, sample_buckets, tiles_at, rays_at, tile_columns,
-            tile_count, groups_at, facings_at, polygon_count, record_words, item_room, range_at, depth_at,
+            tile_count, units_at, facings_at, first_run, end_run, record_words, item_room, range_at, depth_at,
             polygon_at, object_at, cos_at, source_ids, first_line, last_line, first_sample, last_sample, fx, fy,
-            range_min, range_max, stamp, padding);
+            range_min, range_max, stamp, coarse_at, coarse_columns, hiding, ahead_at);
         assert_same!(&module, Instance: linear_x, handedness, linear_y, first_slot, linear_z, first_source, normal_x,
             object_id, normal_y, polygons_at, normal_z, corners_at, center_high, vertices_at, center_low, padding);
         assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
-            records, raster_groups, raster_y, raster_z, lost_ids);
-        assert_same!(&module, Survivor: polygon, instance, lines, flags);
+            records, raster_groups, raster_y, raster_z, lost_ids, cull_groups, cull_y, cull_z, units,
+            all_raster_groups, all_raster_y, all_raster_z, units_before, survivors_before, items_before, groups_before,
+            runs_hidden, polygons_hidden);
+        assert_same!(&module, Survivor: polygon, instance, lines, samples, flags);
         let module = parse("roi", ROI);
         assert_same!(&module, RoiParams: sensor, by, size, turn, log_fail, lowest, first, highest, margin, bent, much,
             slightly, slight, tail_steps, feature_count);
@@ -134,9 +153,11 @@ mod tests {
         assert_same_words!(&module, "POLYGON", ArenaPolygon: first_corner, corners, source, normal, spread);
         assert_same_words!(&module, "RECORD", Record: m, slot, edge_count, cap_axis, cap_chord);
         assert_same_words!(&module, "SLOT", Slot: distance, object, source, record);
-        assert_same_words!(&module, "ITEM", Item: record, part);
-        assert_same_words!(&module, "RUN", WorkRun: start, instance, polygon, near);
+        assert_same_words!(&module, "ITEM", Item: record, part, within);
+        assert_same_words!(&module, "RUN", WorkRun: instance, polygon, count);
+        assert_eq!(value(&module, "RUN_BOX") as usize * 4, offset_of!(WorkRun, r#box));
         assert_eq!(value(&module, "COUNTED_ITEMS") as usize * 4, offset_of!(Counters, items));
+        assert_eq!(value(&module, "COUNTED_ITEMS_BEFORE") as usize * 4, offset_of!(Counters, items_before));
         assert_same_words!(&parse("visible", VISIBLE), "SAMPLE", Sample: place, pixel, slots);
         // A field that moves is noticed.
         let moved = CULL_CAMERA.replace("RECORD_SLOT: u32 = 3u", "RECORD_SLOT: u32 = 4u");
@@ -156,12 +177,24 @@ mod tests {
             ("FEW_INSTANCES", layout::FEW_INSTANCES),
             ("ITEMS_PER_POLYGON", layout::ITEMS_PER_POLYGON),
             ("LINES_PER_ITEM", layout::LINES_PER_ITEM),
+            ("SAMPLES_PER_ITEM", layout::SAMPLES_PER_ITEM),
             ("CAMERA", layout::GridKind::Camera as u32),
             ("SCANNER", layout::GridKind::Scanner as u32),
             ("RAYS", layout::GridKind::Rays as u32),
         ] {
             assert_eq!(value(&module, name), ours, "{name}");
         }
+        let module = parse("sift camera", SIFT_CAMERA);
+        for (name, ours) in [
+            ("RUN_NEAR_BIT", layout::RUN_NEAR),
+            ("UNIT", layout::UNIT),
+            ("UNIT_SHIFT", layout::UNIT_SHIFT),
+            ("BOX_WORDS", layout::BOX_WORDS),
+            ("BLOCK_WORDS", layout::BLOCK_WORDS),
+        ] {
+            assert_eq!(value(&module, name), ours, "{name}");
+        }
+        assert_eq!(value(&parse("farthest", FARTHEST), "TILE_SIDE"), layout::TILE_SIDE);
         let lines = parse("raster lines 32", RASTER_LINES_32);
         assert_eq!(value(&lines, "SHORT_GRID"), layout::SHORT_GRID);
         let boxes = parse("roi", ROI);

@@ -1,12 +1,15 @@
 //! A compute stage: its bindings, its pipeline variants, made when first needed and kept.
 
 use super::device::Gpu;
+use super::layout::{Params, WAVE_BYTES};
 use crate::error::{ErrorKind, Result};
 use std::collections::HashMap;
 
 /// What a binding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Binding {
+    /// Those of one wave of several, which [`Stage::set`] names.
+    Params,
     Uniform,
     Read,
     Write,
@@ -22,6 +25,8 @@ pub(super) struct Stage {
     pipeline_layout: wgpu::PipelineLayout,
     pipelines: HashMap<Variant, wgpu::ComputePipeline>,
     group: Option<wgpu::BindGroup>,
+    /// The first binding is [`Binding::Params`].
+    of_waves: bool,
 }
 
 impl Stage {
@@ -36,7 +41,8 @@ impl Stage {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        Self { name, layout, pipeline_layout, pipelines: HashMap::new(), group: None }
+        let of_waves = bindings.first() == Some(&Binding::Params);
+        Self { name, layout, pipeline_layout, pipelines: HashMap::new(), group: None, of_waves }
     }
 
     /// Binds other buffers.
@@ -44,11 +50,19 @@ impl Stage {
         let entries: Vec<_> = buffers
             .iter()
             .enumerate()
-            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: b.as_entire_binding() })
+            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: self.resource(i, b) })
             .collect();
         let descriptor = wgpu::BindGroupDescriptor { label: Some(self.name), layout: &self.layout, entries: &entries };
         gpu.made.bind_groups.add();
         self.group = Some(gpu.device.create_bind_group(&descriptor));
+    }
+
+    fn resource<'b>(&self, at: usize, buffer: &'b wgpu::Buffer) -> wgpu::BindingResource<'b> {
+        if at == 0 && self.of_waves {
+            let size = std::num::NonZeroU64::new(size_of::<Params>() as u64);
+            return wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size });
+        }
+        buffer.as_entire_binding()
     }
 
     /// True if a variant's pipeline is there.
@@ -89,28 +103,29 @@ impl Stage {
         Ok(())
     }
 
-    /// Sets the pipeline and bindings; false if the stage is not ready, which is a bug of the engine.
-    pub fn set(&self, pass: &mut wgpu::ComputePass<'_>, variant: Variant) -> bool {
+    /// Sets the pipeline and bindings for a wave; false if the stage is not ready, which is a bug of the engine.
+    pub fn set(&self, pass: &mut wgpu::ComputePass<'_>, variant: Variant, wave: usize) -> bool {
         let (Some(pipeline), Some(group)) = (self.pipelines.get(&variant), &self.group) else {
             debug_assert!(false, "stage {} is not ready", self.name);
             return false;
         };
         pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, group, &[]);
+        let offset = [wave as u32 * WAVE_BYTES as u32];
+        pass.set_bind_group(0, group, if self.of_waves { &offset } else { &[] });
         true
     }
 }
 
 fn entry(binding: u32, what: Binding) -> wgpu::BindGroupLayoutEntry {
     let ty = match what {
-        Binding::Uniform => wgpu::BufferBindingType::Uniform,
+        Binding::Params | Binding::Uniform => wgpu::BufferBindingType::Uniform,
         Binding::Read => wgpu::BufferBindingType::Storage { read_only: true },
         Binding::Write => wgpu::BufferBindingType::Storage { read_only: false },
     };
     wgpu::BindGroupLayoutEntry {
         binding,
         visibility: wgpu::ShaderStages::COMPUTE,
-        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: what == Binding::Params, min_binding_size: None },
         count: None,
     }
 }

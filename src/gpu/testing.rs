@@ -4,6 +4,20 @@ use super::{DeviceAllocations, DeviceOptions, GpuEngine};
 use crate::error::Result;
 use std::any::Any;
 
+/// When polygons that others hide are looked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Hiding {
+    /// Where there are enough polygons.
+    #[default]
+    WhereItPays,
+    /// Never: all runs in one wave.
+    Off,
+    /// In every frame of more than one run.
+    Always,
+    /// As always, with a fault: what was drawn is taken to be nearer than it is by what rounding is allowed.
+    TooNear,
+}
+
 /// How a device is used in a test.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Setup {
@@ -11,11 +25,13 @@ pub struct Setup {
     pub largest_binding: Option<u64>,
     /// Run every stage on the device, even on a software adapter, where some are faster on the CPU directly.
     pub all_on_device: bool,
+    /// When polygons that others hide are looked for.
+    pub hiding: Hiding,
 }
 
 impl Setup {
     /// Every stage on the device.
-    pub const ALL_ON_DEVICE: Self = Self { largest_binding: None, all_on_device: true };
+    pub const ALL_ON_DEVICE: Self = Self { largest_binding: None, all_on_device: true, hiding: Hiding::WhereItPays };
 }
 
 /// [`GpuEngine::new`] with a setup for tests.

@@ -2,9 +2,11 @@
 
 use super::geometry::Arena;
 use super::grid::Tables;
-use super::layout::{FEW_INSTANCES, GROUP, Instance, Params, RUN_WORDS, SLOT_WORDS, WorkRun};
-use super::near::{NearList, is_near};
-use super::stages::{NAMES, RESOLVE};
+use super::layout::{
+    BOX_WORDS, FEW_INSTANCES, Instance, MAX_WAVES, Params, RUN_NEAR, RUN_WORDS, SLOT_WORDS, UNIT, UNIT_SHIFT, WorkRun,
+};
+use super::near::{NearList, cluster_of, is_near};
+use super::testing::Hiding;
 use crate::plan::{FramePlan, IdScheme, Output, Outputs, Run, StageName};
 use glam::{DMat3, DVec3, Vec3};
 use std::ops::Range;
@@ -12,13 +14,30 @@ use std::ops::Range;
 /// Most slots that are read back to resolve images on the CPU.
 const MOST_SLOTS_ON_HOST: u32 = 1 << 20;
 
+/// Fewest polygons of which some are looked for that others hide.
+const LEAST_TO_HIDE: usize = 4096;
+/// Polygons of the first wave.
+const FIRST_WAVE: usize = 2048;
+/// Each wave has so many times the polygons of the one before it, and the last one all that are left.
+const WAVE_GROWTH: usize = 4;
+
 /// The uploads of a frame, in buffers that stay.
 #[derive(Default)]
 pub(super) struct FrameUploads {
     pub params: Params,
     pub instances: Vec<Instance>,
-    /// Runs and a sentinel, the first run of every workgroup, facings by material.
+    /// Runs, facings by material, units of the first wave.
     pub work: Vec<u32>,
+    /// Of all waves.
+    pub units: u32,
+    /// The runs of each wave.
+    pub waves: Vec<Range<u32>>,
+    /// What runs on the device, in order.
+    pub passes: Vec<StageName>,
+    /// Workgroups that coarse depth takes.
+    pub blocks: (u32, u32),
+    /// Polygons of all runs.
+    pub polygon_count: u32,
     pub near: NearList,
     /// Every instance is opaque and two-sided: no material is looked at.
     pub plain: bool,
@@ -40,9 +59,9 @@ impl FrameUploads {
         self.instances.len() <= FEW_INSTANCES as usize
     }
 
-    /// Names of the stages that run on the device.
-    pub fn stages(&self) -> &'static [StageName] {
-        if self.on_host { &NAMES[..RESOLVE] } else { &NAMES }
+    /// Bytes of `work` with room for the units of all waves.
+    pub fn work_bytes(&self) -> u64 {
+        4 * (u64::from(self.params.units_at) + u64::from(self.units))
     }
 
     /// Size of what is known about slots.
@@ -52,18 +71,15 @@ impl FrameUploads {
 
     /// Works it out; the arena holds every mesh of the plan. On a software adapter the images are resolved on the
     /// CPU, unless so many slots would have to be read back that nothing is gained.
-    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, software: bool) {
-        self.fill_some(plan, 0..plan.runs.len(), tables, arena, software);
-    }
-
-    /// [`FrameUploads::fill`] with some of the runs.
-    pub fn fill_some(&mut self, plan: &FramePlan, runs: Range<usize>, tables: &Tables, arena: &Arena, software: bool) {
+    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, software: bool, hiding: Hiding) {
         self.slots = plan.environment().slot_count();
         self.on_host = software && self.slots <= MOST_SLOTS_ON_HOST;
         self.params = tables.params;
+        self.blocks = tables.blocks;
         self.plain = plan.instances.iter().all(|i| i.plain);
         self.fill_instances(plan, arena);
-        self.fill_work(plan, &plan.runs[runs], tables);
+        self.fill_waves(plan, hiding);
+        self.fill_work(plan, tables, arena);
         self.place_outputs(plan);
         self.params.source_ids = u32::from(plan.drawn_ids() == IdScheme::Source);
     }
@@ -101,35 +117,78 @@ impl FrameUploads {
         }
     }
 
-    fn fill_work(&mut self, plan: &FramePlan, runs: &[Run], tables: &Tables) {
+    fn fill_work(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena) {
         self.work.clear();
         self.near.clear();
         let objects = plan.environment().objects();
-        let mut start = 0;
-        for run in runs {
+        for run in &plan.runs {
             let instance = &plan.instances[run.instance as usize];
-            let near = is_near(&objects[instance.object as usize].mesh, instance, run);
+            let mesh = &objects[instance.object as usize].mesh;
+            let near = is_near(mesh, instance, run);
             if near {
                 self.near.add(plan, tables, instance, run);
             }
-            let words = WorkRun { start, instance: run.instance, polygon: run.first, near: u32::from(near) };
+            let boxes_at = arena.place(mesh).map_or(0, |place| place.boxes_at);
+            let words = WorkRun {
+                instance: run.instance,
+                polygon: run.first,
+                count: run.count | if near { RUN_NEAR } else { 0 },
+                r#box: boxes_at + cluster_of(mesh, run) as u32 * BOX_WORDS,
+            };
             self.work.extend_from_slice(bytemuck::cast_slice(&[words]));
-            start += run.count;
         }
-        self.work.extend_from_slice(bytemuck::cast_slice(&[WorkRun { start, ..WorkRun::default() }]));
-        debug_assert_eq!(self.work.len(), (runs.len() + 1) * RUN_WORDS);
-        self.params.polygon_count = start;
+        debug_assert_eq!(self.work.len(), plan.runs.len() * RUN_WORDS);
         self.params.stamp = self.near.stamp;
-        self.params.groups_at = self.work.len() as u32;
-        let mut end = 0;
-        for (index, run) in runs.iter().enumerate() {
-            // Workgroups whose first polygon lies in this run.
-            let first = (end as u32).next_multiple_of(GROUP);
-            end += run.count as usize;
-            self.work.extend((first..end as u32).step_by(GROUP as usize).map(|_| index as u32));
-        }
         self.params.facings_at = self.work.len() as u32;
         self.work.extend(plan.facings.iter().map(|f| u32::from(f.opaque) | u32::from(f.one_sided) << 1));
+        self.params.units_at = self.work.len() as u32;
+        let units_of = |run: &Run| run.count.div_ceil(UNIT);
+        // The device adds those of later waves.
+        self.units = plan.runs.iter().map(units_of).sum();
+        let first = self.waves.first().map_or(0, |wave| wave.end as usize);
+        for (index, run) in (0..).zip(&plan.runs[..first]) {
+            self.work.extend((0..units_of(run)).map(|unit| index << UNIT_SHIFT | unit));
+        }
+    }
+
+    /// Units that the first wave begins with.
+    pub fn first_units(&self) -> u32 {
+        self.work.len() as u32 - self.params.units_at
+    }
+
+    /// Cuts the runs into waves, nearest first.
+    fn fill_waves(&mut self, plan: &FramePlan, hiding: Hiding) {
+        self.polygon_count = plan.polygon_count as u32;
+        self.waves.clear();
+        let end = plan.runs.len() as u32;
+        let first = match hiding {
+            Hiding::WhereItPays if plan.polygon_count >= LEAST_TO_HIDE => FIRST_WAVE,
+            Hiding::WhereItPays | Hiding::Off => plan.polygon_count,
+            Hiding::Always | Hiding::TooNear => plan.polygon_count / 4,
+        };
+        let (mut begin, mut polygons, mut most) = (0, 0, first.max(1));
+        for (index, run) in (0..).zip(&plan.runs) {
+            polygons += run.count as usize;
+            let split = polygons >= most && index + 1 < end && self.waves.len() + 1 < MAX_WAVES;
+            if split {
+                self.waves.push(begin..index + 1);
+                (begin, most) = (index + 1, WAVE_GROWTH * most);
+            }
+        }
+        self.waves.push(begin..end);
+        self.passes.clear();
+        for wave in 0..self.waves.len() {
+            self.passes.extend((wave > 0).then_some(StageName::Hidden));
+            self.passes.extend([StageName::Cull, StageName::Setup, StageName::Raster]);
+            self.passes.extend((wave + 1 < self.waves.len()).then_some(StageName::CoarseDepth));
+        }
+        self.passes.extend((!self.on_host).then_some(StageName::Resolve));
+    }
+
+    /// Parameters of a wave.
+    pub fn params_of(&self, wave: usize) -> Params {
+        let Range { start, end } = self.waves[wave];
+        Params { first_run: start, end_run: end, hiding: u32::from(wave > 0), ..self.params }
     }
 
     fn place_outputs(&mut self, plan: &FramePlan) {

@@ -87,7 +87,7 @@ impl Seed {
                 let corners = corners()?.try_into().ok()?;
                 (Shape::Fiducial(corners), (0..4).map(covariance).collect(), world.clone())
             }
-            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => return None,
+            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } | FeatureShape::Contour { .. } => return None,
         };
         Some(Self { id: seen.feature.id, shape, covariances, properties: properties(seen), points_world })
     }

@@ -3,6 +3,7 @@
 mod access;
 pub mod atomic;
 pub mod camera_info;
+pub mod cloud;
 pub mod corridor;
 pub mod costs;
 pub mod depth_folder;

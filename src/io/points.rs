@@ -19,6 +19,16 @@ pub enum PointsFrame {
     World,
 }
 
+impl PointsFrame {
+    /// For the comment in both formats.
+    pub(super) fn in_words(self) -> &'static str {
+        match self {
+            Self::Sensor => "sensor body axes: x forward, y left, z up; metres",
+            Self::World => "world: z up; metres",
+        }
+    }
+}
+
 /// The points of a range image, one per pixel, row-major, with what other images say of them.
 ///
 /// Files get a field for each image of range, echo (`intensity`), object_id and polygon_id that is there, `ring` (the row of the
@@ -172,10 +182,7 @@ impl<'a> PointCloud<'a> {
 
     /// Description of the frame, for the comment in both formats.
     pub(super) fn frame_in_words(&self) -> &'static str {
-        match self.frame {
-            PointsFrame::Sensor => "sensor body axes: x forward, y left, z up; metres",
-            PointsFrame::World => "world: z up; metres",
-        }
+        self.frame.in_words()
     }
 }
 

@@ -54,6 +54,7 @@ words! {
         Device = "device",
         Cull = "cull",
         Raster = "raster",
+        CoarseDepth = "coarse depth",
         Resolve = "resolve",
         ResolveOnDevice = "resolve on the device",
         ResolveOnCpu = "resolve on the CPU",

@@ -6,9 +6,9 @@ use crate::cost::DeadlineFrame;
 use crate::engine;
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::{
-    BoxOptions, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, FeatureTree, Hidden,
-    OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, check_placed,
-    choose, predict_features, sides_seen_in_part,
+    BoxOptions, ContourSet, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource,
+    FeatureTree, Hidden, OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility,
+    add_boxes, check_placed, choose, predict_features, sides_seen_in_part,
 };
 use crate::geometry::Pose;
 use crate::placement;
@@ -31,12 +31,20 @@ pub(super) struct WorldFeatures {
     placed: PlacedFeatures,
 }
 
-/// The tree of the features that were predicted last.
+/// The features that were predicted last: their tree, and the surfaces of contours.
 pub(super) struct KnownTree {
     features: Arc<[PlacedFeature]>,
     /// [`World::stamp`] of the version in which they were checked.
     world: u64,
+    class: String,
     tree: FeatureTree,
+    contours: ContourSet,
+}
+
+impl KnownTree {
+    pub fn parts(&self) -> (&FeatureTree, &ContourSet) {
+        (&self.tree, &self.contours)
+    }
 }
 
 impl Predictor {
@@ -116,8 +124,8 @@ impl Predictor {
             stats.leave_out(StageName::Features, "there is none for this class");
         }
         let mut start = Instant::now();
-        let tree = self.take_tree(world, placed, settings)?;
-        let of_tree = tree.as_ref().map(|known| &known.tree);
+        let tree = self.take_tree(world, &sensor.spec().class, placed, settings)?;
+        let of_tree = tree.as_ref().map(KnownTree::parts);
         let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, of_tree), settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
@@ -141,22 +149,33 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// The tree of features that were checked in the world, where hidden ones are only counted.
-    fn take_tree(
+    /// The tree of features that were checked in the world, where hidden ones are only counted or contours are among them.
+    pub(super) fn take_tree(
         &mut self,
         world: &World,
+        class: &str,
         placed: &Arc<[PlacedFeature]>,
         settings: &FeatureSettings,
     ) -> Result<Option<KnownTree>> {
-        if settings.hidden != Hidden::Count {
+        let has_contours = || placed.iter().any(|p| p.feature.shape.is_contour());
+        if settings.hidden != Hidden::Count && !has_contours() {
             return Ok(None);
         }
-        let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed));
-        if known.as_ref().is_none_or(|known| known.world != world.stamp()) {
-            check_placed(world.environment(), placed)?;
+        let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed) && known.class == class);
+        if known.as_ref().is_some_and(|known| known.world == world.stamp()) {
+            return Ok(known);
         }
-        let tree = known.map_or_else(|| FeatureTree::new(placed), |known| known.tree);
-        Ok(Some(KnownTree { features: placed.clone(), world: world.stamp(), tree }))
+        check_placed(world.environment(), placed)?;
+        // Where surfaces go on in others depends on where these are.
+        let known = known.filter(|known| known.contours.is_empty());
+        let (tree, contours) = match known {
+            Some(known) => (known.tree, known.contours),
+            None => {
+                let contours = ContourSet::new(world, class, placed)?;
+                (FeatureTree::new(placed, &contours), contours)
+            }
+        };
+        Ok(Some(KnownTree { features: placed.clone(), world: world.stamp(), class: class.to_owned(), tree, contours }))
     }
 
     /// Adds regions of interest.

@@ -1,12 +1,13 @@
 //! Features of a prediction with a deadline: those that matter most first, in groups, the next only if it fits.
 
 use super::Predictor;
-use super::features::{SeenFrom, settings};
+use super::features::{KnownTree, SeenFrom, settings};
 use crate::cost::DeadlineFrame;
 use crate::deadline::Priority;
 use crate::error::Result;
 use crate::features::{
-    BoxOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures, add_boxes,
+    BoxOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures,
+    SeenFeature, add_boxes,
 };
 use crate::plan::{Images, Stats};
 use crate::request::Request;
@@ -28,13 +29,16 @@ impl Predictor {
         let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
         let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
         let all = &placed.features;
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, None), &settings)?;
+        let tree = self.take_tree(world, &sensor.spec().class, all, &settings)?;
+        let known = tree.as_ref().map(KnownTree::parts);
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, known), &settings)?;
         let lengths = self.on_threads(|| prepared.image_lengths())?;
         let order = rank(all, &request.priority, &lengths);
         let (mut found, mut marks) = (FeaturePrediction::default(), prepared.marks());
         let mut groups = self.controller.feature_groups(timed);
-        while found.features.len() < order.len() {
-            let rest = &order[found.features.len()..];
+        let mut done = 0;
+        while done < order.len() {
+            let rest = &order[done..];
             let which = &rest[..groups.next(timed, rest.len())];
             if which.is_empty() {
                 break;
@@ -45,18 +49,20 @@ impl Predictor {
             }
             found.stats.add(&group.stats);
             found.features.append(&mut group.features);
+            found.given.append(&mut group.given);
+            done += which.len();
             groups.took(timed, which.len());
         }
         images.feature_id = marks.into_image();
         // As they were given.
-        let mut seen: Vec<_> = order.iter().zip(found.features).collect();
-        seen.sort_by_key(|(i, _)| **i);
-        if seen.len() < order.len() {
-            found.given = seen.iter().map(|(i, _)| **i as u32).collect();
+        let mut seen: Vec<(u32, SeenFeature)> = found.given.into_iter().zip(found.features).collect();
+        seen.sort_by_key(|(given, _)| *given);
+        (found.given, found.features) = seen.into_iter().unzip();
+        if found.given.iter().copied().eq(0..order.len() as u32) {
+            found.given = Vec::new();
         }
-        found.features = seen.into_iter().map(|(_, seen)| seen).collect();
-        timed.found = found.features.len() as u64;
-        timed.left_out = order[found.features.len()..].iter().map(|i| all[*i].feature.id).collect();
+        timed.found = done as u64;
+        timed.left_out = order[done..].iter().map(|i| all[*i].feature.id).collect();
         timed.left_out.sort_unstable();
         stats.stage(crate::plan::StageName::Features, start);
         for (name, n) in found.stats.counts() {

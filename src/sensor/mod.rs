@@ -2,6 +2,7 @@
 
 mod camera;
 mod cone_tree;
+mod directory;
 mod distortion;
 mod grid;
 mod noise;
@@ -32,10 +33,11 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::memory;
+use directory::Directory;
 use glam::{DMat3, DQuat, DVec3};
 use part::Thinned;
 use project::Projector;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// The image geometry of a sensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -160,6 +162,8 @@ struct SensorData {
     /// The part of another sensor that this is.
     part: Option<ImagePart>,
     thinned: Thinned,
+    /// Of a ray table, once somebody asks for it.
+    directory: OnceLock<Directory>,
 }
 
 impl Sensor {
@@ -181,8 +185,8 @@ impl Sensor {
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
         let (width, height) = spec.geometry.size();
         let projector = Projector::new(&spec);
-        let (part, thinned) = (None, Thinned::default());
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned })))
+        let (part, thinned, directory) = (None, Thinned::default(), OnceLock::new());
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory })))
     }
 
     /// The specification from which the sensor was made.
@@ -224,6 +228,13 @@ impl Sensor {
     pub fn ray(&self, column: u32, row: u32) -> Option<DVec3> {
         let inside = column < self.0.width && row < self.0.height;
         inside.then(|| self.0.grid.ray(column, row)).flatten()
+    }
+
+    /// A pixel of a ray table whose ray is near a unit direction of the image frame, and nearer than its neighbours'; `None` for
+    /// other sensors. Much faster than [`Sensor::project`], which finds the nearest of all.
+    pub(crate) fn near_pixel(&self, direction: DVec3) -> Option<(u32, u32)> {
+        let PixelGrid::Rays(table) = self.grid() else { return None };
+        self.0.directory.get_or_init(|| Directory::of(table)).near(table, direction)
     }
 }
 

@@ -81,6 +81,7 @@ impl Sensor {
             width,
             height,
             part: Some(part),
+            directory: OnceLock::new(),
             thinned: Thinned::default(),
         })))
     }

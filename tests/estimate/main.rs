@@ -1,6 +1,8 @@
 //! Poses from frames: truths worked out by hand, simulated rooms, real depth images, and what must not be claimed.
 
 mod drives;
+mod edges;
+mod hall;
 mod livingroom;
 mod malaga;
 mod objects;
@@ -8,6 +10,7 @@ mod rooms;
 mod search;
 mod simulated;
 mod singular;
+mod street;
 mod verdicts;
 mod willow;
 

@@ -1,5 +1,6 @@
 //! Features: generated, seen, with regions of interest, reduced by virtual sensors, and followed from frame to frame.
 
+mod contours;
 mod feature_gpu;
 mod feature_reference;
 mod generate;

@@ -84,7 +84,8 @@ fn scale_covariance(shape: &mut FeatureShape, by: f64) {
         FeatureShape::Point { covariance, .. }
         | FeatureShape::Patch { covariance, .. }
         | FeatureShape::Reflector { covariance, .. }
-        | FeatureShape::Fiducial { covariance, .. } => *covariance *= by,
+        | FeatureShape::Fiducial { covariance, .. }
+        | FeatureShape::Contour { covariance, .. } => *covariance *= by,
     }
 }
 

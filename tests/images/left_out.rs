@@ -203,11 +203,13 @@ impl Case<'_> {
         let groups = |n: u64| n.div_ceil(64);
         let (mut passes, mut workgroups, mut read) = (0, 0, 0);
         if self.on != On::Cpu && some {
-            let [survivors, items] = ["polygons in view", "work items"].map(|name| count(&did.stats, name));
+            let names = ["runs selected", "polygons in view", "work items"];
+            let [runs, survivors, items] = names.map(|name| count(&did.stats, name));
+            // So few polygons are one wave, and no run here has more than the eight of a unit.
             passes += 3;
-            workgroups += groups(did.polygons) + groups(survivors) + groups(items);
+            workgroups += groups(8 * runs) + groups(survivors) + groups(items);
             // Counters and times beside the payload, and padding.
-            read += 48 + 3 * 16;
+            read += 100 + 3 * 16;
         }
         let pixels = did.pixels as u64;
         if self.on == On::Device && some {

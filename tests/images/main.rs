@@ -4,6 +4,7 @@ mod echo;
 mod embree;
 mod engines;
 mod gpu;
+mod gpu_hiding;
 mod hard_scenes;
 mod indexes;
 mod left_out;

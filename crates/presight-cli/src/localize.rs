@@ -19,12 +19,13 @@ use std::path::{Path, PathBuf};
 const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
   presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
-  presight localize scans.json --map corridor.glb --init unknown --out run.tum";
+  presight localize scans.json --map corridor.glb --init unknown --out run.tum
+  presight localize street_1.ply --map street_map.glb --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
 ///
-/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt) or a file of ranges (a log of
-/// format 1, or a document of planar scans). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
+/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt), a file of ranges (a log of
+/// format 1, or a document of planar scans), or a scan or a folder of scans (.ply, .pcd, .csv, .exr). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
 /// for. Beside FILE.tum, FILE.jsonl gets covariance, state and verdicts of every frame. A frame at which the pose is not known has
 /// no line in FILE.tum.
 #[derive(Debug, clap::Args)]
@@ -66,7 +67,7 @@ pub struct Drive {
     sensor: Option<String>,
 
     /// How far the model's surfaces may be off, each by its own, one standard deviation, metres [default: 0.03 for a scanner of
-    /// one row, otherwise 0]
+    /// one row, 0.1 for scans of points, otherwise 0]
     #[arg(long, value_name = "METRES")]
     model_sigma: Option<f64>,
 
@@ -194,7 +195,11 @@ impl Drive {
     /// A level row tells x, y and yaw.
     fn options(&self, sensor: &Sensor) -> Result<EstimateOptions> {
         let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
-        let options = if row { EstimateOptions::planar() } else { EstimateOptions::default() };
+        let options = match sensor.spec().geometry {
+            _ if row => EstimateOptions::planar(),
+            Geometry::Rays(_) => EstimateOptions::scan(),
+            _ => EstimateOptions::default(),
+        };
         let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
         if !(model_sigma >= 0.0 && model_sigma.is_finite()) {
             return Err(Error::usage(format!("--model-sigma {model_sigma}"), "give finite metres of at least 0"));

@@ -1,6 +1,7 @@
 //! Regions of interest (boxes) for predicted features: how uncertain each feature is, and which of its points the box holds.
 
 mod image;
+mod outermost;
 mod points;
 
 pub(super) use image::Image;
@@ -189,12 +190,25 @@ impl<'a> BoxFrame<'a> {
         FeatureErrorModel::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
     }
 
-    /// Writes a box down. A patch that is seen over more than half a turn lies around the axis, and so does its box.
+    /// True if what is seen of a curve goes over more than half a turn.
+    fn turns(&self, seen: &SeenFeature, turn: f64) -> bool {
+        let mut columns: Option<[f64; 3]> = None;
+        for p in seen.visible.iter().flat_map(|v| seen.along(v.t)).flatten() {
+            let Some([column, _]) = self.image.project(self.viewpoint.in_body(p)) else { continue };
+            let [last, low, high] = columns.unwrap_or([column; 3]);
+            let column = column + turn * ((last - column) / turn).round();
+            columns = Some([column, low.min(column), high.max(column)]);
+        }
+        columns.is_some_and(|[_, low, high]| high - low > 0.5 * turn)
+    }
+
+    /// Writes a box down. A patch or curve that is seen over more than half a turn lies around the axis, and so does its box.
     pub fn set(&self, seen: &mut SeenFeature, found: Option<Roi>) {
         let Some(found) = found else { return };
         let [_, y0, _, y1] = found.bounds;
         let wide = |turn: f64| seen.visible.iter().any(|v| v.pixels[1].x - v.pixels[0].x > 0.5 * turn);
-        let is_around = seen.feature.shape.is_area() && self.image.turn().is_some_and(wide);
+        let is_around = seen.feature.shape.is_area() && self.image.turn().is_some_and(wide)
+            || seen.feature.shape.is_contour() && self.image.turn().is_some_and(|turn| self.turns(seen, turn));
         let width = f64::from(self.image.size().0);
         seen.roi = Some(if is_around { [-0.5, y0, width - 0.5, y1] } else { found.bounds });
         seen.roi_flag = Some(found.flag.name());
@@ -207,7 +221,7 @@ impl<'a> BoxFrame<'a> {
         let find = |room: &mut BoxScratch, i: &u32| {
             let (seen, placed) = (&features[*i as usize], &placed[prediction.given_at(*i as usize)]);
             let uncertain = self.uncertain(placed);
-            points::seen(&self.image, &uncertain, seen, &mut room.points);
+            points::seen(&self.image, &self.viewpoint, &uncertain, seen, &mut room.points);
             room.finder.find(&self.image, &uncertain, &room.points, &self.level, self.method)
         };
         let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(BoxScratch::default, find).collect();
@@ -220,8 +234,8 @@ impl<'a> BoxFrame<'a> {
     pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &FeatureErrorModel, room: &mut BoxScratch) -> bool {
         let BoxScratch { points, finder } = room;
         points::defining(&seen.feature.shape, points);
-        seen.image_covariance = finder.covariances(&self.image, uncertain, points);
-        points::seen(&self.image, uncertain, seen, points);
+        seen.image_covariance = finder.covariances(&self.image, uncertain, points).filter(|all| !all.is_empty());
+        points::seen(&self.image, &self.viewpoint, uncertain, seen, points);
         !points.is_empty()
     }
 }

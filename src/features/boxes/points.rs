@@ -4,8 +4,9 @@
 //! image of a plane patch is the convex hull of its corners'. Elsewhere lines curve, and points between are taken too.
 
 use super::image::{Image, Kind};
+use super::outermost;
 use crate::environment::FeatureShape;
-use crate::features::roi::{BodyPoint, FeatureErrorModel, Projection};
+use crate::features::roi::{BodyPoint, FeatureErrorModel, Projection, Viewpoint};
 use crate::features::{MAX_PATCH_SAMPLES, STEP, SeenFeature, VisibleInterval};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
@@ -22,17 +23,24 @@ const PARTS: usize = 8;
 /// Pixels by which a line may curve and still count as straight.
 const SAGITTA: f64 = 1.0 / 32.0;
 
-/// The points that define a feature.
+/// The points that define a feature: none of a contour.
 pub(super) fn defining(shape: &FeatureShape, into: &mut Vec<BodyPoint>) {
     into.clear();
     match shape {
         FeatureShape::Segment { ends, .. } => into.extend([0.0, 1.0].map(|t| BodyPoint::on_segment(ends, t))),
+        FeatureShape::Contour { .. } => {}
         other => into.extend(other.points().iter().map(|p| BodyPoint::rigid(*p))),
     }
 }
 
 /// The points that a feature's box is to hold.
-pub(super) fn seen(image: &Image<'_>, uncertain: &FeatureErrorModel, seen: &SeenFeature, into: &mut Vec<BodyPoint>) {
+pub(super) fn seen(
+    image: &Image<'_>,
+    viewpoint: &Viewpoint,
+    uncertain: &FeatureErrorModel,
+    seen: &SeenFeature,
+    into: &mut Vec<BodyPoint>,
+) {
     into.clear();
     let shape = &seen.feature.shape;
     match shape {
@@ -44,22 +52,48 @@ pub(super) fn seen(image: &Image<'_>, uncertain: &FeatureErrorModel, seen: &Seen
         FeatureShape::Patch { corners, .. } => patch(image, uncertain, corners, seen, into),
         FeatureShape::Fiducial { corners, .. } => patch(image, uncertain, corners, seen, into),
         FeatureShape::Point { at, .. } | FeatureShape::Reflector { at, .. } => into.push(BodyPoint::rigid(*at)),
+        FeatureShape::Contour { .. } => curve(image, viewpoint, uncertain, seen, into),
     }
+}
+
+/// Pieces of a curve move as one with its surface.
+fn curve(
+    image: &Image<'_>,
+    viewpoint: &Viewpoint,
+    uncertain: &FeatureErrorModel,
+    seen: &SeenFeature,
+    into: &mut Vec<BodyPoint>,
+) {
+    for [a, b] in seen.visible.iter().flat_map(|v| seen.along(v.t)) {
+        let ends = [a, b].map(|p| uncertain.in_frame(viewpoint.in_body(p)));
+        line(image, uncertain, |t| BodyPoint::rigid(ends[0].lerp(ends[1], t)), [0.0, 1.0], into);
+    }
+    outermost::keep(image, uncertain, into);
 }
 
 fn segment(
     image: &Image<'_>,
     uncertain: &FeatureErrorModel,
     ends: &[DVec3; 2],
+    between: [f64; 2],
+    into: &mut Vec<BodyPoint>,
+) {
+    line(image, uncertain, |t| BodyPoint::on_segment(ends, t), between, into);
+}
+
+fn line(
+    image: &Image<'_>,
+    uncertain: &FeatureErrorModel,
+    point: impl Fn(f64) -> BodyPoint,
     [from, to]: [f64; 2],
     into: &mut Vec<BodyPoint>,
 ) {
-    let mut put = |t: f64| into.push(BodyPoint::on_segment(ends, t));
+    let mut put = |t: f64| into.push(point(t));
     put(from);
     match image.kind {
         Kind::Pinhole(_) => {}
         Kind::Beams([_, rows]) => {
-            let [a, b] = [from, to].map(|t| uncertain.nominal(&BodyPoint::on_segment(ends, t)).p);
+            let [a, b] = [from, to].map(|t| uncertain.nominal(&point(t)).p);
             // Near a pole columns turn as fast as the line passes it.
             let turns = |p: DVec3| p.x.hypot(p.y) < STEEP * p.length();
             // A great circle leaves the chord between two of its points by an eighth of the square of their angle at most.

@@ -1,4 +1,4 @@
-//! Features from the CAD model: the edges, corners and planes that a sensor can be expected to find.
+//! Features from the CAD model: the edges, corners, planes and smooth surfaces that a sensor can be expected to find.
 //!
 //! Candidates are the sides of polygons that are not plainly smooth and the lines where polygons cross. Every candidate
 //! is looked at in the world, among all polygons that touch it, of whatever object: what the cut across the line shows
@@ -26,6 +26,7 @@ mod wings;
 
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use crate::error::{Error, Result, short};
+use crate::features::contour;
 use crate::geometry::Aabb;
 use crate::threads::parallel;
 use drafts::{Draft, by_place, ordered};
@@ -52,11 +53,13 @@ pub enum FeatureKind {
     Vertical,
     /// A horizontal plane patch.
     Horizontal,
+    /// A smooth surface, of which silhouettes are seen.
+    Contour,
 }
 
 impl FeatureKind {
     /// Every kind.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Crease,
         Self::Border,
         Self::Material,
@@ -64,6 +67,7 @@ impl FeatureKind {
         Self::Corner,
         Self::Vertical,
         Self::Horizontal,
+        Self::Contour,
     ];
 
     /// As in flags and files.
@@ -76,6 +80,7 @@ impl FeatureKind {
             Self::Corner => "corner",
             Self::Vertical => "vertical",
             Self::Horizontal => "horizontal",
+            Self::Contour => "contour",
         }
     }
 }
@@ -128,7 +133,7 @@ impl Default for GenerateOptions {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FeatureCounts {
     /// Features by kind, as in [`FeatureKind::ALL`].
-    pub made: [usize; 7],
+    pub made: [usize; 8],
     /// Polygons looked at.
     pub polygons: usize,
     /// Polygons left out: invisible to the class.
@@ -155,7 +160,7 @@ impl FeatureCounts {
 /// The answer of [`generate`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeneratedLayer {
-    /// The features, in the frames of their objects, ids from 1; by object, kind and place.
+    /// The features, in the frames of their objects, ids from 1; contours last, by object, kind and place.
     pub layer: FeatureLayer,
     /// What was made.
     pub counts: FeatureCounts,
@@ -243,15 +248,47 @@ fn generate_checked(
         let wanted = edges.iter().filter(|e| wants(&[e.kind]));
         drafts.extend(wanted.map(|e| Draft::new(e.kind, e.object, ordered(e.start, e.end))));
     }
-    if wants(&FeatureKind::ALL[5..]) {
+    if wants(&FeatureKind::ALL[5..7]) {
         let patches = patches::patches(&soup, options.tilt, options.min_area, touch, effort)?;
         let wanted = patches.into_iter().filter(|p| {
             wants(&[p.kind]) && near.is_none_or(|n| candidates::meet(&n, &Aabb::of(p.corners.iter().copied())))
         });
         drafts.extend(wanted.map(Draft::from));
     }
+    if wants(&[FeatureKind::Contour]) {
+        drafts.extend(contours(environment, class, options, near.as_ref(), effort)?);
+    }
     let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
     Ok(GeneratedLayer { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
+}
+
+/// A contour for each smooth surface that is at least as large as the least edge.
+fn contours(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    near: Option<&Aabb>,
+    effort: &Effort<'_>,
+) -> Result<Vec<Draft>> {
+    let objects = environment.objects();
+    let steps = effort.stage("smooth surfaces", objects.len());
+    let is_near = |o: &usize| near.is_none_or(|n| candidates::meet(n, &objects[*o].world_bounds()));
+    let of_object = |o: usize| {
+        let pose = objects[o].world_from_object;
+        let found = contour::surfaces(environment, o as u32, class, options.crease)?.into_iter();
+        let wanted = found.filter(|surface| {
+            let in_world = surface.bounds.transformed(&pose.to_affine());
+            surface.bounds.size() >= options.min_length && near.is_none_or(|n| candidates::meet(n, &in_world))
+        });
+        let draft = |s: contour::SmoothSurface| {
+            Draft::new(FeatureKind::Contour, o as u32, vec![pose.transform_point(s.anchor)])
+        };
+        steps.step();
+        Ok(wanted.map(draft).collect::<Vec<_>>())
+    };
+    let all: Vec<Vec<Draft>> =
+        (0..objects.len()).into_par_iter().filter(is_near).map(of_object).collect::<Result<_>>()?;
+    Ok(all.into_iter().flatten().collect())
 }
 
 impl GenerateOptions {
@@ -350,11 +387,16 @@ fn layer_of(
         let unequal = a.points.iter().zip(&b.points).map(|(p, q)| by_place(p, q)).find(|o| o.is_ne());
         unequal.unwrap_or_else(|| a.points.len().cmp(&b.points.len()))
     };
-    drafts.sort_by(|a, b| (a.object, a.kind).cmp(&(b.object, b.kind)).then_with(|| places(a, b)));
+    // Contours come last, so that the others are numbered as in layers without.
+    let key = |d: &Draft| (d.kind == FeatureKind::Contour, d.object, d.kind);
+    drafts.sort_by(|a, b| key(a).cmp(&key(b)).then_with(|| places(a, b)));
     let covariance = DMat3::IDENTITY * (options.sigma * options.sigma);
+    // As people write it.
+    let crease_deg = (options.crease.to_degrees() * 1e6).round() / 1e6;
     let feature = |(id, draft): (u32, Draft)| {
         counts.made[draft.kind as usize] += 1;
         let shape = match draft.points[..] {
+            [anchor] if draft.kind == FeatureKind::Contour => FeatureShape::Contour { anchor, crease_deg, covariance },
             [at] => FeatureShape::Point { at, covariance },
             [a, b] => FeatureShape::Segment { ends: [a, b], covariances: [covariance; 2], cross: DMat3::ZERO },
             _ => FeatureShape::Patch { corners: draft.points, covariance },

@@ -4,6 +4,7 @@
 //! - A point lies on every polygon that it is near to.
 //! - A segment lies on every polygon that contains a stretch of it: both faces of a crease, each of several polygons in line.
 //! - A patch or fiducial lies on the coplanar polygons that it overlaps.
+//! - A contour lies on the smooth surface under its anchor.
 //!
 //! A feature that lies on polygons within rounding lies on no others, however near: those may hide it. A polygon that a segment or
 //! a patch only passes through or touches does not count. The whole feature must lie on its polygons.
@@ -22,6 +23,7 @@ mod segment;
 mod tests;
 
 use super::PlacedFeature;
+use super::contour::ContourFinder;
 use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Object};
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose, plane_of_polygon};
@@ -93,6 +95,7 @@ pub(crate) fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<Pl
     for feature in &layer.features {
         match finder.lie(feature) {
             Ok((frame, Support::On(slots))) => placed.push(frame.placed(feature, slots)),
+            Err(e) if finder.contours.is_full() => return Err(e.at(name_of(feature))),
             // How far off it is takes a search of its own.
             _ => off.push(feature.id),
         }
@@ -112,6 +115,7 @@ struct SupportFinder<'a> {
     environment: &'a Environment,
     tolerance: f64,
     found: QueryResult,
+    contours: ContourFinder<'a>,
 }
 
 /// The frame a feature is given in.
@@ -156,13 +160,14 @@ impl FeatureFrame<'_> {
 }
 
 impl<'a> SupportFinder<'a> {
-    fn new(world: &'a World, layer: &FeatureLayer) -> Result<Self> {
+    fn new(world: &'a World, layer: &'a FeatureLayer) -> Result<Self> {
         layer.check()?;
         let environment = world.environment();
         for (object, _) in &layer.pose_covariances {
             environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
         }
-        Ok(Self { world, environment, tolerance: layer.tolerance, found: QueryResult::default() })
+        let contours = ContourFinder::new(environment, &layer.class);
+        Ok(Self { world, environment, tolerance: layer.tolerance, found: QueryResult::default(), contours })
     }
 
     fn place(&mut self, feature: &Feature) -> Result<PlacedFeature> {
@@ -189,7 +194,25 @@ impl<'a> SupportFinder<'a> {
             Support::Off(_) if tolerance > ROUNDING => within(tolerance)?,
             lie => lie,
         };
-        Ok((frame, lie))
+        match (&feature.shape, lie) {
+            (FeatureShape::Contour { crease_deg, .. }, Support::On(slots)) => {
+                let surface = self.surface(object, slots, *crease_deg)?;
+                Ok((frame, surface))
+            }
+            (_, lie) => Ok((frame, lie)),
+        }
+    }
+
+    /// The surface of a contour whose anchor lies on polygons: of its object, in the world of the object that came first.
+    fn surface(&mut self, object: Option<u32>, mut slots: Vec<u32>, crease_deg: f64) -> Result<Support> {
+        slots.sort_unstable();
+        let object_of = |slot: &u32| self.environment.locate(*slot).map(|(object, _)| object);
+        let Some(object) = object.or_else(|| slots.first().and_then(object_of)) else {
+            return Ok(Support::Off(DVec3::ZERO));
+        };
+        slots.retain(|slot| object_of(slot) == Some(object));
+        let surface = self.contours.find(object, &slots, crease_deg)?;
+        Ok(if surface.is_empty() { Support::Off(DVec3::ZERO) } else { Support::On(surface) })
     }
 
     /// The polygons that may come within a tolerance of the boxes (world).

@@ -67,6 +67,11 @@ impl Viewpoint {
 }
 
 impl Viewpoint {
+    /// A place of the world in the body frame.
+    pub(crate) fn in_body(&self, p_in_world: DVec3) -> DVec3 {
+        self.body_from_world * (p_in_world - self.world_from_body.translation)
+    }
+
     /// Both vectors of an error of the sensor, negated, body axes.
     #[cfg(feature = "gpu")]
     pub(crate) fn pair(&self, i: usize) -> [DVec3; 2] {
@@ -375,7 +380,8 @@ fn ends_errors(shape: &FeatureShape) -> Option<[[DVec3; 2]; KIND]> {
         FeatureShape::Point { covariance, .. }
         | FeatureShape::Patch { covariance, .. }
         | FeatureShape::Reflector { covariance, .. }
-        | FeatureShape::Fiducial { covariance, .. } => {
+        | FeatureShape::Fiducial { covariance, .. }
+        | FeatureShape::Contour { covariance, .. } => {
             if exact(covariance) {
                 return None;
             }

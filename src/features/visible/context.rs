@@ -96,13 +96,18 @@ impl<'a> VisibilityContext<'a> {
         let points = placed.feature.shape.points();
         let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
         let rounding = self.rounding(reach, placed.object);
-        let (turn, shift) = self.image_from(placed.object);
-        let place = |p: &DVec3| match placed.object {
+        (self.in_image_of(points, placed.object), self.image_from(placed.object).0, rounding)
+    }
+
+    /// Points of an object's frame, or of the world, in the image frame.
+    pub fn in_image_of(&self, points: &[DVec3], object: Option<u32>) -> Vec<DVec3> {
+        let (turn, shift) = self.image_from(object);
+        let place = |p: &DVec3| match object {
             // Differences to the sensor come first.
             None => turn * (*p - self.world_from_sensor.translation),
             Some(_) => turn * *p + shift,
         };
-        (points.iter().map(place).collect(), turn, rounding)
+        points.iter().map(place).collect()
     }
 
     /// Turn and shift from the frame of an object, or of the world, to the image.

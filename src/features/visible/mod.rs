@@ -20,6 +20,7 @@
 
 mod area;
 mod context;
+mod contour;
 mod polygon;
 mod select;
 mod straight;
@@ -28,6 +29,7 @@ mod tiles;
 mod undecided;
 mod worker;
 
+use super::contour::ContourSet;
 use super::tree::{FeatureTree, check_placed, newest};
 use super::{FeaturePrediction, FeatureStats, Hidden, PlacedFeature, STEP, SeenFeature};
 use crate::environment::{Feature, FeatureShape};
@@ -142,6 +144,22 @@ pub(crate) struct PreparedFeatures<'a> {
     feature_id: bool,
     /// Numbers of the features that are looked at one by one, rising.
     some: Vec<usize>,
+    contours: Contours<'a>,
+}
+
+/// The surfaces of contours.
+enum Contours<'a> {
+    Known(&'a ContourSet),
+    Made(ContourSet),
+}
+
+impl Contours<'_> {
+    fn set(&self) -> &ContourSet {
+        match self {
+            Self::Known(set) => set,
+            Self::Made(set) => set,
+        }
+    }
 }
 
 /// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
@@ -170,7 +188,7 @@ pub enum OcclusionHint {
 }
 
 impl<'a> PreparedFeatures<'a> {
-    /// Of features that exist in the world if their tree is given.
+    /// Of features that exist in the world if their tree is given, with the surfaces of contours among them.
     ///
     /// # Errors
     /// As [`predict_features`].
@@ -179,30 +197,38 @@ impl<'a> PreparedFeatures<'a> {
         sensor: &'a Sensor,
         world_from_sensor: &Pose,
         images: &'a Images,
-        (placed, tree): (&'a [PlacedFeature], Option<&FeatureTree>),
+        (placed, known): (&'a [PlacedFeature], Option<(&FeatureTree, &'a ContourSet)>),
         options: &FeatureSettings,
     ) -> Result<Self> {
         world_from_sensor.check()?;
-        let prepared = Self { frame: None, images, placed, feature_id: options.feature_id, some: Vec::new() };
+        let none = Contours::Made(ContourSet::default());
+        let prepared =
+            Self { frame: None, images, placed, feature_id: options.feature_id, some: Vec::new(), contours: none };
         if placed.is_empty() {
             return Ok(prepared);
         }
-        let mut made = None;
-        if tree.is_none() {
+        let (mut made, mut contours) = (None, ContourSet::default());
+        if known.is_none() {
             check_placed(world.environment(), placed)?;
-            made = (options.hidden == Hidden::Count).then(|| FeatureTree::new(placed));
+            contours = ContourSet::new(world, &sensor.spec().class, placed)?;
+            made = (options.hidden == Hidden::Count).then(|| FeatureTree::new(placed, &contours));
         }
+        let (tree, known) = known.unzip();
         let tree = tree.or(made.as_ref());
         let newest = || tree.map_or_else(|| newest(placed), |tree| tree.newest);
         let time = options.time.unwrap_or_else(newest);
         let frame = VisibilityContext::new(world, sensor, world_from_sensor, images, time, options)?;
         let some = match tree {
             Some(tree) if options.hidden == Hidden::Count => {
-                select::select(&frame, tree, placed).into_iter().map(|i| i as usize).collect()
+                select::select(&frame, tree, (placed, known.unwrap_or(&contours)))
+                    .into_iter()
+                    .map(|i| i as usize)
+                    .collect()
             }
             _ => (0..placed.len()).collect(),
         };
-        Ok(Self { frame: Some(frame), some, ..prepared })
+        let contours = known.map_or(Contours::Made(contours), Contours::Known);
+        Ok(Self { frame: Some(frame), some, contours, ..prepared })
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
@@ -226,7 +252,8 @@ impl<'a> PreparedFeatures<'a> {
     pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let mut marks = self.marks();
         let mut prediction = self.part(&self.some, told, &mut marks);
-        if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count) {
+        let is_each_once = self.contours.set().is_empty();
+        if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count && is_each_once) {
             prediction.given = Vec::new();
         }
         prediction.stats.features = self.placed.len();
@@ -244,7 +271,15 @@ impl<'a> PreparedFeatures<'a> {
             || (judges.wake(), Part::default()),
             |(mut awake, mut part), (at, number)| {
                 let told = told.map(|told| told[at].as_slice());
-                part.take(*number, awake.judge().feature(&self.placed[*number], told));
+                let placed = &self.placed[*number];
+                match self.contours.set().get(*number) {
+                    Some(surface) => {
+                        let curves = awake.judge().contour(placed, surface);
+                        curves.into_iter().for_each(|curve| part.take(*number, curve));
+                    }
+                    None if placed.feature.shape.is_contour() => {}
+                    None => part.take(*number, awake.judge().feature(placed, told)),
+                }
                 (awake, part)
             },
         );
@@ -266,15 +301,18 @@ impl<'a> PreparedFeatures<'a> {
     /// About how long the images of the features are, pixels: what counts is which is longer.
     pub fn image_lengths(&self) -> Vec<f64> {
         let Some(frame) = &self.frame else { return Vec::new() };
-        self.placed.par_iter().with_min_len(BATCH).map(|placed| image_length(frame, placed)).collect()
+        let one = |(number, placed): (usize, &PlacedFeature)| match self.contours.set().get(number) {
+            Some(surface) => length_through(frame, &frame.in_image_of(&surface.hull, placed.object)),
+            None => length_through(frame, &frame.in_image(placed).0),
+        };
+        self.placed.par_iter().enumerate().with_min_len(BATCH).map(one).collect()
     }
 }
 
-/// About how long the image of a feature's outline is, pixels. Parts beside the image have no length.
-fn image_length(frame: &VisibilityContext<'_>, placed: &PlacedFeature) -> f64 {
+/// About how long the image of an outline through points is, pixels. Parts beside the image have no length.
+fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
     /// Pieces of each side.
     const PIECES: u32 = 8;
-    let (points, _, _) = frame.in_image(placed);
     let (sensor, turn) = (frame.sensor, frame.sensor.columns_of_a_turn());
     let (width, height) = (f64::from(sensor.width()), f64::from(sensor.height()));
     let place = |p: DVec3| {
@@ -299,7 +337,7 @@ fn image_length(frame: &VisibilityContext<'_>, placed: &PlacedFeature) -> f64 {
     length
 }
 
-/// Which feature each pixel shows: points and landmarks over segments over patches, then lower numbers.
+/// Which feature each pixel shows: points and landmarks over segments over contours over patches, then lower numbers.
 pub(crate) struct Marks(Vec<u64>);
 
 impl Marks {
@@ -385,6 +423,7 @@ fn layer_of(shape: &FeatureShape) -> u32 {
     match shape {
         FeatureShape::Point { .. } | FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. } => 0,
         FeatureShape::Segment { .. } => 1,
-        FeatureShape::Patch { .. } => 2,
+        FeatureShape::Contour { .. } => 2,
+        FeatureShape::Patch { .. } => 3,
     }
 }

@@ -9,6 +9,7 @@
 use super::VisibilityContext;
 use super::polygon::{Faces, PreparedPolygon};
 use crate::features::PlacedFeature;
+use crate::features::contour::ContourSet;
 use crate::features::place::clip;
 use crate::features::tree::{FeatureTree, Group, Node};
 use crate::features::view::View;
@@ -21,10 +22,15 @@ const INSIDE: f64 = 1e-12;
 const MOST_PARTS: usize = 24;
 
 /// Numbers of the features that may be seen, rising.
-pub(super) fn select(frame: &VisibilityContext<'_>, tree: &FeatureTree, placed: &[PlacedFeature]) -> Vec<u32> {
+pub(super) fn select(
+    frame: &VisibilityContext<'_>,
+    tree: &FeatureTree,
+    of: (&[PlacedFeature], &ContourSet),
+) -> Vec<u32> {
     let view = View::new(frame.sensor);
     let (faces, points, some) = (Faces::new(frame), Vec::new(), Vec::new());
-    let mut selection = Selection { frame, tree, placed, view, faces, points, some };
+    let (placed, contours) = of;
+    let mut selection = Selection { frame, tree, placed, contours, view, faces, points, some };
     tree.groups.iter().for_each(|group| selection.group(group));
     let mut some = selection.some;
     some.sort_unstable();
@@ -35,6 +41,7 @@ struct Selection<'s, 'a> {
     frame: &'s VisibilityContext<'a>,
     tree: &'s FeatureTree,
     placed: &'s [PlacedFeature],
+    contours: &'s ContourSet,
     view: View,
     faces: Faces,
     points: Vec<DVec3>,
@@ -55,7 +62,7 @@ impl Selection<'_, '_> {
                 Some(second) => nodes.extend([second, number + 1]),
                 None => node.some.clone().for_each(|at| {
                     let feature = tree.order[at as usize];
-                    if !self.is_hidden(&self.placed[feature as usize], image_from_object, shift) {
+                    if !self.is_hidden(feature, image_from_object, shift) {
                         self.some.push(feature);
                     }
                 }),
@@ -80,8 +87,10 @@ impl Selection<'_, '_> {
     }
 
     /// True if nothing of a feature is in view, or one polygon that it does not lie on hides all of it.
-    fn is_hidden(&mut self, placed: &PlacedFeature, image_from_object: DMat3, shift: DVec3) -> bool {
-        let points = placed.feature.shape.points();
+    fn is_hidden(&mut self, feature: u32, image_from_object: DMat3, shift: DVec3) -> bool {
+        let placed = &self.placed[feature as usize];
+        let surface = self.contours.get(feature as usize);
+        let points = surface.map_or(placed.feature.shape.points(), |surface| &surface.hull);
         self.points.clear();
         self.points.extend(points.iter().map(|p| image_from_object * *p + shift));
         let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
@@ -96,7 +105,8 @@ impl Selection<'_, '_> {
         if self.hides_whole(middle, placed, rounding) {
             return true;
         }
-        self.is_hidden_in_parts(placed, rounding)
+        // The corners of a surface's box are no outline.
+        surface.is_none() && self.is_hidden_in_parts(placed, rounding)
     }
 
     /// True if the polygon that the image shows in the middle of the points hides all of them.

@@ -94,6 +94,35 @@ impl Tally {
         }
     }
 
+    /// Goes on with the next piece of a curve, which has the part `t` of its length.
+    pub fn append(&mut self, piece: Self, [from, to]: [f64; 2]) {
+        // Neighbours share a bound, exactly.
+        let place = |t: f64| if t >= 1.0 { to } else { from + t * (to - from) };
+        for v in piece.visible {
+            let t = v.t.map(place);
+            match self.visible.last_mut().filter(|last| last.t[1] == t[0]) {
+                Some(last) => (last.t[1], last.pixels[1]) = (t[1], v.pixels[1]),
+                None => self.visible.push(VisibleInterval { t, ..v }),
+            }
+        }
+        for h in piece.hidden {
+            let t = h.t.map(place);
+            let is_same = |last: &&mut HiddenInterval| last.t[1] == t[0] && (last.reason, last.by) == (h.reason, h.by);
+            match self.hidden.last_mut().filter(is_same) {
+                Some(last) => last.t[1] = t[1],
+                None => self.hidden.push(HiddenInterval { t, ..h }),
+            }
+        }
+        for i in 0..2 {
+            self.inside[i] += piece.inside[i];
+            self.seen[i] += piece.seen[i];
+        }
+        if let Some((squared, at)) = piece.nearest.filter(|n| self.nearest.is_none_or(|known| n.0 < known.0)) {
+            self.nearest = Some((squared, at));
+        }
+        self.pixels.extend(piece.pixels);
+    }
+
     /// Takes several pixels of a patch at once.
     pub fn take_pixels(&mut self, state: SampleState, count: usize) {
         let more = count as f64;

@@ -41,6 +41,11 @@ impl FeatureSurface<'_> {
         self.rounding
     }
 
+    /// Leaves open from where it is seen flat.
+    pub fn forget_normals(&mut self) {
+        self.normals.clear();
+    }
+
     /// True of polygons that it lies on.
     pub fn holds(&self, slot: u32) -> bool {
         self.slots.contains(&slot)
@@ -104,6 +109,9 @@ impl<'a> Worker<'a> {
 
     /// The samples that only what is in between decides.
     pub fn query_samples(&mut self, placed: &PlacedFeature) -> super::QuerySamples {
+        if placed.feature.shape.is_contour() {
+            return Vec::new();
+        }
         let (own, points) = self.prepare(placed);
         if placed.feature.shape.is_area() && self.decides_area(&points) {
             return Vec::new();
@@ -122,22 +130,7 @@ impl<'a> Worker<'a> {
         let frame = self.frame;
         let shape = &placed.feature.shape;
         let (own, points) = self.prepare(placed);
-        let whole = match shape {
-            FeatureShape::Segment { .. } => self.straight([points[0], points[1]], &own, told),
-            shape if shape.is_area() => self.area(&points, &own),
-            _ => None,
-        };
-        let mut tally = whole.unwrap_or_else(|| {
-            self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
-            self.sample(shape, &own, &points);
-            self.decide(&own, shape, &points, told);
-            self.close();
-            let mut tally = Tally::default();
-            for (piece, state) in self.pieces.iter().zip(&self.states) {
-                tally.take(frame, piece, *state);
-            }
-            tally
-        });
+        let mut tally = self.tally(placed, &own, &points, told);
         let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         self.stats.asked = 1;
         match frame.options.hidden {
@@ -166,6 +159,7 @@ impl<'a> Worker<'a> {
             cos_incidence: tally.nearest.and_then(|(_, at)| own.cosine(at / at.length())),
             existence: placed.feature.existence.at(frame.time),
             feature: placed.feature.clone(),
+            branch: None,
             roi: None,
             roi_flag: None,
             image_covariance: None,
@@ -173,8 +167,35 @@ impl<'a> Worker<'a> {
         FeatureResult { seen: Some(seen), stats: self.stats, pixels: tally.pixels }
     }
 
+    /// What is seen of the samples of a feature that is no contour.
+    pub(super) fn tally(
+        &mut self,
+        placed: &PlacedFeature,
+        own: &FeatureSurface<'_>,
+        points: &[DVec3],
+        told: Option<&[Option<u32>]>,
+    ) -> Tally {
+        let shape = &placed.feature.shape;
+        let whole = match shape {
+            FeatureShape::Segment { .. } => self.straight([points[0], points[1]], own, told),
+            shape if shape.is_area() => self.area(points, own),
+            _ => None,
+        };
+        whole.unwrap_or_else(|| {
+            self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
+            self.sample(shape, own, points);
+            self.decide(own, shape, points, told);
+            self.close();
+            let mut tally = Tally::default();
+            for (piece, state) in self.pieces.iter().zip(&self.states) {
+                tally.take(self.frame, piece, *state);
+            }
+            tally
+        })
+    }
+
     /// What is known of a feature, and its points in the image frame.
-    fn prepare<'p>(&mut self, placed: &'p PlacedFeature) -> (FeatureSurface<'p>, Vec<DVec3>) {
+    pub(super) fn prepare<'p>(&mut self, placed: &'p PlacedFeature) -> (FeatureSurface<'p>, Vec<DVec3>) {
         let (points, image_from_object, rounding) = self.frame.in_image(placed);
         self.stats = FeatureStats { features: 1, ..FeatureStats::default() };
         (self.own(placed, &points, image_from_object, rounding), points)
@@ -186,7 +207,9 @@ impl<'a> Worker<'a> {
         self.pieces.clear();
         let mut take = |piece: Piece| self.pieces.push(piece);
         match shape {
-            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => take(sampler.point(points[0])),
+            FeatureShape::Point { .. } | FeatureShape::Reflector { .. } | FeatureShape::Contour { .. } => {
+                take(sampler.point(points[0]));
+            }
             FeatureShape::Segment { .. } => sampler.segment(points[0], points[1], &mut take),
             FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => match self.frame.options.visibility {
                 Visibility::Image => sampler.small_patch(points, &mut take),

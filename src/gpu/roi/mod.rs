@@ -100,7 +100,7 @@ impl RoiStage {
     fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, kind: GridKind) {
         let label = Some("roi");
         let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
-        if self.stage.set(&mut pass, (kind as u32, 0)) {
+        if self.stage.set(&mut pass, (kind as u32, 0), 0) {
             gpu.dispatch(&mut pass, groups_for(self.plan.features.len() as u32));
         }
     }

@@ -159,7 +159,7 @@ impl Visible {
         store.uploads.put(&self.asked, 0, bytemuck::cast_slice(&asked.words));
         store.uploads.encode(gpu, encoder)?;
         let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor::default());
-        if self.stage.set(&mut pass, variant) {
+        if self.stage.set(&mut pass, variant, 0) {
             gpu.dispatch(&mut pass, layout::groups_for(asked.count));
         }
         drop(pass);

@@ -364,7 +364,7 @@ fn check_format(text: &str) -> Result<()> {
     }
 }
 
-fn pose_from_text(text: &str) -> Result<Pose> {
+pub(crate) fn pose_from_text(text: &str) -> Result<Pose> {
     let wrong = || Error::invalid(format!("{} is no pose", quoted(text)), "write x,y,z,qx,qy,qz,qw, finite numbers");
     let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
     let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {

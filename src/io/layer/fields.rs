@@ -12,8 +12,8 @@ use std::marker::PhantomData;
 pub(super) struct LayerFields {
     #[serde(rename = "$schema")]
     _schema: Option<String>,
-    #[serde(rename = "format", deserialize_with = "whole")]
-    _format: u32,
+    #[serde(deserialize_with = "whole")]
+    pub format: u32,
     pub class: String,
     pub tolerance: Option<f64>,
     #[serde(default)]
@@ -35,6 +35,10 @@ pub(crate) struct FeatureFields {
     pub object: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points: Option<Vec<[f64; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub anchor: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub crease_deg: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sigma: Option<Sigma>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -73,6 +77,7 @@ pub(crate) enum Kind {
     Patch,
     Reflector,
     Fiducial,
+    Contour,
 }
 
 #[derive(Default, Deserialize, PartialEq, Serialize)]

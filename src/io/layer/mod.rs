@@ -1,4 +1,4 @@
-//! Layer files: the features of one sensor class, JSON, `format = 1`; unknown keys are errors.
+//! Layer files: the features of one sensor class, JSON, `format = 1`, or 2 in files that hold a contour; unknown keys are errors.
 //!
 //! ```json
 //! {
@@ -23,8 +23,9 @@
 //! | key of a feature | meaning |
 //! |---|---|
 //! | `id` | stable number, 1 and up, never used again |
-//! | `kind` | `point`, `segment`, `patch`, `reflector`, `fiducial` |
+//! | `kind` | `point`, `segment`, `patch`, `reflector`, `fiducial`, and in format 2 `contour` |
 //! | `object` | path of the object in whose frame it is given and with which it moves; absent: the world |
+//! | `anchor`, `crease_deg` | contours, in place of `points`: a point on the surface, metres, and the angle by which its facets fold at most, degrees |
 //! | `points` | metres: 1 for points and reflectors, 2 ends, 3 or more corners of a convex patch, 4 corners of a fiducial, clockwise from the top left seen from the front |
 //! | `sigma` | standard deviation of each point, metres: one for all axes, or three |
 //! | `covariance` | instead: 9 numbers, row-major, of each point |
@@ -72,5 +73,7 @@ pub use schema::schema;
 pub(crate) use write::fields as to_fields;
 pub use write::{entry, to_string, write, write_with_lost};
 
-/// The newest version that this build reads; there is no older one.
-const FORMAT: u32 = 1;
+/// The newest version that this build reads: that of files with contours.
+const FORMAT: u32 = 2;
+/// The version of files without.
+const FORMAT_WITHOUT_CONTOURS: u32 = 1;

@@ -1,7 +1,7 @@
 //! From text to features.
 
-use super::FORMAT;
 use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Surface, Whole};
+use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
 use crate::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use crate::error::{Error, ErrorKind, Result, short};
 use crate::io::text::{check_json_memory, read_text};
@@ -61,6 +61,10 @@ pub fn parse(text: &str) -> Result<LayerFile> {
         let is_lost = entry.surface == Some(Surface::Lost);
         let new = entry.feature(layer.tolerance).and_then(|new| {
             new.as_ref().map_or(Ok(()), Feature::check_dictionary)?;
+            if fields.format < FORMAT && new.as_ref().is_some_and(|new| new.shape.is_contour()) {
+                let what = format!("contours are of format {FORMAT}, and the file is of format {}", fields.format);
+                return Err(Error::invalid(what, format!("write \"format\": {FORMAT}")));
+            }
             Ok(new)
         });
         match new.map_err(|e| e.at(place()))? {
@@ -94,18 +98,20 @@ fn check_format(text: &str) -> Result<()> {
         format: Option<Whole>,
     }
     match from_json::<Keyed<Header>>(text)?.0.format.map(|Whole(format)| format) {
-        Some(FORMAT) => Ok(()),
+        Some(FORMAT | FORMAT_WITHOUT_CONTOURS) => Ok(()),
         Some(newer) if newer > FORMAT => Err(Error::new(
             ErrorKind::Unsupported,
-            format!("format {newer} is newer than this presight, which reads format {FORMAT}"),
+            format!("format {newer} is newer than this presight, which reads formats up to {FORMAT}"),
             "update presight",
         )),
-        Some(other) => {
-            Err(Error::invalid(format!("format {other} never existed"), format!("write \"format\": {FORMAT}")))
-        }
-        None => {
-            Err(Error::invalid("the file does not name its format", format!("write \"format\": {FORMAT} at its top")))
-        }
+        Some(other) => Err(Error::invalid(
+            format!("format {other} never existed"),
+            format!("write \"format\": {FORMAT_WITHOUT_CONTOURS}"),
+        )),
+        None => Err(Error::invalid(
+            "the file does not name its format",
+            format!("write \"format\": {FORMAT_WITHOUT_CONTOURS} at its top"),
+        )),
     }
 }
 
@@ -154,13 +160,19 @@ impl FeatureFields {
 
     fn shape(&self) -> Result<FeatureShape> {
         let Some(kind) = self.kind else {
-            return Err(Error::invalid("kind is missing", "give point, segment, patch, reflector or fiducial"));
+            return Err(Error::invalid(
+                "kind is missing",
+                "give point, segment, patch, reflector, fiducial or contour",
+            ));
         };
         let points: Vec<DVec3> = self.points.iter().flatten().map(|p| DVec3::from_array(*p)).collect();
         if kind != Kind::Segment && (self.covariances.is_some() || self.cross_covariance.is_some()) {
             return Err(Error::invalid("covariances and cross_covariance are for segments", "give covariance"));
         }
         let covariance = self.covariance()?;
+        if kind != Kind::Contour && (self.anchor.is_some() || self.crease_deg.is_some()) {
+            return Err(Error::invalid("anchor and crease_deg are for contours", "give points"));
+        }
         let properties = self.properties.as_ref();
         match kind {
             Kind::Point | Kind::Reflector => {
@@ -177,6 +189,13 @@ impl FeatureFields {
                 Ok(FeatureShape::Segment { ends: exactly(&points)?, covariances, cross })
             }
             Kind::Patch => Ok(FeatureShape::Patch { corners: points, covariance }),
+            Kind::Contour => {
+                let given = self.anchor.map(DVec3::from_array).zip(self.crease_deg).filter(|_| self.points.is_none());
+                let (anchor, crease_deg) = given.ok_or_else(|| {
+                    Error::invalid("a contour is given by anchor and crease_deg alone", "give both in place of points")
+                })?;
+                Ok(FeatureShape::Contour { anchor, crease_deg, covariance })
+            }
             Kind::Fiducial => {
                 let given = properties.and_then(|p| p.family.clone().zip(p.code));
                 let (family, code) = given.ok_or_else(|| {

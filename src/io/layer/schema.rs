@@ -7,7 +7,7 @@
 ///
 /// ```
 /// let schema: serde_json::Value = serde_json::from_str(presight::io::layer::schema())?;
-/// assert_eq!(schema["properties"]["format"]["const"], 1);
+/// assert_eq!(schema["properties"]["format"]["anyOf"][1]["const"], 2);
 /// # Ok::<(), serde_json::Error>(())
 /// ```
 pub fn schema() -> &'static str {

@@ -1,7 +1,7 @@
 //! From features to text, one feature a line, so that people can edit and compare it.
 
-use super::FORMAT;
 use super::fields::{FeatureFields, Kind, PropertyFields, Surface};
+use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
 use crate::environment::{Existence, Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result};
 use crate::io::atomic::write_atomically;
@@ -39,8 +39,10 @@ pub fn to_string(layer: &FeatureLayer) -> Result<String> {
 
 fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
     layer.check()?;
+    let has_contour = layer.features.iter().any(|f| f.shape.is_contour());
+    let format = if has_contour { FORMAT } else { FORMAT_WITHOUT_CONTOURS };
     let mut text = format!(
-        "{{\n  \"format\": {FORMAT},\n  \"class\": {},\n  \"tolerance\": {},\n",
+        "{{\n  \"format\": {format},\n  \"class\": {},\n  \"tolerance\": {},\n",
         json(&layer.class)?,
         json(&layer.tolerance)?
     );
@@ -106,6 +108,10 @@ pub(crate) fn fields(feature: &Feature) -> FeatureFields {
             to.covariance = unless_zero(rows(covariance));
             (properties.family, properties.code) = (Some(family.clone()), Some(*code));
         }
+        FeatureShape::Contour { anchor, crease_deg, covariance } => {
+            (to.points, to.anchor, to.crease_deg) = (None, Some(anchor.to_array()), Some(*crease_deg));
+            to.covariance = unless_zero(rows(covariance));
+        }
     }
     to.properties = (properties != PropertyFields::default()).then_some(properties);
     let (e, default) = (feature.existence, Existence::default());
@@ -123,6 +129,7 @@ fn kind(shape: &FeatureShape) -> Kind {
         FeatureShape::Patch { .. } => Kind::Patch,
         FeatureShape::Reflector { .. } => Kind::Reflector,
         FeatureShape::Fiducial { .. } => Kind::Fiducial,
+        FeatureShape::Contour { .. } => Kind::Contour,
     }
 }
 

@@ -1,5 +1,6 @@
 //! The frames of a log of any kind, as the estimator takes them.
 
+use super::scans::{self, Scans};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, OdometryNoise};
 use crate::geometry::Pose;
@@ -24,8 +25,9 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Opens a log: a folder of depth images ([`crate::io::depth_folder`]), or a file of ranges ([`super::open`]). `sensor` says
-    /// what the log does not (noise, limits, mount) and has the same image; `noise` says how good odometry is.
+    /// Opens a log: a folder of depth images ([`crate::io::depth_folder`]), one or a folder of scans ([`super::scans`]), or a file of
+    /// ranges ([`super::open`]). `sensor` says what the log does not (noise, limits, mount) and has the same image, but for scans
+    /// of points, whose rays are their own; `noise` says how good odometry is.
     ///
     /// # Examples
     /// ```
@@ -42,9 +44,23 @@ impl Frames {
     /// ```
     ///
     /// # Errors
-    /// Those of [`super::open`] and of [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with another image.
+    /// Those of [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with another image.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
-        if path.is_dir() { Self::of_folder(path, sensor) } else { Self::of_file(path, sensor, *noise) }
+        match path.is_dir() {
+            true if path.join("camera.json").exists() || path.join("depth").exists() => Self::of_folder(path, sensor),
+            false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
+            _ => Self::of_scans(path, sensor),
+        }
+    }
+
+    fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let mut scans = Scans::open(path, sensor)?;
+        // Each scan has a sensor of its own: the first one stands for them.
+        let Some(first) = scans.next().transpose()? else {
+            return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files").in_file(path));
+        };
+        let sensor = first.frame.sensor().clone();
+        Ok(Self { sensor, frames: Box::new(std::iter::once(Ok(first)).chain(scans)), ended: false })
     }
 
     fn of_folder(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
@@ -84,7 +100,7 @@ impl Frames {
         Ok(Self { sensor, frames: Box::new(frames), ended: false })
     }
 
-    /// The sensor that measured.
+    /// The sensor that measured the first frame; scans of points have one each.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }

@@ -6,10 +6,13 @@
 //!   be longer than memory.
 //! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as data sets publish them. A document
 //!   is held in memory.
+//!
+//! [`Frames`] takes these, folders of depth images, and scans as points or images of ranges ([`scans`]).
 
 pub mod document;
 mod frames;
 pub mod lines;
+pub mod scans;
 #[cfg(test)]
 mod tests;
 

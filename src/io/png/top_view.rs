@@ -7,7 +7,7 @@ use super::canvas::{Canvas, PageRect};
 use super::overlay::Overlay;
 use super::pen::{Pen, REGION, Style};
 use crate::environment::FeatureShape;
-use crate::features::SeenFeature;
+use crate::features::{SeenFeature, along};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
 
@@ -61,9 +61,9 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
             FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => {
                 parts.iter().for_each(|_| pen.dot(self.place(points[0]), if seen { 4.0 } else { 2.0 }));
             }
-            FeatureShape::Segment { .. } => {
-                for t in parts {
-                    let [from, to] = t.map(|t| self.place(points[0] + t * (points[1] - points[0])));
+            FeatureShape::Segment { .. } | FeatureShape::Contour { .. } => {
+                for (t, ends) in parts.iter().flat_map(|t| along(&points, *t).into_iter().map(move |ends| (t, ends))) {
+                    let [from, to] = ends.map(|p| self.place(p));
                     // What a row without height sees of an edge is a point.
                     if t[0] == t[1] { pen.dot(from, 3.0) } else { pen.line(from, to) }
                 }
@@ -145,6 +145,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
         let seen = feature.visible.first()?;
         let middle = match &feature.feature.shape {
             FeatureShape::Segment { .. } => points[0].lerp(points[1], 0.5 * (seen.t[0] + seen.t[1])),
+            FeatureShape::Contour { .. } => along(&points, seen.t).first()?[0],
             FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => {
                 let met: Vec<DVec3> =
                     self.met(&points, feature).into_iter().flatten().filter(|m| m.1).map(|m| m.0).collect();

@@ -10,7 +10,7 @@
 //! | `features` | one entry each, see [`crate::features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
-//! An entry has `id`, `kind`, `name`, `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
+//! An entry has `id`, `kind`, `name`, `branch` (of contours alone: each of their curves is an entry), `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
 //! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
 //! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
 //! of the prediction) and `history` (null without a store). Of what is not seen at all `range`, `cos_incidence`, `roi`, `roi_flag` and
@@ -173,6 +173,8 @@ pub struct FeatureRecord<'a> {
     pub id: u32,
     pub kind: Cow<'a, str>,
     pub name: Option<Cow<'a, str>>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub branch: Option<u32>,
     pub points_world: Vec<[f64; 3]>,
     pub visible_fraction: f64,
     pub visible: Vec<Visible>,
@@ -236,6 +238,7 @@ fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureReco
         id: seen.feature.id,
         kind: seen.feature.shape.kind().into(),
         name: seen.feature.name.as_deref().map(Cow::from),
+        branch: seen.branch,
         points_world: seen.points_world.iter().map(DVec3::to_array).collect(),
         visible_fraction: seen.visible_fraction,
         visible: seen.visible.iter().map(visible).collect(),
@@ -302,6 +305,7 @@ mod tests {
                 existence: Existence::default(),
                 properties: Properties::default(),
             },
+            branch: None,
             points_world: ends.to_vec(),
             normal_world: None,
             visible_fraction: 0.25,
@@ -354,6 +358,12 @@ mod tests {
         assert_eq!(feature["hidden"][0]["reason"], "behind_sensor");
         assert_eq!(feature["properties"]["direction"][2], 1.0);
         assert_eq!(feature["properties"]["existence"], 0.5);
+        let curve = FeaturePrediction {
+            features: vec![SeenFeature { branch: Some(2), ..seen() }],
+            ..FeaturePrediction::default()
+        };
+        let text = to_string(&header, &curve, &Environment::new(), None).unwrap();
+        assert_eq!(parse(&text).unwrap().features[0].branch, Some(2));
     }
 
     #[test]

@@ -213,6 +213,7 @@ impl FeatureShape {
                 *corners = corners.map(point);
                 *covariance = spread(*covariance);
             }
+            Self::Contour { anchor, covariance, .. } => (*anchor, *covariance) = (point(*anchor), spread(*covariance)),
         }
     }
 }

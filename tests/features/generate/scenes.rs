@@ -56,8 +56,8 @@ fn of(loops: &[Loop]) -> Environment {
     environment
 }
 
-/// Creases, borders, material borders, intersections, corners, vertical and horizontal patches.
-fn counts(environment: &Environment) -> [usize; 7] {
+/// Creases, borders, material borders, intersections, corners, vertical and horizontal patches, contours.
+fn counts(environment: &Environment) -> [usize; 8] {
     let generated = generate(environment, "video", &GenerateOptions::default()).unwrap();
     let ids: Vec<u32> = generated.layer.features.iter().map(|f| f.id).collect();
     assert_eq!(ids, (1..=ids.len() as u32).collect::<Vec<_>>());
@@ -65,7 +65,7 @@ fn counts(environment: &Environment) -> [usize; 7] {
 }
 
 /// 12 edges, 8 corners, 4 walls, top and bottom.
-const BOX: [usize; 7] = [12, 0, 0, 0, 8, 4, 2];
+const BOX: [usize; 8] = [12, 0, 0, 0, 8, 4, 2, 0];
 
 fn reversed(l: &Loop) -> Loop {
     (l.0.iter().rev().copied().collect(), l.1)
@@ -98,10 +98,10 @@ fn facets_of_a_cylinder_are_no_edges_and_its_rims_are() {
     let mut loops: Vec<Loop> =
         (0..48).map(|k| (vec![at(k, 0.0), at(k + 1, 0.0), at(k + 1, 2.0), at(k, 2.0)], 0)).collect();
     // The wall alone: its rims are borders. A facet is 0.26 m^2.
-    assert_eq!(counts(&of(&loops)), [0, 96, 0, 0, 0, 48, 0]);
+    assert_eq!(counts(&of(&loops)), [0, 96, 0, 0, 0, 48, 0, 1]);
     loops.push(((0..48).map(|k| at(k, 2.0)).collect(), 0));
     loops.push(((0..48).rev().map(|k| at(k, 0.0)).collect(), 0));
-    assert_eq!(counts(&of(&loops)), [96, 0, 0, 0, 0, 48, 2]);
+    assert_eq!(counts(&of(&loops)), [96, 0, 0, 0, 0, 48, 2, 1]);
 }
 
 #[test]
@@ -112,7 +112,7 @@ fn t_junctions_are_no_borders() {
         rectangle([0.0, 0.7], [1.0, 2.0], 0.0, 0),
         rectangle([0.7, 2.0], [1.0, 2.0], 0.0, 0),
     ];
-    assert_eq!(counts(&of(&tiles)), [0, 4, 0, 0, 4, 0, 1]);
+    assert_eq!(counts(&of(&tiles)), [0, 4, 0, 0, 4, 0, 1, 0]);
     // The short ones folded up: one crease, six sides more, six corners; two patches.
     let up = |x: [f32; 2]| {
         (
@@ -125,7 +125,7 @@ fn t_junctions_are_no_borders() {
             0,
         )
     };
-    assert_eq!(counts(&of(&[tiles[0].clone(), up([0.0, 0.7]), up([0.7, 2.0])])), [1, 6, 0, 0, 6, 1, 1]);
+    assert_eq!(counts(&of(&[tiles[0].clone(), up([0.0, 0.7]), up([0.7, 2.0])])), [1, 6, 0, 0, 6, 1, 1, 0]);
     // One of them shorter: the rest of the long side is a border. Sides of the fold: 0.7 crease, 1.3 border in one line
     // with it, one edge; the fold has three sides more, the tile three.
     let short = generate(&of(&[tiles[0].clone(), up([0.0, 0.7])]), "video", &GenerateOptions::default()).unwrap();
@@ -135,12 +135,12 @@ fn t_junctions_are_no_borders() {
 #[test]
 fn materials_end_in_borders_and_invisible_ones_are_not_there() {
     let tiles = |other| [rectangle([0.0, 1.0], [0.0, 1.0], 0.0, 0), rectangle([1.0, 2.0], [0.0, 1.0], 0.0, other)];
-    assert_eq!(counts(&of(&tiles(0))), [0, 4, 0, 0, 4, 0, 1]);
+    assert_eq!(counts(&of(&tiles(0))), [0, 4, 0, 0, 4, 0, 1, 0]);
     // The seam shows; where it meets the outline are two corners more.
     assert_eq!(counts(&of(&tiles(1)))[..5], [0, 4, 1, 0, 6]);
     // One tile.
     let fog = generate(&of(&tiles(2)), "video", &GenerateOptions::default()).unwrap();
-    assert_eq!((fog.counts.made, fog.counts.invisible), ([0, 4, 0, 0, 4, 0, 1], 1));
+    assert_eq!((fog.counts.made, fog.counts.invisible), ([0, 4, 0, 0, 4, 0, 1, 0], 1));
     assert_eq!(
         generate(&of(&tiles(2)), "radar", &GenerateOptions::default()).unwrap().counts.of(FeatureKind::Material),
         1
@@ -153,7 +153,7 @@ fn a_pillar_sunk_into_the_floor_shows_where_it_enters() {
     put(&mut environment, DAffine3::IDENTITY, &cuboid(Vec3::new(-0.2, -0.2, -1.0), Vec3::new(0.2, 0.2, 1.0)));
     // Floor: 4 borders, 4 corners. Pillar: 12 edges, 8 corners. Between them 4 lines, which meet in 4 corners. The
     // pillar's ends have 0.16 m^2.
-    assert_eq!(counts(&environment), [12, 4, 0, 4, 16, 4, 1]);
+    assert_eq!(counts(&environment), [12, 4, 0, 4, 16, 4, 1, 0]);
     let layer = generate(&environment, "video", &GenerateOptions::default()).unwrap().layer;
     let lines: Vec<_> = layer.features.iter().filter(|f| f.name.as_deref() == Some("intersection")).collect();
     for line in lines {

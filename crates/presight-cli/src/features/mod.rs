@@ -68,7 +68,7 @@ enum Command {
 /// The flags that say what is generated.
 #[derive(Clone, Debug, clap::Args)]
 struct OptionArgs {
-    /// Kinds to make, of crease, border, material, intersection, corner, vertical, horizontal [default: all]
+    /// Kinds to make, of crease, border, material, intersection, corner, vertical, horizontal, contour [default: all]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     kinds: Vec<FeatureKind>,
 

@@ -8,7 +8,7 @@ use super::timing::{TimedPath, by_turns};
 use super::views::ImageVariant;
 use super::{PathNotes, Row, how, regions};
 use glam::DVec3;
-use presight::features::generate::{GenerateOptions, generate};
+use presight::features::generate::{FeatureKind, GenerateOptions, generate};
 use presight::features::{
     FeatureOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, STEP, SeenFeature,
     Visibility, place, predict_features,
@@ -172,7 +172,9 @@ impl FeaturePath {
 fn case<'a>(one: &SceneStudy<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
     let (world, at) = (&one.scene.world, pose.translation);
     let near = Aabb { min: at - DVec3::splat(NEAR), max: at + DVec3::splat(NEAR) };
-    let options = GenerateOptions { region: Some(near), ..GenerateOptions::default() };
+    // Features of which each has one entry.
+    let kinds = FeatureKind::ALL.into_iter().filter(|kind| *kind != FeatureKind::Contour).collect();
+    let options = GenerateOptions { kinds, region: Some(near), ..GenerateOptions::default() };
     let layer = generate(world.environment(), &one.sensor.spec().class, &options)?.layer;
     let placed = place(world, &layer)?;
     let by_rays = FeatureSettings { visibility: Visibility::Rays, ..FeatureSettings::default() };

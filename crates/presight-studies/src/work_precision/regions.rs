@@ -238,7 +238,9 @@ fn deviation(shape: &FeatureShape) -> f64 {
     match shape {
         FeatureShape::Segment { covariances, .. } => covariances[0].x_axis.x,
         FeatureShape::Point { covariance, .. } | FeatureShape::Patch { covariance, .. } => covariance.x_axis.x,
-        FeatureShape::Reflector { covariance, .. } | FeatureShape::Fiducial { covariance, .. } => covariance.x_axis.x,
+        FeatureShape::Reflector { covariance, .. }
+        | FeatureShape::Fiducial { covariance, .. }
+        | FeatureShape::Contour { covariance, .. } => covariance.x_axis.x,
     }
     .sqrt()
 }

@@ -13,7 +13,7 @@ const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": "1", "kind": "point", "points": [[0, 0, 0]]}"#, "line 2"),
     (r#"{"kind": "point", "points": [[0, 0, 0]]}"#, "missing field `id`"),
     (r#"{"id": 1, "points": [[0, 0, 0]]}"#, "(id 1): kind is missing"),
-    (r#"{"id": 1, "kind": "contour", "points": [[0, 0, 0]]}"#, "unknown variant `contour`"),
+    (r#"{"id": 1, "kind": "outline", "points": [[0, 0, 0]]}"#, "unknown variant `outline`"),
     (r#"{"id": 1, "kind": "point", "point": [0, 0, 0]}"#, "unknown field `point`"),
     (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"colour": 1}}"#, "unknown field `colour`"),
     (r#"{"id": 1, "kind": "point", "kind": "point", "points": [[0, 0, 0]]}"#, "duplicate field `kind`"),
@@ -237,7 +237,7 @@ fn each_bad_file_is_named() {
 
 #[test]
 fn newer_formats_and_broken_files_are_refused() {
-    let newer = parse(r#"{"format": 2, "class": 7, "whatever": []}"#).unwrap_err();
+    let newer = parse(r#"{"format": 3, "class": 7, "whatever": []}"#).unwrap_err();
     assert_eq!((newer.kind(), newer.remedy()), (ErrorKind::Unsupported, "update presight"));
     for text in ["", "{", "[]", "7", "{\"format\": 1}", "\u{feff}{}", &SOUND[..SOUND.len() - 3]] {
         assert_eq!(parse(text).unwrap_err().kind(), ErrorKind::Invalid, "{text}");

@@ -97,6 +97,31 @@ fn whole_numbers_may_be_written_with_a_fraction_of_nothing() {
     }
 }
 
+#[test]
+fn contours_are_told_by_anchor_and_angle() {
+    let file = |feature: &str| format!(r#"{{"format": 2, "class": "video", "features": [{feature}]}}"#);
+    let sound = file(r#"{"id": 1, "kind": "contour", "anchor": [0, 0, 0], "crease_deg": 30, "sigma": 0.01}"#);
+    assert!(fits_ours(&sound) && parse(&sound).is_ok());
+    // Files of format 2 may hold the others, too.
+    let point = file(r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]]}"#);
+    assert!(fits_ours(&point) && parse(&point).is_ok());
+    for (instead_of, put) in [
+        ("2", "1"),
+        ("30", "0"),
+        ("30", "91"),
+        ("30", "\"30\""),
+        (", \"crease_deg\": 30", ""),
+        ("\"anchor\": [0, 0, 0], ", ""),
+        ("anchor", "points"),
+        ("[0, 0, 0]", "[0, 0]"),
+        ("\"sigma\"", "\"points\": [[0, 0, 0]], \"sigma\""),
+        ("contour", "point"),
+    ] {
+        let text = sound.replacen(instead_of, put, 1);
+        assert!(parse(&text).is_err() && !fits_ours(&text), "{put} for {instead_of}");
+    }
+}
+
 /// All that a schema can tell is told: each of these is refused by both.
 #[test]
 fn wrong_types_and_ranges_do_not_fit() {
@@ -148,7 +173,7 @@ fn wrong_types_and_ranges_do_not_fit() {
         assert!(!fits_ours(&text), "fits: {feature}");
     }
     for (instead_of, put) in [
-        ("\"format\": 1", "\"format\": 2"),
+        ("\"format\": 1", "\"format\": 3"),
         ("\"class\": \"video\",", ""),
         ("\"video\"", "\"\""),
         ("\"tolerance\": 0.002", "\"tolerance\": 0"),

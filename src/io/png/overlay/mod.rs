@@ -3,7 +3,7 @@
 use super::canvas::{Canvas, INK, PageRect, TEXT_HEIGHT, text_width};
 use super::pen::{Pen, REGION, Style};
 use crate::environment::FeatureShape;
-use crate::features::{FeaturePrediction, SeenFeature};
+use crate::features::{FeaturePrediction, SeenFeature, along};
 use crate::geometry::Pose;
 use crate::sensor::{Angles, Geometry, Sensor};
 use glam::{DMat3, DVec2, DVec3};
@@ -144,9 +144,8 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
                     self.each_turn([at, at], |[at, _]| pen.dot(at, if seen { 4.0 } else { 2.0 }));
                 }
             }
-            FeatureShape::Segment { .. } => {
-                let at = |t: f64| points[0] + t * (points[1] - points[0]);
-                parts.iter().for_each(|t| self.curve(&mut pen, at(t[0]), at(t[1])));
+            FeatureShape::Segment { .. } | FeatureShape::Contour { .. } => {
+                parts.iter().flat_map(|t| along(&points, *t)).for_each(|[a, b]| self.curve(&mut pen, a, b));
             }
             FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } => {
                 let whole = !self.by_sides.contains(&feature.feature.id);
@@ -216,7 +215,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
     /// The middle of what is seen of a feature.
     fn middle(&self, feature: &SeenFeature) -> Option<[f64; 2]> {
         let [from, mut to] = feature.visible.first()?.pixels;
-        let segment = matches!(feature.feature.shape, FeatureShape::Segment { .. });
+        let segment = matches!(feature.feature.shape, FeatureShape::Segment { .. } | FeatureShape::Contour { .. });
         if let Some(turn) = self.turn.filter(|_| segment) {
             to.x += turn * ((from.x - to.x) / turn).round();
         }

@@ -1,0 +1,126 @@
+//! Residuals of points and segments that were found in an image.
+//!
+//! A point of the model is projected; its residuals are the columns and rows between it and the point that was found. A segment
+//! that was found is a line: its residuals are the distances of the projected ends of the model's segment from it. Derivatives by
+//! the pose are central differences, so that every lens and every scanner is served by one formula.
+
+use super::normal::Normal;
+use super::{Gate, Residuals};
+use crate::geometry::Pose;
+use crate::motion::{Vector, moved};
+use crate::sensor::Sensor;
+use glam::{DMat2, DVec2, DVec3};
+
+/// A point of the model, and where it was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenPoint {
+    /// In the world, metres.
+    pub point: DVec3,
+    /// Column and row.
+    pub found: DVec2,
+    /// Of the place that was found, pixels squared.
+    pub covariance: DMat2,
+}
+
+/// A segment of the model, and the line on which it was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenSegment {
+    /// Ends of the visible part, in the world, metres.
+    pub ends: [DVec3; 2],
+    /// Two points of the line: column and row.
+    pub found: [DVec2; 2],
+    /// How far each of these may be off across the line, one standard deviation, pixels.
+    pub sigma: f64,
+}
+
+/// What an image says of the pose.
+#[derive(Clone, Debug)]
+pub struct ImageSource<'a> {
+    sensor: &'a Sensor,
+    points: Vec<SeenPoint>,
+    segments: Vec<SeenSegment>,
+}
+
+/// Steps of the differences: metres and radians. Far below a pixel, far above rounding.
+const STEP: f64 = 1e-5;
+
+impl<'a> ImageSource<'a> {
+    /// A source of what was matched in the image of a sensor.
+    pub fn new(sensor: &'a Sensor, points: Vec<SeenPoint>, segments: Vec<SeenSegment>) -> Self {
+        Self { sensor, points, segments }
+    }
+
+    fn project(&self, world_from_robot: &Pose, point: DVec3) -> Option<DVec2> {
+        let body = (*world_from_robot * self.sensor.spec().mount).inverse().transform_point(point);
+        let (u, v) = self.sensor.project(self.sensor.body_from_image().transpose() * body)?;
+        Some(DVec2::new(u, v))
+    }
+
+    /// Residuals in standard deviations; `None` where the model's point is not in front of the sensor.
+    fn residuals(&self, pose: &Pose) -> Vec<Option<f64>> {
+        let mut all = Vec::with_capacity(2 * (self.points.len() + self.segments.len()));
+        for p in &self.points {
+            // Whitened by the inverse of a root of the covariance.
+            let root = lower_root(p.covariance);
+            let off = self.project(pose, p.point).map(|at| root.inverse() * (at - p.found));
+            all.extend([off.map(|o| o.x), off.map(|o| o.y)]);
+        }
+        for s in &self.segments {
+            let [a, b] = s.found;
+            let along = (b - a).normalize_or_zero();
+            let off = |at: DVec2| along.perp_dot(at - a) / s.sigma;
+            all.extend(s.ends.map(|end| self.project(pose, end).map(off)));
+        }
+        all
+    }
+}
+
+/// L with L L' = m, of a positive matrix.
+fn lower_root(m: DMat2) -> DMat2 {
+    let a = m.x_axis.x.max(1e-12).sqrt();
+    let b = m.x_axis.y / a;
+    DMat2::from_cols(DVec2::new(a, b), DVec2::new(0.0, (m.y_axis.y - b * b).max(1e-12).sqrt()))
+}
+
+impl Residuals for ImageSource<'_> {
+    fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
+        let here = self.residuals(world_from_robot);
+        let shifted: Vec<[Vec<Option<f64>>; 2]> = (0..6)
+            .map(|axis| {
+                [STEP, -STEP].map(|step| {
+                    let mut motion: Vector = [0.0; 6];
+                    motion[axis] = step;
+                    self.residuals(&moved(world_from_robot, &motion))
+                })
+            })
+            .collect();
+        let mut normal = Normal { measured: here.len(), ..Normal::default() };
+        let mut sizes = Vec::new();
+        for (i, e) in here.iter().enumerate() {
+            let difference = |axis: usize| Some((shifted[axis][0][i]? - shifted[axis][1][i]?) / (2.0 * STEP));
+            let j: Option<Vec<f64>> = (0..6).map(difference).collect();
+            let (Some(e), Some(j)) = (*e, j) else {
+                normal.chi2 += gate.kernel.most();
+                continue;
+            };
+            // In pixels the gate is as wide as the pose's uncertainty moves this very residual.
+            let metres = (0..3).map(|k| j[k].abs()).fold(0.0, f64::max) * gate.translation;
+            let radians = (3..6).map(|k| j[k].abs()).fold(0.0, f64::max) * gate.rotation;
+            let (weight, cost) = gate.kernel.weigh(e, metres + radians);
+            sizes.push(e.abs());
+            normal.compared += 1;
+            normal.chi2 += cost;
+            normal.explained += usize::from(e.abs() <= super::range::EXPLAINED);
+            for a in 0..6 {
+                normal.gradient[a] += weight * j[a] * e;
+                for b in 0..6 {
+                    normal.information[a][b] += weight * j[a] * j[b];
+                    normal.noise[a][b] += weight * weight * j[a] * j[b];
+                }
+            }
+        }
+        sizes.sort_by(f64::total_cmp);
+        normal.spread = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+        normal
+    }
+}

@@ -1,0 +1,53 @@
+//! Grey images.
+
+use crate::error::{Error, Result};
+use glam::DVec2;
+
+/// A grey image, 0 black and 1 white, row by row. NaN is no measurement.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GreyImage {
+    width: u32,
+    height: u32,
+    values: Vec<f32>,
+}
+
+impl GreyImage {
+    /// Makes an image of its values.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel, or one is infinite.
+    pub fn new(width: u32, height: u32, values: Vec<f32>) -> Result<Self> {
+        if values.len() as u64 != u64::from(width) * u64::from(height) {
+            let what = format!("{} grey values for {width} x {height} pixels", values.len());
+            return Err(Error::invalid(what, "give one value a pixel, row by row"));
+        }
+        if let Some(at) = values.iter().position(|v| v.is_infinite()) {
+            let what = format!("pixel {},{} is {}", at % width as usize, at / width as usize, values[at]);
+            return Err(Error::invalid(what, "give grey values from 0 to 1, or NaN for none"));
+        }
+        Ok(Self { width, height, values })
+    }
+
+    /// Columns.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Between the four pixels around a place (column, row); NaN outside of the image and beside a pixel without a measurement.
+    pub fn at(&self, place: DVec2) -> f64 {
+        let (w, h) = (self.width as usize, self.height as usize);
+        if !(place.x >= 0.0 && place.y >= 0.0 && place.x <= w as f64 - 1.0 && place.y <= h as f64 - 1.0) {
+            return f64::NAN;
+        }
+        let (c, r) = (place.x as usize, place.y as usize);
+        let (x, y) = (place.x - c as f64, place.y - r as f64);
+        let (c1, r1) = ((c + 1).min(w - 1), (r + 1).min(h - 1));
+        let v = |c: usize, r: usize| f64::from(self.values[r * w + c]);
+        (1.0 - y) * ((1.0 - x) * v(c, r) + x * v(c1, r)) + y * ((1.0 - x) * v(c, r1) + x * v(c1, r1))
+    }
+}

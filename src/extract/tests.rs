@@ -1,0 +1,121 @@
+use super::*;
+use crate::random::SplitMix64;
+use crate::verdict::Verdict;
+use glam::DVec2;
+
+/// Dark and bright halves, parted by a line through `on` at an angle; what a pixel sees of each is counted finely.
+fn halves(on: DVec2, angle: f64, noise: f64, seed: u64) -> GreyImage {
+    const SIDE: u32 = 64;
+    let across = DVec2::from_angle(angle).perp();
+    let mut random = SplitMix64(seed);
+    let mut values = Vec::new();
+    for i in 0..SIDE * SIDE {
+        let fine = (0..64).map(|k| {
+            let part = DVec2::new(f64::from(k % 8) + 0.5, f64::from(k / 8) + 0.5) / 8.0 - 0.5;
+            let at = DVec2::new(f64::from(i % SIDE), f64::from(i / SIDE)) + part;
+            if across.dot(at - on) > 0.0 { 0.7 } else { 0.3 }
+        });
+        let bright = fine.sum::<f64>() / 64.0;
+        // Uniform, of the deviation asked for.
+        values.push((bright + noise * 3f64.sqrt() * random.uniform(-1.0, 1.0)) as f32);
+    }
+    GreyImage::new(SIDE, SIDE, values).unwrap()
+}
+
+fn off_line(found: &FoundEdge, on: DVec2, angle: f64) -> f64 {
+    let across = DVec2::from_angle(angle).perp();
+    found.detection.shape.points().iter().map(|p| across.dot(*p - on).abs()).fold(0.0, f64::max)
+}
+
+/// Edges at all angles, expected pixels off and turned, are found to a fraction of a pixel, with errors as the covariance claims.
+#[test]
+fn edges_are_found_to_a_fraction_of_a_pixel() {
+    let (mut squares, mut count) = (0.0, 0.0);
+    for k in 0..60u32 {
+        let angle = 0.11 * f64::from(k);
+        let on = DVec2::new(31.0 + 0.17 * f64::from(k % 7), 32.0 - 0.13 * f64::from(k % 5));
+        let image = halves(on, angle, 0.02, u64::from(k));
+        let along = DVec2::from_angle(angle + 0.03);
+        let aside = (f64::from(k % 9) - 4.0) * DVec2::from_angle(angle).perp();
+        let expected = ExpectedEdge {
+            ends: [on + aside - 20.0 * along, on + aside + 20.0 * along],
+            reach: 6.0,
+            is_right_brighter: None,
+        };
+        let options = EdgeOptions { noise: 0.02, ..EdgeOptions::default() };
+        let found = edges_near(&image, &expected, &options);
+        assert_eq!(found.len(), 1, "{k}: {found:?}");
+        let off = off_line(&found[0], on, angle);
+        assert!(off < 0.2, "{k}: {off} pixels");
+        // perp() of an angle points to the right of its way, rows growing downwards: the bright side.
+        assert!(found[0].contrast > 0.25 && found[0].support > 0.9);
+        squares += off * off / found[0].detection.covariance.x_axis.x;
+        count += 1.0;
+        let wrong = ExpectedEdge { is_right_brighter: Some(false), ..expected };
+        assert!(edges_near(&image, &wrong, &options).is_empty(), "an edge of the other sense is not the one");
+        let right = ExpectedEdge { is_right_brighter: Some(true), ..expected };
+        assert_eq!(edges_near(&image, &right, &options).len(), 1);
+    }
+    let mean = squares / count;
+    assert!((0.1..4.0).contains(&mean), "normalized squared errors of {mean}");
+}
+
+/// Noise alone, an edge out of reach, and one across the expected one are none.
+#[test]
+fn what_is_no_edge_is_not_found() {
+    let centre = DVec2::splat(31.5);
+    let expected = |along: DVec2, aside: f64| ExpectedEdge {
+        ends: [centre + aside * along.perp() - 20.0 * along, centre + aside * along.perp() + 20.0 * along],
+        reach: 5.0,
+        is_right_brighter: None,
+    };
+    let options = EdgeOptions { noise: 0.02, ..EdgeOptions::default() };
+    for seed in 0..20 {
+        let flat = halves(DVec2::splat(1e4), 0.0, 0.02, seed);
+        assert!(edges_near(&flat, &expected(DVec2::X, 0.0), &options).is_empty());
+        let image = halves(centre, 0.0, 0.02, seed);
+        assert!(edges_near(&image, &expected(DVec2::X, 9.0), &options).is_empty());
+        assert!(edges_near(&image, &expected(DVec2::Y, 0.0), &options).is_empty());
+    }
+    let image = halves(centre, 0.0, 0.0, 1);
+    for broken in [
+        ExpectedEdge { reach: f64::NAN, ..expected(DVec2::X, 0.0) },
+        ExpectedEdge { ends: [DVec2::NAN, centre], ..expected(DVec2::X, 0.0) },
+        ExpectedEdge { ends: [centre, centre], ..expected(DVec2::X, 0.0) },
+        ExpectedEdge { ends: [DVec2::splat(-900.0), DVec2::splat(-800.0)], ..expected(DVec2::X, 0.0) },
+    ] {
+        assert!(edges_near(&image, &broken, &options).is_empty());
+    }
+    assert!(GreyImage::new(2, 2, vec![0.0; 3]).is_err() && GreyImage::new(1, 1, vec![f32::INFINITY]).is_err());
+    let blind = GreyImage::new(64, 64, vec![f32::NAN; 4096]).unwrap();
+    assert!(edges_near(&blind, &expected(DVec2::X, 0.0), &options).is_empty());
+}
+
+#[test]
+fn what_ranges_say_of_a_feature_that_was_not_found() {
+    let counts = |confirmed: usize, nearer: usize, farther: usize| {
+        let mut counts = [0; 7];
+        counts[Verdict::Confirmed as usize] = confirmed;
+        counts[Verdict::Nearer as usize] = nearer;
+        counts[Verdict::Farther as usize] = farther;
+        counts[Verdict::Undecidable as usize] = 50;
+        counts
+    };
+    let expected = |x: f64| crate::matching::ExpectedFeature {
+        shape: crate::matching::Shape::Point(DVec2::new(x, 5.0)),
+        covariances: vec![glam::DMat2::IDENTITY],
+        window: [x - 2.0, 3.0, x + 2.0, 7.0],
+        properties: Default::default(),
+    };
+    let all: Vec<_> = (0..5).map(|k| expected(10.0 * f64::from(k))).collect();
+    let told = [counts(1, 9, 0), counts(1, 0, 9), counts(9, 1, 1), counts(0, 0, 0)];
+    let classes = classify(&all, &[], &Default::default(), &told).unwrap();
+    use FeatureClass::{Missing, Occluded, Undecidable};
+    assert_eq!(classes.features, [Occluded, Missing, Undecidable, Undecidable, Undecidable]);
+    // A row of pixels: the left half nearer, the right half farther; beside a segment in either half these are counted.
+    let pixels: Vec<Verdict> = (0..200).map(|i| if i % 20 < 10 { Verdict::Nearer } else { Verdict::Farther }).collect();
+    let verdicts = crate::verdict::Verdicts { width: 20, height: 10, pixels, difference: vec![0.0; 200] };
+    let at = |x: f64| verdicts_along(&verdicts, [DVec2::new(x, 1.0), DVec2::new(x, 8.0)], 2.0);
+    assert_eq!((at(4.0)[Verdict::Nearer as usize], at(4.0)[Verdict::Farther as usize]), (16, 0));
+    assert_eq!((at(14.0)[Verdict::Nearer as usize], at(14.0)[Verdict::Farther as usize]), (0, 16));
+}

@@ -1,0 +1,155 @@
+//! Edges of a model in simulated grey images (light at the camera, blur, noise): found where they are predicted, classed, and as the
+//! only source of a pose.
+
+use super::*;
+use presight::estimate::{Freedom, ImageSource, Prior, SeenPoint, SeenSegment, fit, nees};
+use presight::extract::{EdgeOptions, ExpectedEdge, FoundEdge, GreyImage, edges_near};
+use presight::features::generate::{GenerateOptions, generate};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
+use presight::placement::place_layer;
+use presight_testkit::grey::grey;
+use std::time::{Duration, Instant};
+
+const NOISE: f64 = 0.01;
+/// One standard deviation of the pose before, metres and radians.
+const KNOWN: (f64, f64) = (0.03, 0.01);
+
+/// 320 x 240 pixels, 65 degrees wide.
+fn video() -> Sensor {
+    let camera = Camera::pinhole(320, 240, 250.0, 250.0, 159.5, 119.5);
+    Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap()
+}
+
+/// Looks over the table to the shelf.
+fn place() -> Pose {
+    Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05)
+}
+
+fn predicted(world: &World, pose: &Pose) -> FeaturePrediction {
+    let layer = generate(world.environment(), "video", &GenerateOptions::default()).unwrap().layer;
+    let placed = place_layer(world, &layer).unwrap();
+    let (t, r) = KNOWN;
+    let request = Request::default()
+        .with_features(FeatureOptions::default().with_placed(placed))
+        .with_regions(BoxOptions::default().with_sensor_sigmas([t, t, t, r, r, r]));
+    predictor().predict(world, &video(), pose, &request).unwrap().features.unwrap()
+}
+
+fn picture(world: &World, pose: &Pose, seed: u64) -> GreyImage {
+    grey(&mut predictor(), world, &video(), pose, (0.7, NOISE), &mut Random(seed))
+}
+
+/// A predicted edge with the best that was found near it. `t` is where the visible part begins and ends.
+struct Pair {
+    ends: [DVec3; 2],
+    found: FoundEdge,
+}
+
+fn matched(features: &FeaturePrediction, image: &GreyImage, reach: Option<f64>) -> Vec<Pair> {
+    let options = EdgeOptions { noise: NOISE, least_support: 0.7, most: 1, ..EdgeOptions::default() };
+    let mut pairs = Vec::new();
+    for seen in &features.features {
+        let [a, b] = seen.points_world[..] else { continue };
+        let visible = seen.visible.iter().filter(|part| part.pixels[0].distance(part.pixels[1]) >= 12.0);
+        for (part, expected) in visible.zip(ExpectedEdge::of(seen, 3.0)) {
+            let expected = ExpectedEdge { reach: reach.unwrap_or(expected.reach), ..expected };
+            if let Some(found) = edges_near(image, &expected, &options).pop() {
+                pairs.push(Pair { ends: part.t.map(|t| a.lerp(b, t)), found });
+            }
+        }
+    }
+    pairs
+}
+
+/// How far the ends of a model's edge are from the line that was found, in the image of the true pose, pixels.
+fn off(pair: &Pair, truth: &Pose) -> f64 {
+    let camera = video();
+    let [a, b] = [0, 1].map(|k| pair.found.detection.shape.points()[k]);
+    let along = (b - a).normalize();
+    let ends = pair.ends.map(|p| {
+        let image = camera.body_from_image().transpose() * truth.inverse().transform_point(p);
+        let (u, v) = camera.project(image).unwrap();
+        along.perp_dot(glam::DVec2::new(u, v) - a).abs()
+    });
+    ends[0].max(ends[1])
+}
+
+/// Where the prediction is right, edges are found to a fraction of a pixel, and one that is taken for another is rare.
+#[test]
+fn predicted_edges_are_found() {
+    let world = room(Vec3::ZERO);
+    let pairs = matched(&predicted(&world, &place()), &picture(&world, &place(), 3), Some(4.0));
+    let mut all: Vec<f64> = pairs.iter().map(|p| off(p, &place())).collect();
+    all.sort_by(f64::total_cmp);
+    assert!(all.len() >= 12, "{} edges", all.len());
+    assert!(all[all.len() / 2] < 0.3, "median of {} pixels", all[all.len() / 2]);
+    let wrong = all.iter().filter(|d| **d > 1.5).count();
+    assert!(10 * wrong <= all.len(), "{wrong} of {} are others", all.len());
+}
+
+/// Edges alone tell the pose: from 3 cm and 0.6 degrees off, with a covariance that is true.
+#[test]
+fn edges_alone_tell_the_pose() {
+    let (world, mut random) = (room(Vec3::ZERO), Random(4));
+    let (mut metres, mut degrees, mut scores) = (0.0f64, 0.0f64, Vec::new());
+    for seed in 0..3 {
+        let (truth, camera) = (place(), video());
+        let believed = off_by(&truth, KNOWN.0, KNOWN.1.to_degrees(), &mut random);
+        let pairs = matched(&predicted(&world, &believed), &picture(&world, &truth, seed), None);
+        let segment = |p: &Pair| {
+            let ends = p.found.detection.shape.points();
+            let sigma = p.found.detection.covariance.x_axis.x.sqrt();
+            SeenSegment { ends: p.ends, found: [ends[0], ends[1]], sigma: sigma.hypot(0.1) }
+        };
+        let source = ImageSource::new(&camera, Vec::new(), pairs.iter().map(segment).collect());
+        let found = fit(&[&source], &Prior::of_sigmas(believed, KNOWN.0, KNOWN.1), Freedom::Full).unwrap();
+        let (m, d) = apart(&found.pose, &truth);
+        (metres, degrees) = (metres.max(m), degrees.max(d));
+        let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+        scores.push(squared / numbers as f64);
+        assert!(found.weak.is_empty(), "{:?}", found.weak);
+    }
+    assert!(metres < 0.012 && degrees < 0.25, "{metres} m {degrees} deg");
+    assert!(scores.iter().all(|s| *s < 6.0), "{scores:?}");
+}
+
+/// By hand: a camera of focal length 100 pixels sees a point 2 m ahead 1 pixel too far right, so that it stands 2 cm too far left (or is
+/// turned): with x, z and all turns known, the whole pixel is y. A pixel's deviation is 2 cm.
+#[test]
+fn a_point_ahead() {
+    let camera = Camera::pinhole(100, 100, 100.0, 100.0, 49.5, 49.5);
+    let camera = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap();
+    let found = glam::DVec2::new(50.5, 49.5);
+    let point = SeenPoint { point: DVec3::new(2.0, 0.0, 0.0), found, covariance: glam::DMat2::IDENTITY };
+    let source = ImageSource::new(&camera, vec![point; 4], Vec::new());
+    let mut prior = Prior::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
+    prior.covariance[1][1] = 100.0;
+    let answer = fit(&[&source], &prior, Freedom::Full).unwrap();
+    let t = answer.pose.translation;
+    assert!((t - DVec3::new(0.0, 0.02, 0.0)).length() < 1e-5, "{t}");
+    // Four points of 2 cm each.
+    assert!((answer.covariance[1][1].sqrt() - 0.01).abs() < 1e-5, "{}", answer.covariance[1][1].sqrt());
+    // One point in a thousand pixels is an outlier and has no say.
+    let far = SeenPoint { found: glam::DVec2::new(950.0, 49.5), ..point };
+    prior.covariance[1][1] = 1e-3;
+    let mut points = vec![point; 4];
+    points.push(far);
+    let answer = fit(&[&ImageSource::new(&camera, points, Vec::new())], &prior, Freedom::Full).unwrap();
+    assert!((answer.pose.translation.y - 0.02).abs() < 0.003, "{}", answer.pose.translation);
+}
+
+/// What the same extraction costs and finds where nothing is predicted: every edge is looked for in the whole image. Times are told, not held.
+#[test]
+fn regions_of_interest_save_time_and_false_matches() {
+    let world = room(Vec3::ZERO);
+    let (image, features) = (picture(&world, &place(), 3), predicted(&world, &place()));
+    let run = |reach: Option<f64>| -> (Duration, usize, usize) {
+        let start = Instant::now();
+        let pairs = matched(&features, &image, reach);
+        let wrong = pairs.iter().filter(|p| off(p, &place()) > 1.5).count();
+        (start.elapsed(), pairs.len(), wrong)
+    };
+    let (near, wide) = (run(None), run(Some(64.0)));
+    eprintln!("in regions: {near:?}; 64 pixels around: {wide:?} (time, found, wrong)");
+    assert!(near.2 * wide.1 <= wide.2 * near.1, "no larger share is wrong: {near:?} {wide:?}");
+}

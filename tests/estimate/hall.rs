@@ -1,0 +1,86 @@
+//! Simulated drives through a factory hall (../shared/data/env), by the laser range camera with 1 cm of noise: the map exact, and every
+//! object of it 1 cm off. PRESIGHT_HALL_FRAMES says how many frames a drive has.
+
+use super::*;
+use presight::estimate::{Prior, nees};
+use presight::free_poses::free_poses;
+use presight::io::gltf::import;
+use presight::localize::{LocalizeOptions, Localizer};
+use presight::simulate::{Disturbances, Simulator, displace};
+
+fn hall() -> Option<World> {
+    let path = presight_testkit::data::file("env/factory_hall.glb")?;
+    Some(World::new(import(path, &Default::default()).unwrap().environment))
+}
+
+fn laser() -> Sensor {
+    let mut spec = presight::preset("laser-range-camera").unwrap().spec().clone();
+    spec.noise.range_sigma = 0.01;
+    Sensor::new(spec).unwrap()
+}
+
+/// Root mean squares of position, metres, and heading, degrees, and the mean and largest NEES by the numbers of a pose.
+struct Errors {
+    metres: f64,
+    degrees: f64,
+    mean_nees: f64,
+    worst_nees: f64,
+}
+
+/// A round of 25 cm from each of these places, known to 3 cm and 0.02 rad at first, with odometry that slips.
+fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
+    let frames = presight_testkit::env_number("PRESIGHT_HALL_FRAMES", 4) as usize;
+    let (mut squares, mut all) = ([0.0; 2], Vec::new());
+    for (seed, place) in (0..).zip(places) {
+        let yaw = place.rotation.to_euler(glam::EulerRot::ZYX).0;
+        let pose = |k: usize| {
+            let a = 0.1 * k as f64;
+            let aside = DVec3::new(0.25 * a.cos() - 0.25, 0.25 * a.sin(), 0.0);
+            Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
+        };
+        let mut simulator = Simulator::new(predictor(), laser(), Disturbances::default(), seed).unwrap();
+        let prior = Prior::of_sigmas(pose(0), 0.03, 0.02);
+        let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
+        for k in 0..frames {
+            let frame = simulator.frame(real, k as f64, &pose(k)).unwrap();
+            let step = robot.step(map, &frame).unwrap();
+            assert!(step.estimate.is_determined(), "place {seed}, frame {k}: {}", step.reason);
+            let (squared, numbers) = nees(&step.pose, &step.covariance, &pose(k));
+            all.push(squared / numbers as f64);
+            let off = presight::estimate::motion_between(&step.pose, &pose(k));
+            squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
+            squares[1] += off[5].to_degrees().powi(2);
+        }
+    }
+    let n = all.len() as f64;
+    let [metres, degrees] = squares.map(|s| (s / n).sqrt());
+    Errors {
+        metres,
+        degrees,
+        mean_nees: all.iter().sum::<f64>() / n,
+        worst_nees: all.iter().copied().fold(0.0, f64::max),
+    }
+}
+
+/// Level places, a few of those that are free.
+fn places(map: &World) -> Vec<Pose> {
+    free_poses(map, 6, 11).unwrap().into_iter().step_by(2).collect()
+}
+
+#[test]
+fn an_exact_map_is_exact_to_millimetres() {
+    let Some(map) = hall() else { return };
+    let off = drive(&map, &map, &places(&map));
+    assert!(off.metres <= 0.002 && off.degrees <= 0.02, "{} m {} deg", off.metres, off.degrees);
+    assert!(off.worst_nees < 6.0, "{}", off.worst_nees);
+}
+
+#[test]
+fn objects_that_are_off_show_in_the_covariance() {
+    let Some(map) = hall() else { return };
+    let mut real = map.clone();
+    displace(&mut real, 0.01, 5).unwrap();
+    let off = drive(&map, &real, &places(&map));
+    assert!(off.metres <= 0.015 && off.degrees <= 0.1, "{} m {} deg", off.metres, off.degrees);
+    assert!(off.mean_nees < 3.0 && off.worst_nees < 6.0, "{} {}", off.mean_nees, off.worst_nees);
+}
