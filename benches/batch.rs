@@ -16,6 +16,7 @@ use presight::free_poses::free_poses;
 use presight::io::gltf::{ImportOptions, import};
 use presight::io::log;
 use presight::{Backend, Images, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -130,6 +131,26 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     );
 }
 
+/// What a pose's image takes by stage, and how much it does, on average.
+fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
+    let sensor = noisy(presight::preset(preset).expect("a preset").spec());
+    let mut predictor = predictor();
+    let range = vec![2.0; (sensor.width() * sensor.height()) as usize];
+    let sensed = RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a sound image");
+    let request = BatchRequest { likelihood: Some(sensed), statistics: true, ..BatchRequest::default() };
+    let (mut times, mut counts) = (BTreeMap::new(), BTreeMap::new());
+    for item in predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a sound request") {
+        let stats = item.expect("a pose").stats.expect("they are asked for");
+        for (stage, ms) in stats.stages_ms {
+            *times.entry(stage.to_string()).or_insert(0.0) += 1e3 * ms / poses.len() as f64;
+        }
+        for (count, n) in stats.counts {
+            *counts.entry(count.to_string()).or_insert(0.0) += n as f64 / poses.len() as f64;
+        }
+    }
+    println!("{name}, {preset}, by pose: microseconds {times:.1?}, counts {counts:.0?}");
+}
+
 /// The most memory of this process so far, KiB.
 fn peak() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -183,6 +204,7 @@ fn main() {
         let height = poses[0].translation.z;
         let yaw = |pose: &Pose| Pose::from_xyz_rpy(pose.translation.with_z(height), 0.0, 0.0, pose.rpy().2);
         let level: Vec<Pose> = poses.iter().map(yaw).collect();
+        stages(name, "laser-range-camera", &poses, &world);
         scene(name, "laser-range-camera", &poses, &world);
         scene(name, "laser-scanner", &level, &world);
         scene(name, "microwave-radar-scan", &level, &world);

@@ -1,24 +1,30 @@
 //! How deadlines are kept, on the CPU engine. Prints the figures of docs/deadline.md:
 //!
 //! ```sh
-//! cargo bench --bench deadline -- figures SCENE.glb [SENSOR] [FRAMES] [busy]
-//! cargo bench --bench deadline -- drive SCENE.glb OUT.svg [SENSOR] [busy]
+//! cargo bench --bench deadline -- figures SCENE.glb [SENSOR] [FRAMES] [gpu] [busy|cpu-time]
+//! cargo bench --bench deadline -- clairvoyant SCENE.glb [SENSOR] [cpu-time]
+//! cargo bench --bench deadline -- drive SCENE.glb OUT.svg [SENSOR] [gpu] [busy|cpu-time]
 //! ```
 //!
-//! `busy` keeps one core busy by another process.
+//! `busy` keeps one core busy by another process. `cpu-time` takes one thread and the process's CPU time in place of the clock's: what
+//! else the machine does then changes little. `gpu` takes the GPU engine on any adapter.
 
 #![allow(missing_docs, clippy::print_stdout, reason = "a program that prints figures")]
 
+#[path = "deadline/clairvoyant.rs"]
+mod clairvoyant;
 #[path = "deadline/drive.rs"]
 mod drive;
 #[path = "deadline/figures.rs"]
 mod figures;
 
+use presight::deadline::{Clock, SystemClock};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Backend, Options, Pose, Predictor, Request, Sensor, Stats, World};
 use std::error::Error;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::time::Duration;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
@@ -34,24 +40,74 @@ struct Bench {
     world: World,
     sensor: Sensor,
     predictor: Predictor,
+    clock: Arc<dyn Clock>,
+    threads: usize,
+}
+
+/// CPU time of this process.
+#[derive(Debug)]
+struct CpuTime;
+
+impl Clock for CpuTime {
+    fn now(&self) -> Duration {
+        cpu_time::ProcessTime::now().as_duration()
+    }
+}
+
+/// What is measured with.
+struct Setting {
+    backend: Backend,
+    by_cpu_time: bool,
+    /// Keeps a core busy as long as it is there.
+    _busy: Option<Busy>,
+}
+
+impl Setting {
+    /// Takes its words from the end of the arguments.
+    fn take(args: &mut Vec<String>) -> Outcome<Self> {
+        let mut take = |word: &str| args.pop_if(|last| last == word).is_some();
+        let (busy, by_cpu_time) = (take("busy"), take("cpu-time"));
+        let backend = if take("gpu") { Backend::Gpu } else { Backend::Cpu };
+        let _busy = busy.then(Busy::start).transpose()?;
+        Ok(Self { backend, by_cpu_time, _busy })
+    }
 }
 
 impl Bench {
-    fn new(scene: &str, sensor: Option<&String>) -> Outcome<Self> {
+    fn new(scene: &str, sensor: Option<&String>, setting: &Setting) -> Outcome<Self> {
         let sensor = presight::preset(sensor.map_or("microwave-radar-image", String::as_str))?;
         let world = World::new(import(scene, &ImportOptions::default())?.environment);
-        let predictor = Predictor::new(Options::new(Backend::Cpu))?;
-        println!("{scene}, {}, {} polygons", sensor.spec().name, world.environment().slot_count());
-        Ok(Self { world, sensor, predictor })
+        let threads = usize::from(setting.by_cpu_time);
+        let mut predictor = Predictor::new(Options::new(setting.backend).with_threads(threads))?;
+        let clock: Arc<dyn Clock> =
+            if setting.by_cpu_time { Arc::new(CpuTime) } else { Arc::new(SystemClock::default()) };
+        predictor.set_clock(clock.clone());
+        let by = if setting.by_cpu_time { ", one thread, times are CPU times" } else { "" };
+        let (name, polygons) = (&sensor.spec().name, world.environment().slot_count());
+        println!("{scene}, {name}, {polygons} polygons, {}{by}", predictor.engine_name());
+        Ok(Self { world, sensor, predictor, clock, threads })
     }
 
     /// Milliseconds of one prediction from outside, and what it says.
     fn frame(&mut self, pose: &Pose, deadline_ms: Option<f64>) -> (f64, presight::Result<Stats>) {
         let mut request = Request::default();
         request.deadline = deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3));
-        let start = Instant::now();
+        let start = self.clock.now();
         let prediction = self.predictor.predict(&self.world, &self.sensor, pose, &request);
-        (start.elapsed().as_secs_f64() * 1e3, prediction.map(|p| p.stats))
+        (self.since(start), prediction.map(|p| p.stats))
+    }
+
+    /// Samples that are not there under a deadline: all of them if it is refused.
+    fn lost(&mut self, pose: &Pose, deadline_ms: f64) -> f64 {
+        match self.frame(pose, Some(deadline_ms)).1 {
+            Ok(stats) => stats.degradation().map_or(0.0, |given_up| given_up.samples as f64),
+            Err(_) => self.pixels(),
+        }
+    }
+
+    /// Milliseconds.
+    fn since(&self, start: Duration) -> f64 {
+        (self.clock.now() - start).as_secs_f64() * 1e3
     }
 
     fn pixels(&self) -> f64 {
@@ -63,15 +119,11 @@ impl Bench {
 struct Busy(Child);
 
 impl Busy {
-    fn start(args: &mut Vec<String>) -> Outcome<Option<Self>> {
-        if args.last().is_none_or(|arg| arg != "busy") {
-            return Ok(None);
-        }
-        args.pop();
+    fn start() -> Outcome<Self> {
         println!("one core is kept busy by another process");
         let mut command = Command::new("sh");
         command.args(["-c", "while :; do :; done"]).stdout(Stdio::null());
-        Ok(Some(Self(command.spawn()?)))
+        Ok(Self(command.spawn()?))
     }
 }
 
@@ -84,12 +136,15 @@ impl Drop for Busy {
 
 fn main() -> Outcome {
     let mut args: Vec<String> = std::env::args().skip(1).filter(|arg| arg != "--bench").collect();
-    let _busy = Busy::start(&mut args)?;
+    let setting = Setting::take(&mut args)?;
     match args.first().map(String::as_str) {
-        Some("figures") if args.len() > 1 => figures::print(&args[1..]),
-        Some("drive") if args.len() > 2 => drive::draw(&args[1..]),
+        Some("figures") if args.len() > 1 => figures::print(&args[1..], &setting),
+        Some("clairvoyant") if args.len() > 1 => clairvoyant::print(&args[1..], &setting),
+        Some("drive") if args.len() > 2 => drive::draw(&args[1..], &setting),
         _ => {
-            println!("give: figures SCENE.glb [SENSOR] [FRAMES] [busy], or: drive SCENE.glb OUT.svg [SENSOR] [busy]");
+            println!("give: figures SCENE.glb [SENSOR] [FRAMES] [gpu] [busy|cpu-time]");
+            println!("or:   clairvoyant SCENE.glb [SENSOR] [cpu-time]");
+            println!("or:   drive SCENE.glb OUT.svg [SENSOR] [gpu] [busy|cpu-time]");
             Ok(())
         }
     }

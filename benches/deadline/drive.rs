@@ -1,6 +1,6 @@
 //! The time of each frame of a drive, with and without control (paper, Fig. 12), as SVG.
 
-use super::{Bench, Outcome, quantile};
+use super::{Bench, Outcome, Setting, quantile};
 use plotters::prelude::*;
 use presight::free_poses::free_poses;
 use presight::{ErrorKind, Pose};
@@ -12,6 +12,9 @@ type Line = (&'static str, fn(&Frame) -> f64, RGBColor);
 /// Free poses that the drive goes through, and frames from each to the next.
 const STOPS: usize = 12;
 const FRAMES: usize = 25;
+
+/// Height of a chart by what is drawn in it: the names of the lines stand above these.
+const ROOM: f64 = 1.5;
 
 /// A frame of the drive.
 #[derive(Clone, Copy, Default)]
@@ -26,8 +29,8 @@ struct Frame {
     refused: bool,
 }
 
-pub fn draw(args: &[String]) -> Outcome {
-    let mut bench = Bench::new(&args[0], args.get(2))?;
+pub fn draw(args: &[String], setting: &Setting) -> Outcome {
+    let mut bench = Bench::new(&args[0], args.get(2), setting)?;
     let poses = drive(free_poses(&bench.world, STOPS, 7)?);
     // Learnt on the way there, and the time without control: the median of three.
     let mut frames = vec![Frame::default(); poses.len()];
@@ -93,7 +96,7 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
         ("without control", |f| f.without, RGBColor(0xd0, 0x5a, 0x1e)),
         ("with a deadline", |f| f.with, RGBColor(0x1f, 0x6f, 0xb4)),
     ];
-    let mut times = chart_in(&areas[0], "time of a frame, ms", frames.len(), 1.05 * most)?;
+    let mut times = chart_in(&areas[0], "time of a frame, ms", frames.len(), ROOM * most)?;
     for (name, values, color) in lines {
         times
             .draw_series(LineSeries::new(number(values), color))?
@@ -105,10 +108,16 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
         .draw_series(LineSeries::new(ends, BLACK))?
         .label("deadline")
         .legend(|(x, y)| PathElement::new([(x, y), (x + 20, y)], BLACK));
-    times.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+    let corner = SeriesLabelPosition::UpperRight;
+    times
+        .configure_series_labels()
+        .position(corner.clone())
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK)
+        .draw()?;
     // What was not cut is drawn at the sensor's range.
     let top = if range_max.is_finite() { range_max } else { 50.0 };
-    let mut metres = chart_in(&areas[1], "radius and complete_to, m", frames.len(), 1.05 * top)?;
+    let mut metres = chart_in(&areas[1], "radius and complete_to, m", frames.len(), ROOM * top)?;
     let within = |value: f64| value.min(top);
     let lines: [Line; 2] = [
         ("radius", |f| f.radius, RGBColor(0x80, 0x80, 0x80)),
@@ -121,7 +130,7 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
             .label(name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color));
     }
-    metres.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+    metres.configure_series_labels().position(corner).background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
     let mut strides = chart_in(&areas[2], "stride (0: refused)", frames.len(), 9.0)?;
     let stride: fn(&Frame) -> f64 = |f| if f.refused { 0.0 } else { f64::from(f.stride) };
     strides.draw_series(LineSeries::new(number(stride), RGBColor(0x1f, 0x6f, 0xb4)))?;
@@ -143,6 +152,13 @@ fn chart_in<'a, 'b>(area: &'a Area<'b>, name: &str, frames: usize, top: f64) -> 
         .x_label_area_size(30)
         .y_label_area_size(55)
         .build_cartesian_2d(0.0..frames as f64, 0.0..top)?;
-    chart.configure_mesh().light_line_style(TRANSPARENT).x_desc("frame").y_desc(name).draw()?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .x_label_formatter(&|x| format!("{x:.0}"))
+        .y_label_formatter(&|y| format!("{y}"))
+        .x_desc("frame")
+        .y_desc(name)
+        .draw()?;
     Ok(chart)
 }

@@ -244,15 +244,22 @@ impl Task {
         4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
     }
 
+    /// Room for the images of an item.
+    fn room(&self) -> Result<Images> {
+        Images::with_room(self.sensor.width() as usize * self.sensor.height() as usize, self.wanted)
+    }
+
     /// The pose at which is predicted.
     fn pose(&self, given: &Pose) -> Result<Pose> {
         given.check()?;
         self.headings.as_ref().map_or(Ok(*given), |headings| headings.place(given))
     }
 
-    /// All that is asked of a pose, in a thread's own memory and by its own engine.
-    fn run(&self, index: usize, given: &Pose, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
+    /// All that is asked of a pose, in a thread's own memory and by its own engine; images that are kept in `room`.
+    fn run(&self, index: usize, given: &Pose, room: Images, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
         let pose = self.pose(given)?;
+        let scratch = std::mem::replace(&mut lane.images, room);
+        self.take_scratch(scratch, &mut lane.images);
         let mut stats = Stats::default();
         let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
         let Lane { engine, buffers, images, .. } = lane;
@@ -304,14 +311,19 @@ impl Task {
 
     /// The images that were asked for; the others stay.
     fn keep(&self, images: &mut Images) -> Images {
-        let mut kept = std::mem::take(images);
+        let kept = std::mem::take(images);
+        self.take_scratch(kept, images)
+    }
+
+    /// Moves what is only weighed to other images, and returns the rest.
+    fn take_scratch(&self, mut from: Images, to: &mut Images) -> Images {
         if !self.wanted.has(Output::Range) {
-            images.range = std::mem::take(&mut kept.range);
+            to.range = std::mem::take(&mut from.range);
         }
         if !self.wanted.has(Output::CosIncidence) {
-            images.cos_incidence = std::mem::take(&mut kept.cos_incidence);
+            to.cos_incidence = std::mem::take(&mut from.cos_incidence);
         }
-        kept
+        from
     }
 }
 
@@ -327,13 +339,19 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         let done: Result<Vec<Result<BatchItem>>> = match &self.threads {
             Some(threads) => {
                 let (task, lanes, cuts) = (&self.task, &self.lanes, self.predictor.row_cuts());
-                let work = |given: &(usize, Pose)| {
+                // Allocated by the thread that frees them, as is the list: allocators keep memory by thread.
+                let rooms: Result<Vec<Images>> = poses.iter().map(|_| task.room()).collect();
+                let work = |(given, room): (&(usize, Pose), Images)| {
                     // Nothing in it hands work to other threads: no lane is asked for twice at a time.
                     let lane = &lanes[rayon::current_thread_index().unwrap_or(0) % lanes.len()];
                     let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
-                    task.run(given.0, &given.1, cuts, &mut lane).map_err(|e| placed(given, e))
+                    task.run(given.0, &given.1, room, cuts, &mut lane).map_err(|e| placed(given, e))
                 };
-                threads.run(|| poses.par_iter().map(work).collect())
+                let mut done = Vec::with_capacity(poses.len());
+                rooms.and_then(|rooms| {
+                    threads.run(|| poses.par_iter().zip(rooms).map(work).collect_into_vec(&mut done))?;
+                    Ok(done)
+                })
             }
             None => Ok(self.by_engine(&poses)),
         };

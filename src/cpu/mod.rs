@@ -114,12 +114,11 @@ impl CpuEngine {
 
     /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
     fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
-        let elapsed = || plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
-        let (mut of_part, mut since) = (std::mem::take(&mut self.part), elapsed());
+        let (mut of_part, mut since) = (std::mem::take(&mut self.part), plan.elapsed());
         let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
         let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
         if stride.is_some() {
-            since = elapsed();
+            since = plan.elapsed();
             self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
         }
         let left_out = images.spread(&of_part, &part, &plan.sensor)?;
@@ -251,18 +250,15 @@ fn draw_waves(
         let start = Instant::now();
         let batches = &batches[first..used];
         let last = left_out.is_some() || done == plan.runs.len();
-        let beyond = left_out.unwrap_or_else(|| progress::nearest_after(plan, done));
+        let beyond = left_out.unwrap_or_else(|| plan.nearest_after(done));
         if waves == 0
-            && let stride @ 2.. = progress.begin_wave(batches, beyond, times[0] + times[1])
+            && let stride @ 2.. = progress.begin_wave(batches, (done, beyond), times[0] + times[1])
         {
             stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
             return Drawn::Thinned(stride);
         }
-        let parts = canvas.par_iter_mut().zip(&mut targets).zip(&mut progress.bands).enumerate();
-        parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
-            let (target, clear) = (last.then_some(target), waves == 0);
-            arch.dispatch(Draw { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress });
-        });
+        let wave = WaveEnds { first: waves == 0, last, beyond };
+        draw_wave(plan, bands, least, (batches, winners), canvas, &mut targets, &mut progress, wave);
         waves += 1;
         progress.end_wave(waves, last);
         if !last && progress.is_over() {
@@ -283,6 +279,47 @@ fn draw_waves(
     stats.count(CountName::Waves, waves);
     progress.tell(stats);
     Drawn::All(used)
+}
+
+/// Where a wave lies in its frame.
+#[derive(Clone, Copy)]
+struct WaveEnds {
+    first: bool,
+    last: bool,
+    /// Metres: nothing that follows is nearer.
+    beyond: f32,
+}
+
+/// Draws the batches of a wave into all bands, and resolves them after the last wave.
+#[expect(clippy::too_many_arguments, reason = "they are parts of one frame that are borrowed apart")]
+fn draw_wave(
+    plan: &FramePlan,
+    bands: &Bands,
+    least: usize,
+    (batches, winners): (&[Batch], &Winners),
+    canvas: &mut [Buffer],
+    targets: &mut [resolve::Target<'_>],
+    progress: &mut FrameProgress<'_>,
+    wave: WaveEnds,
+) {
+    let arch = pulp::Arch::new();
+    // In step every band draws a batch before any draws the next one: stopped, they are complete to about the same distance.
+    let step = if progress.in_step { 1 } else { batches.len().max(1) };
+    let steps = batches.len().div_ceil(step).max(1);
+    for k in 0..steps {
+        let (some, next) = batches.split_at(batches.len().min((k + 1) * step));
+        let (some, beyond) = (&some[k * step..], next.first().map_or(wave.beyond, |batch| batch.nearest));
+        let (clear, end) = (wave.first && k == 0, k + 1 == steps);
+        if progress.stop_together() && !end {
+            continue;
+        }
+        let parts = canvas.par_iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate();
+        parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
+            let target = (wave.last && end).then_some(target);
+            let draw = Draw { buffer, target, plan, batches: some, winners, bands, band, clear, end, beyond, progress };
+            arch.dispatch(draw);
+        });
+    }
 }
 
 /// Tells the times of dropping what is hidden, of setup and of drawing.
@@ -387,9 +424,11 @@ struct Draw<'a, 't> {
     winners: &'a Winners,
     bands: &'a Bands,
     band: usize,
-    /// This is the first wave.
+    /// Nothing was drawn before.
     clear: bool,
-    /// Metres: nothing that is left out of this wave is nearer.
+    /// These are the last batches of the wave.
+    end: bool,
+    /// Metres: nothing that follows these batches is nearer.
     beyond: f32,
     progress: &'a mut progress::Band,
 }
@@ -399,14 +438,18 @@ impl pulp::WithSimd for Draw<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self { buffer, target, plan, batches, winners, bands, band, clear, beyond, progress } = self;
+        let Self { buffer, target, plan, batches, winners, bands, band, clear, end, beyond, progress } = self;
         let (slots, grid) = (&winners.slots, plan.sensor.grid());
         match grid {
             PixelGrid::Lines(_) if clear => buffer.clear(bands.axis, bands.lines(band).len(), bands.samples),
             PixelGrid::Rays(grid) if clear => raster_rays::clear(buffer, grid, bands, band),
             _ => {}
         }
-        progress.complete_to = beyond;
+        // What has stopped stays as it is.
+        let batches = if progress.has_stopped { &[] } else { batches };
+        if !progress.has_stopped {
+            progress.complete_to = beyond;
+        }
         // One by one where there is a clock to look at.
         let together = if plan.watch.is_some() { 1 } else { batches.len().max(1) };
         for some in batches.chunks(together) {
@@ -421,7 +464,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
         }
         if let Some(target) = target {
             Resolve { buffer, target, plan, winners, bands, band, progress }.with_simd(simd);
-        } else if matches!(grid, PixelGrid::Lines(_)) {
+        } else if end && !progress.has_stopped && matches!(grid, PixelGrid::Lines(_)) {
             cull::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }

@@ -6,7 +6,7 @@
 
 use super::batch::Batch;
 use super::{FIRST_WAVE, thinning};
-use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Watch, Wave};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
 use crate::plan::{CountName, FramePlan, Stats};
 use crate::sensor::ImagePart;
 use std::time::Duration;
@@ -40,19 +40,28 @@ pub(super) struct FrameProgress<'a> {
     /// The time was up before all runs were drawn, at this time after the call.
     stopped_at: Option<Duration>,
     pub has_stopped: bool,
+    /// The drawing may be stopped, so that bands are kept in step.
+    pub in_step: bool,
     /// The first wave, with a deadline: when its drawing began, and what is known of it.
     wave: Option<(Duration, Wave)>,
 }
 
 impl<'a> FrameProgress<'a> {
     pub fn new(plan: &'a FramePlan, bands: usize) -> Self {
-        let begun = plan.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed);
-        Self { plan, bands: vec![Band::default(); bands], begun, stopped_at: None, has_stopped: false, wave: None }
+        Self {
+            plan,
+            bands: vec![Band::default(); bands],
+            begun: plan.elapsed(),
+            stopped_at: None,
+            has_stopped: false,
+            in_step: false,
+            wave: None,
+        }
     }
 
-    /// Takes note of the first wave after its setup, which took so long. `beyond` is the nearest distance of what follows. The answer
-    /// is the stride at which most samples are to be expected in time.
-    pub fn begin_wave(&mut self, batches: &[Batch], beyond: f32, set_up: Duration) -> u32 {
+    /// Takes note of the first wave, that of the first `done` runs, after its setup, which took so long. `beyond` is the nearest distance
+    /// of what follows. The answer is the stride at which most samples are to be expected in time.
+    pub fn begin_wave(&mut self, batches: &[Batch], (done, beyond): (usize, f32), set_up: Duration) -> u32 {
         let Some(watch) = &self.plan.watch else { return 1 };
         let boxes = || batches.iter().flat_map(|batch| &batch.polygons).map(thinning::pixels);
         let (polygons, samples) = (boxes().count() as u64, boxes().sum());
@@ -61,12 +70,29 @@ impl<'a> FrameProgress<'a> {
         self.wave = Some((now, Wave { polygons, samples, estimate_ms: 1e3 * estimate, time_ms: 0.0 }));
         let left = watch.left().as_secs_f64();
         match &self.plan.pace {
-            Some(pace) if estimate > left => {
-                let grid = self.plan.sensor.grid();
-                thinning::stride(&thinning::Frame { batches, beyond, grid, pace, left, set_up: set_up.as_secs_f64() })
+            Some(pace) => {
+                let set_up = set_up.as_secs_f64();
+                let rest = (pace.drawing - set_up - estimate).max(0.0);
+                let (grid, radius) = (self.plan.sensor.grid(), self.plan.nearest_after(usize::MAX));
+                let later = &self.plan.runs[done..];
+                let frame = thinning::Frame { batches, later, rest, beyond, radius, grid, pace, left, set_up };
+                self.in_step = estimate + rest > left;
+                if self.in_step { thinning::stride(&frame) } else { 1 }
             }
-            _ => 1,
+            None => {
+                self.in_step = true;
+                1
+            }
         }
+    }
+
+    /// Where one band has stopped the others do too, complete to where they are. True if so.
+    pub fn stop_together(&mut self) -> bool {
+        let stopped = self.bands.iter().any(|band| band.has_stopped);
+        if stopped {
+            self.bands.iter_mut().for_each(|band| band.has_stopped = true);
+        }
+        stopped
     }
 
     /// The first wave is drawn, unless the time was up before. What is told of it is drawing alone, without images.
@@ -141,13 +167,5 @@ pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration),
         given_up.stride = part.stride;
         let at_ms = since.as_secs_f64() * 1e3;
         given_up.means.insert(0, DegradationStep { means: DegradationKind::Stride, at_ms, metres: None });
-    }
-}
-
-/// Metres: no polygon beyond the first `done` runs is nearer.
-pub(super) fn nearest_after(plan: &FramePlan, done: usize) -> f32 {
-    match plan.runs.get(done) {
-        Some(run) => run.nearest_below(),
-        None => plan.radius.unwrap_or(f32::INFINITY),
     }
 }

@@ -249,20 +249,26 @@ impl Painter<'_, '_> {
     #[cold]
     #[inline(never)]
     fn give_up(&mut self, inverse: &[f64], row: usize, part: Range<usize>) {
+        let mut open = [false; TOGETHER];
+        for (open, inverse) in open.iter_mut().zip(inverse) {
+            // Where there is no ray the inverse is NaN.
+            *open = 1.0 / inverse > self.complete_to;
+        }
+        let open = &open[..inverse.len()];
+        let count = open.iter().filter(|open| **open).count();
+        if count == 0 {
+            return;
+        }
+        self.given_up += count as u64;
         let Target { range, depth_z, cos_incidence, polygon_id, object_id } = self.target;
-        // Where there is no ray the inverse is NaN.
-        let is_open = |inverse: &f64| 1.0 / inverse > self.complete_to;
         for image in [range, depth_z, cos_incidence] {
             let Some(out) = image.get_mut(row) else { continue };
-            let open = out[part.clone()].iter_mut().zip(inverse).filter(|(_, inverse)| is_open(inverse));
-            open.for_each(|(out, _)| *out = f32::NAN);
+            out[part.clone()].iter_mut().zip(open).for_each(|(out, open)| *out = if *open { f32::NAN } else { *out });
         }
         for image in [polygon_id, object_id] {
             let Some(out) = image.get_mut(row) else { continue };
-            let open = out[part.clone()].iter_mut().zip(inverse).filter(|(_, inverse)| is_open(inverse));
-            open.for_each(|(out, _)| *out = 0);
+            out[part.clone()].iter_mut().zip(open).for_each(|(out, open)| *out = if *open { 0 } else { *out });
         }
-        self.given_up += inverse.iter().filter(|inverse| is_open(inverse)).count() as u64;
     }
 }
 

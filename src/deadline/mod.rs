@@ -38,6 +38,19 @@ pub use priority::Priority;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
+/// An engine that keeps deadlines; what frames cost is learnt for each.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeadlineEngine {
+    /// `cpu` or `gpu`.
+    pub name: &'static str,
+    /// Adapter and driver of the GPU engine.
+    pub adapter: Option<String>,
+    /// CPU threads.
+    pub threads: usize,
+    /// It draws parts of images with the bits of the whole ones, so that the angle may shrink.
+    pub draws_parts: bool,
+}
+
 /// How time was saved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

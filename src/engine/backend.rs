@@ -30,6 +30,7 @@ mod without_gpu {
 #[cfg(feature = "gpu")]
 mod with_gpu {
     use super::*;
+    use crate::deadline::DeadlineEngine;
     use crate::engine::Device;
     use crate::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
     use crate::gpu::{self, DeviceOptions, testing};
@@ -69,6 +70,10 @@ mod with_gpu {
             each: &mut dyn FnMut(&mut Images, Stats),
         ) -> Result<()> {
             Self::render_many(self, plans, images, each)
+        }
+
+        fn with_deadline(&self) -> Option<DeadlineEngine> {
+            Self::with_deadline(self)
         }
 
         fn device(&mut self) -> Option<&mut dyn Device> {

@@ -5,6 +5,7 @@ mod backend;
 pub(crate) use backend::open_gpu;
 
 use crate::cpu;
+use crate::deadline::DeadlineEngine;
 use crate::error::Result;
 use crate::features::{self, BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Work};
@@ -67,8 +68,8 @@ pub trait Engine: Any + Send {
         None
     }
 
-    /// Its threads if it stops by a plan's clock; `None` if it cannot keep a deadline.
-    fn threads_with_deadline(&self) -> Option<usize> {
+    /// What it is if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    fn with_deadline(&self) -> Option<DeadlineEngine> {
         None
     }
 
@@ -200,8 +201,8 @@ impl Engine for cpu::CpuEngine {
         Some(Box::new(self.on_one_thread()))
     }
 
-    fn threads_with_deadline(&self) -> Option<usize> {
-        Some(self.threads())
+    fn with_deadline(&self) -> Option<DeadlineEngine> {
+        Some(DeadlineEngine { name: "cpu", adapter: None, threads: self.threads(), draws_parts: true })
     }
 }
 

@@ -171,6 +171,12 @@ impl FrameBuffers {
         Ok(again)
     }
 
+    /// Encodes the copy of the counters alone to where answers begin.
+    pub fn encode_counters(&self, encoder: &mut wgpu::CommandEncoder) {
+        let bytes = size_of::<Counters>() as u64;
+        encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, self.readback.buffer(), 0, bytes);
+    }
+
     /// The pass of that number, which notes its times if the frame is alone.
     pub fn pass(&self, number: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
         wgpu::ComputePassDescriptor {

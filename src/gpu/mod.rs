@@ -18,6 +18,7 @@ mod device;
 mod frame_buffers;
 mod geometry;
 mod grid;
+mod in_time;
 mod layout;
 mod near;
 mod roi;
@@ -173,6 +174,9 @@ impl GpuEngine {
         let start = Instant::now();
         self.gpu.check()?;
         self.drawn = false;
+        if plan.watch.is_some() {
+            return self.draw_in_time(plan, images, stats);
+        }
         if plan.polygon_count == 0 {
             images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
             images.show_nothing(plan.sensor.grid());
@@ -282,16 +286,8 @@ impl GpuEngine {
     }
 
     fn submit(&mut self) -> Result<Variants> {
-        let tables = &self.sensors[0].1;
-        let variants = self.stages.prepare(&self.gpu, tables, &self.frame, self.opened.1.hiding)?;
-        if self.rebind {
-            self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
-            self.visible.iter_mut().for_each(Visible::rebind);
-            self.rebind = false;
-        }
-        if !self.placed {
-            self.store.put_grid(tables);
-        }
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
+        self.bind();
         self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.store.uploads.encode(&self.gpu, &mut encoder)?;
@@ -301,6 +297,18 @@ impl GpuEngine {
         self.placed = true;
         self.store.uploads.recall();
         Ok(variants)
+    }
+
+    /// Binds buffers that are others now, and has the sensor's tables uploaded if they are not there.
+    fn bind(&mut self) {
+        if self.rebind {
+            self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
+            self.visible.iter_mut().for_each(Visible::rebind);
+            self.rebind = false;
+        }
+        if !self.placed {
+            self.store.put_grid(&self.sensors[0].1);
+        }
     }
 
     fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {

@@ -159,17 +159,47 @@ impl Stages {
         frame: &FrameUploads,
         store: &FrameBuffers,
     ) {
-        debug_assert!(frame.polygon_count > 0, "nothing is in view");
+        Self::clear(encoder, frame, store);
+        self.draw(gpu, encoder, v, frame, store);
+        self.resolve(gpu, encoder, v, frame, store);
+    }
+
+    /// Encodes that nothing is seen yet.
+    pub fn clear(encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads, store: &FrameBuffers) {
         let pixels = frame.params.width * frame.params.height;
         encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));
+    }
+
+    /// Encodes the drawing of at least one polygon, over what the keys hold already.
+    pub fn draw(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        v: &Variants,
+        frame: &FrameUploads,
+        store: &FrameBuffers,
+    ) {
+        debug_assert!(frame.polygon_count > 0, "nothing is in view");
         let mut number = 0;
         for wave in 0..frame.waves.len() {
             self.encode_wave(gpu, encoder, v, wave, &mut number, frame, store);
         }
+    }
+
+    /// Encodes the making of images, unless the CPU makes them.
+    pub fn resolve(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        v: &Variants,
+        frame: &FrameUploads,
+        store: &FrameBuffers,
+    ) {
         if frame.on_host {
             return;
         }
-        let mut pass = gpu.pass(encoder, &store.pass(number, frame));
+        let pixels = frame.params.width * frame.params.height;
+        let mut pass = gpu.pass(encoder, &store.pass(frame.passes.len() as u32 - 1, frame));
         if self.resolve.set(&mut pass, v.resolve, 0) {
             gpu.dispatch(&mut pass, layout::groups_for(pixels));
         }

@@ -172,14 +172,8 @@ impl GpuEngine {
         let hiding = self.opened.1.hiding;
         let prepare = |frame| self.stages.prepare(&self.gpu, tables, frame, hiding);
         let variants: Vec<Variants> = frames.iter().map(prepare).collect::<Result<_>>()?;
-        if self.rebind {
-            self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
-            self.visible.iter_mut().for_each(super::Visible::rebind);
-            self.rebind = false;
-        }
-        if !self.placed {
-            self.store.put_grid(tables);
-        }
+        self.bind();
+        let frames = &self.frames[..count];
         let mut copies = vec![self.store.uploads.waiting()];
         for frame in frames {
             self.store.put(frame);

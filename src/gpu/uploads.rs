@@ -196,6 +196,10 @@ impl FrameUploads {
         if !plan.sensor.is_camera() {
             self.outputs = self.outputs.without(Output::DepthZ);
         }
+        if plan.watch.is_some() {
+            // It tells what is final.
+            self.outputs = self.outputs.with(Output::Range);
+        }
         let pixels = plan.sensor.width() * plan.sensor.height();
         for (i, output) in self.outputs.iter().enumerate() {
             let at = i as u32 * pixels;

@@ -190,6 +190,16 @@ impl Images {
         Ok(())
     }
 
+    /// Empty images with room for so many pixels.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    pub(crate) fn with_room(pixels: usize, outputs: Outputs) -> Result<Self> {
+        let mut images = Self::default();
+        outputs.iter().try_for_each(|output| images.samples_mut(output).reserve(pixels))?;
+        Ok(images)
+    }
+
     /// Every image that is there shows that nothing is seen, and no ray where the sensor has none.
     pub fn show_nothing(&mut self, grid: &PixelGrid) {
         for output in Output::WITH_FEATURES {
@@ -213,6 +223,27 @@ impl Images {
     /// ray): its floats are NaN and its ids 0.
     pub(crate) fn is_open(&self, at: usize) -> bool {
         Output::WITH_FEATURES.into_iter().filter_map(|o| self.samples(o)).all(|samples| samples.is_open(at))
+    }
+
+    /// Leaves every sample open that something beyond `complete_to` metres may hide, by the range image, and returns how many those
+    /// are. What is nearer than `range_min` is nearer than anything beyond it.
+    pub(crate) fn leave_open(&mut self, complete_to: f64, range_min: f64) -> u64 {
+        let is_final = |range: f32| match range {
+            f32::NEG_INFINITY => range_min <= complete_to,
+            range => range.is_nan() || f64::from(range) <= complete_to,
+        };
+        let open: Vec<usize> = (0..self.range.len()).filter(|at| !is_final(self.range[*at])).collect();
+        for output in Output::WITH_FEATURES {
+            match self.samples_mut(output) {
+                SamplesMut::Floats(image) if !image.is_empty() => open.iter().for_each(|at| image[*at] = f32::NAN),
+                SamplesMut::Ids(image) if !image.is_empty() => open.iter().for_each(|at| image[*at] = 0),
+                SamplesMut::Vectors(image) if !image.is_empty() => {
+                    open.iter().for_each(|at| image[*at] = [f32::NAN; 3])
+                }
+                _ => {}
+            }
+        }
+        open.len() as u64
     }
 
     /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is.

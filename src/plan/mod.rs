@@ -154,7 +154,7 @@ pub struct FramePlan {
 }
 
 /// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Pace {
     pub wave: f64,
     pub polygon: f64,
@@ -162,6 +162,8 @@ pub(crate) struct Pace {
     pub sample: f64,
     /// What is kept free for making images when drawing has ended.
     pub images: f64,
+    /// Drawing of all runs, from selection on; 0 if that is not known.
+    pub drawing: f64,
 }
 
 impl Pace {
@@ -239,6 +241,19 @@ impl FramePlan {
         self.radius = Some(first_out.nearest_below());
         self.runs.truncate(runs);
         self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
+    }
+
+    /// Time since the call; zero without a deadline.
+    pub(crate) fn elapsed(&self) -> Duration {
+        self.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed)
+    }
+
+    /// Metres: no polygon beyond the first `done` runs is nearer.
+    pub(crate) fn nearest_after(&self, done: usize) -> f32 {
+        match self.runs.get(done) {
+            Some(run) => run.nearest_below(),
+            None => self.radius.unwrap_or(f32::INFINITY),
+        }
     }
 
     /// Draws some columns only, and selects again what they may see; the radius and the clock stay.

@@ -11,7 +11,7 @@ use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, PlanBuffers, StageName, Stats};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats};
 use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use crate::row::RowCuts;
@@ -278,13 +278,15 @@ impl Predictor {
         let Prediction { request, sensor, world_from_sensor, images, features, stats, .. } = prediction;
         request.check(sensor)?;
         world_from_sensor.check()?;
-        if request.deadline.is_some() && self.backend == Backend::Auto && self.engine.threads_with_deadline().is_none()
-        {
+        if request.deadline.is_some() && self.backend == Backend::Auto && self.engine.with_deadline().is_none() {
             return self.fill_on_stand_in(world, prediction);
+        }
+        if request.deadline.is_some() {
+            self.get_ready(sensor, request.drawn().outputs)?;
         }
         let deadline = request.deadline.map(|limit| (limit, &request.priority));
         let asked = (&*sensor, request.drawn().outputs);
-        let mut timed = self.controller.begin(deadline, self.engine.threads_with_deadline(), asked)?;
+        let mut timed = self.controller.begin(deadline, self.engine.with_deadline(), asked)?;
         let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
         if let (Some(timed), Some(placed)) = (&mut timed, &placed) {
             timed.expect_features(placed.features.len(), request.regions.is_some());
@@ -302,6 +304,14 @@ impl Predictor {
             self.controller.end(timed, stats);
         }
         Ok(())
+    }
+
+    /// What a device needs once for each kind of sensor is no part of a deadline.
+    fn get_ready(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
+        match self.prove(sensor, outputs) {
+            Ok(()) => Ok(()),
+            Err(fault) => self.recover(fault, true),
+        }
     }
 
     /// Answers a request with a deadline on the CPU engine, where the engine was ours to choose and cannot stop.
@@ -376,7 +386,7 @@ impl Predictor {
     ) -> Result<()> {
         let mut done = 0;
         let first = plans.iter().find(|plan| plan.polygon_count > 0);
-        if first.is_none_or(|plan| self.prove(plan).is_ok()) {
+        if first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
             // Its fault comes up again with the first plan that is left.
             let _ = self.engine.render_many(plans, images, &mut |images, mut stats| {
                 tell(&plans[done], self.notice.as_ref(), &mut stats);
@@ -400,7 +410,7 @@ impl Predictor {
         let selection = stats.clone();
         let mut again = true;
         loop {
-            let drawn = self.prove(plan).and_then(|()| self.engine.render(plan, images, stats));
+            let drawn = self.prove_for(plan).and_then(|()| self.engine.render(plan, images, stats));
             let Err(fault) = drawn else { return Ok(()) };
             self.recover(fault, again)?;
             again = false;
@@ -425,17 +435,21 @@ impl Predictor {
         Ok(())
     }
 
+    /// [`Predictor::prove`]; where nothing is drawn nothing has to be proven.
+    fn prove_for(&mut self, plan: &FramePlan) -> Result<()> {
+        if plan.polygon_count == 0 { Ok(()) } else { self.prove(&plan.sensor, plan.drawn()) }
+    }
+
     /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
     /// that this makes are those of the prediction to come, so that it costs little besides.
-    fn prove(&mut self, plan: &FramePlan) -> Result<()> {
-        let task = SensorKind::of(&plan.sensor);
-        // Where nothing is drawn nothing has to be proven.
-        if plan.polygon_count == 0 || self.engine.device().is_none() || self.proven.images.contains(&task) {
+    fn prove(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
+        let task = SensorKind::of(sensor);
+        if self.engine.device().is_none() || self.proven.images.contains(&task) {
             return Ok(());
         }
         let engine = &mut *self.engine;
         let draw = |plan: &FramePlan, images: &mut Images| engine.render(plan, images, &mut Stats::default());
-        let report = Probe::new()?.run(task, plan.drawn(), draw)?;
+        let report = Probe::new()?.run(task, outputs, draw)?;
         if let (Some(first), Some(device)) = (report.faults.first(), self.engine.device()) {
             let (n, all) = (report.fault, report.pixels);
             return Err(faulty(device, format!("draws {n} of {all} pixels of a probe wrong: {}", first.why)));

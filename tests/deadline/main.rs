@@ -6,6 +6,8 @@ use presight_testkit as common;
 
 mod bad_input;
 mod features;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod partial;
 mod readers;
 mod ticks;

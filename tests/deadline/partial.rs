@@ -11,19 +11,19 @@ use std::time::Duration;
 
 /// What a partial prediction gets wrong, and what it holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Verdict {
+pub struct Verdict {
     /// Samples that show something else than the full prediction, `+inf` where that has a range among them.
-    wrong: usize,
+    pub wrong: usize,
     /// Samples nearer than `complete_to` that are not there.
-    missing: usize,
+    pub missing: usize,
     /// Samples that are not there.
-    open: usize,
+    pub open: usize,
     /// Samples that show something.
-    shown: usize,
+    pub shown: usize,
 }
 
 /// Holds a partial prediction to the full one.
-fn judge(full: &Images, partial: &Images, complete_to: f64) -> Verdict {
+pub fn judge(full: &Images, partial: &Images, complete_to: f64) -> Verdict {
     judge_part(full, partial, complete_to, |_, _| true)
 }
 
@@ -53,7 +53,7 @@ fn judge_part(full: &Images, partial: &Images, complete_to: f64, asked: impl Fn(
     verdict
 }
 
-fn sensors() -> Vec<Sensor> {
+pub fn sensors() -> Vec<Sensor> {
     vec![camera(96, 64), scanner(180, 24), scanner(721, 1), all_round(90, 40), lens(80, 60), fisheye(72, 56)]
 }
 

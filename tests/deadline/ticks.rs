@@ -4,20 +4,33 @@ use presight::deadline::Clock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Every look at it takes a microsecond.
-#[derive(Debug, Default)]
-pub struct Ticks(AtomicU64);
+/// Every look at it takes a microsecond, or so many.
+#[derive(Debug)]
+pub struct Ticks {
+    looks: AtomicU64,
+    microseconds: u64,
+}
+
+impl Default for Ticks {
+    fn default() -> Self {
+        Self::of(1)
+    }
+}
 
 impl Ticks {
+    pub fn of(microseconds: u64) -> Self {
+        Self { looks: AtomicU64::new(0), microseconds }
+    }
+
     /// How often it was looked at.
     pub fn looks(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
+        self.looks.load(Ordering::Relaxed)
     }
 }
 
 impl Clock for Ticks {
     fn now(&self) -> Duration {
-        Duration::from_micros(self.0.fetch_add(1, Ordering::Relaxed))
+        Duration::from_micros(self.microseconds * self.looks.fetch_add(1, Ordering::Relaxed))
     }
 }
 

@@ -38,7 +38,7 @@ impl Controller {
         let mut cut = Vec::new();
         cut.extend(plan.radius.map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
         let share = left / needed;
-        if share < WORTH_NARROWING {
+        if share < WORTH_NARROWING && timed.may_narrow {
             let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
                 plan.narrow(part)?;

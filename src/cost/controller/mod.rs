@@ -8,7 +8,7 @@ mod cut;
 mod features;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
-use crate::deadline::{Clock, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
+use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
 use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
 use crate::sensor::Sensor;
@@ -18,6 +18,8 @@ use std::time::Duration;
 
 /// Time for what no cost counts: learning, and the way back to the caller.
 const MARGIN: Duration = Duration::from_micros(100);
+/// Images that take so much longer than on average are planned for, whatever else is given up.
+const SLOW: f64 = 1.25;
 /// What is left of a doubted estimate after each refusal by it, and at least.
 const DOUBT: f64 = 0.98;
 const MOST_DOUBT: f64 = 0.25;
@@ -40,6 +42,8 @@ pub(crate) struct DeadlineFrame {
     watch: Watch,
     key: Key,
     priority: Priority,
+    /// The angle may shrink.
+    may_narrow: bool,
     pixels: u64,
     images: u64,
     /// Selection began and ended so long after the call, and images were there.
@@ -69,7 +73,7 @@ impl Controller {
         self.clock = clock;
     }
 
-    /// Begins a prediction; `None` without a deadline. `threads` are those of an engine that can stop.
+    /// Begins a prediction; `None` without a deadline, and `engine` if it cannot stop.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] for no time at all, and for an engine that cannot stop; [`ErrorKind::Deadline`] if not even an image
@@ -77,7 +81,7 @@ impl Controller {
     pub fn begin(
         &mut self,
         deadline: Option<(Duration, &Priority)>,
-        threads: Option<usize>,
+        engine: Option<DeadlineEngine>,
         (sensor, outputs): (&Sensor, Outputs),
     ) -> Result<Option<DeadlineFrame>> {
         let Some((limit, priority)) = deadline else { return Ok(None) };
@@ -85,18 +89,20 @@ impl Controller {
         if limit.is_zero() {
             return Err(Error::usage("a deadline of 0 ms", "give a time above 0, or no deadline"));
         }
-        let Some(threads) = threads else {
+        let Some(DeadlineEngine { name, adapter, threads, draws_parts }) = engine else {
             let what = "this engine cannot stop when its time is up, and keeps no deadline";
             return Err(Error::usage(what, "take the CPU engine (--backend cpu), or give no deadline"));
         };
-        let key = Key::new("cpu", None, threads, sensor, outputs, Forecast::Images);
+        let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
         let images = outputs.iter().count() as u64;
-        let timed = DeadlineFrame::new(limit, watch, key, priority, (pixels, images));
+        let mut timed = DeadlineFrame::new(limit, watch, key, priority, (pixels, images));
+        timed.may_narrow = draws_parts;
         let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
         let doubt = self.doubt(&timed.key);
-        let believed =
-            |e: &TimeEstimate| if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(2.0 * e.mean) * doubt };
+        let believed = |e: &TimeEstimate| {
+            if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(SLOW * e.mean) * doubt }
+        };
         let least = floor.iter().map(believed).sum::<f64>();
         if limit.as_secs_f64() < least {
             self.doubts.insert(timed.key, (doubt * DOUBT).max(MOST_DOUBT));
@@ -124,7 +130,7 @@ impl Controller {
         // Half of the time is kept for the images at most, unless they take longer on average: a slow frame that may come is no reason
         // to give up all.
         let seconds = |s: f64| Duration::from_secs_f64(s.min(1e6)) + MARGIN;
-        let mean = if images.frames == 0 { Duration::ZERO } else { seconds(1.25 * images.mean) };
+        let mean = if images.frames == 0 { Duration::ZERO } else { seconds(SLOW * images.mean) };
         let after = seconds(images.upper).min(mean.max(left / 2));
         let features = self.reserve(timed, left.saturating_sub(after));
         timed.watch.stop_after(timed.limit.saturating_sub(after + features));
@@ -134,21 +140,23 @@ impl Controller {
         timed.first_estimate = (drawing.frames > 0 && images.frames > 0).then_some(first_estimate);
         self.cut(timed, plan)?;
         plan.watch = Some(timed.watch.clone());
-        plan.pace = self.pace(timed, after);
+        plan.pace = self.pace(timed, after, &plan.runs);
         Ok(())
     }
 
     /// What drawing takes, by what was learnt, where so much is kept for the images.
-    fn pace(&self, timed: &DeadlineFrame, images: Duration) -> Option<Pace> {
+    fn pace(&self, timed: &DeadlineFrame, images: Duration, runs: &[Run]) -> Option<Pace> {
         let key = timed.key_of(Forecast::Wave);
         let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
         let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
+        let whole = self.costs.estimate(&timed.key_of(Forecast::Selection), &counts_of(runs));
         (none.frames > 0).then(|| Pace {
             wave: none.mean,
             polygon: each(WorkCounts { polygons: most, ..WorkCounts::default() }),
             sample: each(WorkCounts { samples_tested: most, ..WorkCounts::default() }),
             images: images.as_secs_f64(),
+            drawing: if whole.frames > 0 { whole.mean } else { 0.0 },
         })
     }
 
@@ -225,6 +233,7 @@ impl DeadlineFrame {
             watch,
             key,
             priority,
+            may_narrow: true,
             pixels,
             images,
             begun,
@@ -289,7 +298,7 @@ fn finished(stats: &Stats, timed: &DeadlineFrame) -> WorkCounts {
     let of = |name| stats.count_of(name).unwrap_or(0);
     WorkCounts {
         runs: of(CountName::RunsSelected),
-        polygons: of(CountName::PolygonsSetUp),
+        polygons: stats.count_of(CountName::PolygonsSetUp).unwrap_or(of(CountName::PolygonsInView)),
         waves: of(CountName::Waves),
         samples_tested: of(CountName::SamplesTested),
         samples_written: of(CountName::SamplesWritten),

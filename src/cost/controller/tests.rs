@@ -75,9 +75,10 @@ impl Replay {
     /// A frame of runs of 10 polygons each, a decimetre apart, by an engine that stops between two runs.
     fn frame(&mut self, deadline_us: f64, runs: usize, recorded: Recorded) -> Result<TimedFrame> {
         let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
+        let engine = DeadlineEngine { name: "cpu", adapter: None, threads: 1, draws_parts: true };
         let mut timed = self
             .controller
-            .begin(Some((deadline, &self.priority)), Some(1), (&self.sensor, outputs))?
+            .begin(Some((deadline, &self.priority)), Some(engine), (&self.sensor, outputs))?
             .expect("it has a deadline");
         self.clock.pass(recorded.selection * recorded.slow);
         let mut plan = FramePlan::new(&self.world, &self.sensor, &Pose::IDENTITY, outputs)?;
