@@ -24,8 +24,6 @@ const SLACK: f64 = 1e-9;
 const FARTHER: f64 = 1.25;
 /// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
 const BEHIND: f64 = 1e-6;
-/// What is beside a polygon's cone is so by this part of the distance, far more than the rounding of a product.
-const BESIDE: f64 = 1e-12;
 /// No polygon.
 const NONE: u32 = u32::MAX;
 
@@ -235,8 +233,8 @@ impl Tiles {
     }
 
     /// Polygons, by number in the cache, that may hide something at some places of a tile, or between them: those that meet
-    /// the box around them on the side of the cube, are neither behind nor beside all of the box around them in space, and are
-    /// not the feature's own.
+    /// the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
+    /// feature's own.
     pub fn between<'s>(
         &'s self,
         tile: u32,
@@ -252,13 +250,8 @@ impl Tiles {
             tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(polygons.get(tile.cover).slot);
         let behind = if look_behind { tile.behind.as_slice() } else { &[] };
         let greatest = move |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
-        // Its cone is beside all of the box by more than rounding.
-        let beside = move |c: &TilePolygon| {
-            let mut planes = polygons.planes_of(polygons.get(c.number)).iter();
-            planes.any(|e| greatest(*e) < -BESIDE * reach * e.abs().element_sum())
-        };
         let all = tile.candidates.iter().chain(behind);
-        all.filter(move |c| c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0 && !beside(c))
+        all.filter(move |c| c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0)
             .map(|c| c.number)
             .filter(|number| !own.holds(polygons.get(*number).slot))
     }

@@ -142,6 +142,22 @@ fn a_gap_that_no_pixel_shows_is_not_hidden() {
     assert_eq!((closed.features.len(), closed.stats.asked, closed.stats.features), (0, 0, 1));
 }
 
+/// From 400 m away, looking elsewhere, no feature of many is asked about; turned round, some are.
+#[test]
+fn what_is_out_of_view_costs_no_question() {
+    let world = scenes::room_world(3, 40);
+    let some = edges(world.environment(), usize::MAX, &mut Random(3));
+    let many: Vec<PlacedFeature> = some.iter().cycle().take(20_000).cloned().collect();
+    let [away, back] = [std::f64::consts::PI, 0.0].map(|yaw| {
+        let pose = Pose::from_xyz_rpy(DVec3::new(-400.0, 0.0, 1.0), 0.0, 0.0, yaw);
+        let told = ask(&world, &scenes::camera(64, 48), &pose, &many, Hidden::Count);
+        assert_eq!(told.stats.features, many.len());
+        (told.stats.asked, told.features.len())
+    });
+    assert_eq!(away, (0, 0));
+    assert!(back.0 > 0 && back.1 > 0, "{back:?}");
+}
+
 /// What is out of view or hidden has one part and one reason.
 #[test]
 fn reasons_alone() {
