@@ -7,7 +7,7 @@ use super::{around, contour, lens, pinhole, see, world};
 use crate::contours::bodies::ball;
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::FeatureShape;
-use presight::features::{BoxOptions, add_boxes, place};
+use presight::features::{BoxOptions, BoxQuery, add_boxes, place};
 use presight::internal::SplitMix64;
 use presight::{Pose, Sensor};
 
@@ -35,7 +35,11 @@ fn missed(sensor: &Sensor, at: DVec3, sigma: (f64, f64, f64), confidence: f64, l
     let options = BoxOptions::default()
         .with_sensor_sigmas([sigma.0, sigma.0, sigma.0, sigma.1, sigma.1, sigma.1])
         .with_confidence(confidence);
-    add_boxes(&mut seen, &placed, &world, sensor, &Pose::IDENTITY, &options).unwrap();
+    add_boxes(
+        &mut seen,
+        &BoxQuery { placed: &placed, world: &world, sensor, world_from_sensor: &Pose::IDENTITY, options: &options },
+    )
+    .unwrap();
     assert!(seen.features[0].image_covariance.is_none());
     let [x0, y0, x1, y1] = seen.features[0].roi.unwrap();
     let turn = sensor.columns_of_a_turn().unwrap_or(0.0);
@@ -89,7 +93,17 @@ fn over_the_seam_a_region_goes_on() {
         let features = vec![contour(1, "ball", anchor)];
         let placed = place(&world, &super::layer(features.clone())).unwrap();
         let mut seen = see(&world, &around(), &Pose::IDENTITY, features);
-        add_boxes(&mut seen, &placed, &world, &around(), &Pose::IDENTITY, &BoxOptions::default()).unwrap();
+        add_boxes(
+            &mut seen,
+            &BoxQuery {
+                placed: &placed,
+                world: &world,
+                sensor: &around(),
+                world_from_sensor: &Pose::IDENTITY,
+                options: &BoxOptions::default(),
+            },
+        )
+        .unwrap();
         seen.features[0].roi.unwrap()
     };
     // By symmetry the same box, half a turn farther on.
