@@ -170,6 +170,7 @@ impl CpuEngine {
                 Drawn::All(used) => used,
                 Drawn::Thinned(stride) => return Some(stride),
             };
+            stats.count(CountName::PolygonsBounded, batches[..used].iter().map(|b| b.bounded).sum());
             stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());
             stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
@@ -441,7 +442,10 @@ impl pulp::WithSimd for Draw<'_, '_> {
         let Self { buffer, target, plan, batches, winners, bands, band, clear, end, beyond, progress } = self;
         let (slots, grid) = (&winners.slots, plan.sensor.grid());
         match grid {
-            PixelGrid::Lines(_) if clear => buffer.clear(bands.axis, bands.lines(band).len(), bands.samples),
+            PixelGrid::Lines(_) if clear => {
+                buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
+                buffer.clear_farthest(bands.lines(band).len(), bands.samples, 0.0);
+            }
             PixelGrid::Rays(grid) if clear => raster_rays::clear(buffer, grid, bands, band),
             _ => {}
         }
@@ -457,14 +461,18 @@ impl pulp::WithSimd for Draw<'_, '_> {
                 (progress.complete_to, progress.has_stopped) = (some[0].nearest, true);
                 break;
             }
-            progress.tested += match grid {
+            let [tested, spans] = match grid {
                 PixelGrid::Lines(grid) => raster_lines::rasterize(simd, buffer, grid, some, slots, bands, band),
                 PixelGrid::Rays(grid) => raster_rays::rasterize(simd, buffer, grid, some, slots, bands, band),
             };
+            progress.stale |= tested > 0;
+            progress.tested += tested;
+            progress.spans += spans;
         }
         if let Some(target) = target {
             Resolve { buffer, target, plan, winners, bands, band, progress }.with_simd(simd);
-        } else if end && !progress.has_stopped && matches!(grid, PixelGrid::Lines(_)) {
+        } else if end && progress.stale && !progress.has_stopped && matches!(grid, PixelGrid::Lines(_)) {
+            progress.stale = false;
             cull::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }

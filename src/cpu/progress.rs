@@ -21,8 +21,12 @@ pub(super) struct Band {
     pub complete_to: f32,
     /// It stopped before all of its polygons were drawn.
     pub has_stopped: bool,
+    /// More was drawn than the tiles' farthest depths tell.
+    pub stale: bool,
     /// Samples tested against a polygon's depth.
     pub tested: u64,
+    /// Intervals, or tiles, in which they lie.
+    pub spans: u64,
     /// Samples that show a polygon; counted only with a deadline.
     pub written: u64,
     /// Samples given up.
@@ -133,6 +137,7 @@ impl<'a> FrameProgress<'a> {
     /// Tells counts and, with a deadline, what was given up.
     pub fn tell(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
+        stats.count(CountName::Spans, sum(|band| band.spans) as usize);
         stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
         let Some(watch) = &self.plan.watch else { return };
         stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);

@@ -153,6 +153,7 @@ mod tests {
     fn batch(nearest: f32, depth: f64) -> Batch {
         let polygon = PolygonSetup {
             m: DVec3::Y / depth,
+            nearest_inverse: f64::INFINITY,
             first_line: 240,
             end_line: 480,
             first_sample: 320,

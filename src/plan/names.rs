@@ -82,6 +82,8 @@ words! {
         PolygonsTested = "polygons tested",
         PolygonsSelected = "polygons selected",
         PolygonsInView = "polygons in view",
+        /// Polygons of runs that are not hidden.
+        PolygonsBounded = "polygons bounded",
         PolygonsSetUp = "polygons set up",
         /// Single polygons behind what earlier waves drew.
         PolygonsHidden = "polygons hidden",
@@ -93,6 +95,8 @@ words! {
         RunsSelected = "runs selected",
         RunsHidden = "runs hidden",
         Waves = "waves",
+        /// Intervals of samples of a polygon on a line; for ray tables tiles that it is drawn in.
+        Spans = "spans",
         SamplesTested = "samples tested",
         SamplesWritten = "samples written",
         WorkItems = "work items",
