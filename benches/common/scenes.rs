@@ -46,10 +46,10 @@ pub fn environment(scene: &str) -> Environment {
     }
     #[cfg(feature = "script")]
     if scene.ends_with(".rhai") {
-        let loaded = presight::io::script::load(&path_of(scene), &ImportOptions::default(), &mut |_| {});
+        let loaded = presight::io::script::load(path_of(scene), &ImportOptions::default(), &mut |_| {});
         return loaded.unwrap_or_else(|e| panic!("{e}")).environment;
     }
-    import(&path_of(scene), &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}")).environment
+    import(path_of(scene), &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}")).environment
 }
 
 /// Seeded free poses: in the aisles of the hall, in the first room of an office, elsewhere where a sensor could stand.
