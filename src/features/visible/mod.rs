@@ -31,6 +31,7 @@ mod rays;
 mod runs;
 mod samples;
 mod select;
+mod sheet;
 mod spans;
 mod strategy;
 mod surface;

@@ -3,7 +3,7 @@
 use super::strategy::{Decision, FeatureQuery, Workspace, decide};
 use super::surface::FeatureSurface;
 use super::tally::share;
-use super::{QuerySamples, Visibility, VisibilityContext, area, samples::Samples};
+use super::{QuerySamples, Visibility, VisibilityContext, area, samples::Samples, sheet};
 use crate::features::{FeatureStats, Hidden, HiddenInterval, PlacedFeature, SeenFeature};
 use glam::DVec3;
 
@@ -31,8 +31,9 @@ impl<'a> Worker<'a> {
             return Vec::new();
         }
         let (frame, workspace) = (self.frame, &mut self.workspace);
-        let in_image = frame.in_image(placed);
-        let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &in_image);
+        let mut in_image = frame.in_image(placed);
+        let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
+        let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
         let query = FeatureQuery { frame, shape: &placed.feature.shape, points: &in_image.0, own: &own, hints: None };
         if frame.options.visibility == Visibility::Image && area::pixels_of(&query).is_some() {
             return Vec::new();
@@ -47,8 +48,9 @@ impl<'a> Worker<'a> {
     pub fn feature(&mut self, placed: &PlacedFeature, hints: Option<&[Option<u32>]>) -> FeatureResult {
         let (frame, workspace) = (self.frame, &mut self.workspace);
         let shape = &placed.feature.shape;
-        let in_image = frame.in_image(placed);
-        let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &in_image);
+        let mut in_image = frame.in_image(placed);
+        let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
+        let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
         let query = FeatureQuery { frame, shape, points: &in_image.0, own: &own, hints };
         let Decision { mut tally, mut stats } = decide(&query, workspace);
         let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
