@@ -23,7 +23,7 @@ use assert_cmd::Command;
 use presight::io::exr;
 use serde_json::{Value, json};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use tempfile::TempDir;
 
 /// A folder with a scene in it: a wall of 2 m x 2 m at x = 2 m, y from -1 to 1, z from 0 to 2, as two triangles.
@@ -348,6 +348,12 @@ struct Bad {
     line: String,
     status: i32,
     names: Vec<&'static str>,
+}
+
+fn camera(width: u32, height: u32) -> String {
+    format!(
+        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
+    )
 }
 
 fn bad(line: impl Into<String>, status: i32, names: &[&'static str]) -> Bad {
