@@ -1,5 +1,6 @@
 //! Coverage by condition, counted over all of a feature that is seen: 200 features a condition, 20,000 draws each, by
-//! `cargo test --release --test features coverage_by_condition_in_full -- --ignored --nocapture`. The suite takes a tenth of the features.
+//! `cargo test --release --test features coverage_by_condition_in_full -- --ignored --nocapture`; `coverage_by_condition` takes a tenth of
+//! the features.
 
 use super::common::{Random, env_number, scenes};
 use super::draws::{Best, Case, Normal, Reach, cholesky, ends_covariance};
@@ -426,6 +427,7 @@ fn check(features: usize, draws: usize) {
 }
 
 #[test]
+#[ignore = "no run of all conditions has been looked at yet"]
 fn coverage_by_condition() {
     check(20, env_number("PRESIGHT_DRAWS", 20_000) as usize);
 }
