@@ -59,8 +59,8 @@ impl<'a> Worker<'a> {
         let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         // What is outside the image is no hidden part.
         let is_inside = |p: &DVec3| matches!(frame.sampler.point(*p), Piece::Inside(_));
-        let in_part = || !visible.is_empty() && !(hidden.is_empty() && in_image.0.iter().all(is_inside));
-        let windows = tally.windows.take().filter(|_| in_part());
+        let is_whole = || hidden.is_empty() && in_image.0.iter().all(is_inside);
+        let windows = tally.windows.take().filter(|_| !visible.is_empty() && !is_whole());
         let windows = windows.map(|windows| seen_in(windows, &query, workspace)).unwrap_or_default();
         stats.asked = 1;
         match frame.options.hidden {

@@ -47,6 +47,9 @@ struct Trial {
     object_covariance: Covariance,
 }
 
+/// A box, and how it was found.
+type Found = ([f64; 4], &'static str);
+
 /// One row all round, level.
 fn row(beam_height_deg: Option<f64>) -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 0.5, count: 720 };
@@ -80,7 +83,7 @@ impl Trial {
         let mut trial = Self {
             case: Case {
                 name: format!("{condition} {number}"),
-                sensor: if number % 2 == 0 { camera() } else { scanner() },
+                sensor: if number.is_multiple_of(2) { camera() } else { scanner() },
                 pose: Pose::IDENTITY,
                 covariance: any_covariance(&mut random, 0.01 * distance, 1f64.to_radians()),
                 shape: any_shape(&mut random, distance, sigma),
@@ -178,7 +181,7 @@ impl Trial {
     }
 
     /// Boxes at all confidences; `None` if it is not seen.
-    fn boxes(&self) -> Option<Vec<([f64; 4], &'static str)>> {
+    fn boxes(&self) -> Option<Vec<Found>> {
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature =
             Feature { id: 1, name: None, object: None, shape: self.case.shape.clone(), existence, properties };
@@ -351,7 +354,7 @@ struct Outcome {
 
 fn outcome(condition: &str, features: usize, draws: usize) -> Outcome {
     let mut outcome = Outcome { worst: [f64::INFINITY; 3], ..Outcome::default() };
-    let found: Vec<(Trial, Vec<([f64; 4], &str)>)> = (0..4 * features)
+    let found: Vec<(Trial, Vec<Found>)> = (0..4 * features)
         .filter_map(|number| {
             let trial = Trial::of(condition, number);
             let boxes = trial.boxes()?;
@@ -370,9 +373,7 @@ fn outcome(condition: &str, features: usize, draws: usize) -> Outcome {
             let size = trial.case.sensor.width() as f64 - 0.5;
             let height = trial.case.sensor.height() as f64 - 0.5;
             let all_round = trial.case.sensor.columns_of_a_turn().is_some();
-            let cut = b[1] <= -0.5 && height > 1.0
-                || b[3] >= height && height > 1.0
-                || !all_round && (b[0] <= -0.5 || b[2] >= size);
+            let cut = height > 1.0 && (b[1] <= -0.5 || b[3] >= height) || !all_round && (b[0] <= -0.5 || b[2] >= size);
             let area = (!cut && boxes[1].1 != "whole_image" && known.iter().any(Option::is_some))
                 .then(|| (b[2] - b[0]) * (b[3] - b[1]).max(1.0) / Best::new(&known).area(0.99));
             (trial.case.name.clone(), trial.case.shape.kind(), held, area)

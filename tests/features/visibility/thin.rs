@@ -10,8 +10,10 @@ use presight::features::{Hidden, SeenFeature, Visibility, place};
 use presight::{NewObject, Pose, Sensor, World};
 use std::sync::Arc;
 
+type Polygons<'a> = &'a [&'a [[f32; 3]]];
+
 /// A world of polygons, each an object.
-fn world(polygons: &[&[[f32; 3]]]) -> World {
+fn world(polygons: Polygons<'_>) -> World {
     let mut environment = scenes::empty();
     for (i, polygon) in polygons.iter().enumerate() {
         let mesh = scenes::mesh(&[polygon.iter().map(|p| Vec3::from(*p)).collect()]);
@@ -105,7 +107,7 @@ fn a_sheet_without_thickness_hides_what_touches_it_from_behind() {
     let behind: &[[f32; 3]] = &board(3.0, 3.5);
     let through: &[[f32; 3]] = &board(2.5, 3.5);
     let before: &[[f32; 3]] = &board(3.0, 2.5);
-    let scenes: [(&[&[[f32; 3]]], [f64; 2]); 5] = [
+    let scenes: [(Polygons<'_>, [f64; 2]); 5] = [
         (&[&face, behind], [0.0, 1.0]),
         (&[&face, &face, behind], [0.0, 1.0]),
         (&[&face, before], [1.0, 0.0]),
