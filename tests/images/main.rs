@@ -9,6 +9,7 @@ mod gpu_render;
 mod hard_scenes;
 mod indexes;
 mod left_out;
+mod lenses;
 mod merged;
 mod normal;
 mod oracle;
