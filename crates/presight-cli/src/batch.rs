@@ -494,3 +494,24 @@ fn take(batch: &mut impl Iterator<Item = Result<BatchItem>>, count: usize) -> (V
     }
     (some, None)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_goes_on_with_the_rasterizer_that_it_began_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = || serde_json::json!({ "format": 1, "scene": "hall" });
+        let begin = |asked| check_job(folder.path(), job(), asked);
+        for asked in [Some(Raster::Render), None, Some(Raster::Render)] {
+            assert_eq!(begin(asked).unwrap(), Raster::Render);
+        }
+        let refused = begin(Some(Raster::Compute)).unwrap_err();
+        assert!(refused.to_string().contains("this batch began with another --raster"), "{refused}");
+        // A record of before there was a choice.
+        std::fs::write(folder.path().join(JOB), job().to_string()).unwrap();
+        assert_eq!(begin(None).unwrap(), Raster::Compute);
+        assert!(begin(Some(Raster::Render)).is_err());
+    }
+}
