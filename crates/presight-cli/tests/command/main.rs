@@ -376,6 +376,12 @@ fn check(place: &Place, cases: Vec<Bad>) {
     }
 }
 
+fn camera(width: u32, height: u32) -> String {
+    format!(
+        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
+    )
+}
+
 fn predict(scene: &str) -> String {
     format!("predict {scene} {VIEW} --out out.exr")
 }
