@@ -350,12 +350,6 @@ struct Bad {
     names: Vec<&'static str>,
 }
 
-fn camera(width: u32, height: u32) -> String {
-    format!(
-        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
-    )
-}
-
 fn bad(line: impl Into<String>, status: i32, names: &[&'static str]) -> Bad {
     Bad { line: line.into(), status, names: names.to_vec() }
 }
