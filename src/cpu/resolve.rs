@@ -192,15 +192,18 @@ impl Painter<'_, '_> {
     #[inline(always)]
     fn paint(&mut self, pixels: &Pixels, row: usize, part: Range<usize>) {
         let n = part.len();
+        let mut inverse = [0.0; TOGETHER];
+        for ((inverse, k), per_length) in inverse[..n].iter_mut().zip(&pixels.inverse).zip(&pixels.per_length) {
+            *inverse = k * per_length;
+        }
+        if self.complete_to < f64::INFINITY && self.leave_all_open(&inverse[..n], row, part.clone()) {
+            return;
+        }
         let mut distance = [0.0; TOGETHER];
         let (mut polygon_id, mut object_id) = ([0; TOGETHER], [0; TOGETHER]);
         for (i, &winner) in pixels.winner[..n].iter().enumerate() {
             let seen = &self.shades[winner as usize];
             (distance[i], polygon_id[i], object_id[i]) = (seen.distance, seen.polygon_id, seen.object_id);
-        }
-        let mut inverse = [0.0; TOGETHER];
-        for ((inverse, k), per_length) in inverse[..n].iter_mut().zip(&pixels.inverse).zip(&pixels.per_length) {
-            *inverse = k * per_length;
         }
         let (range_min, range_max) = (self.range_min, self.range_max);
         let Target { range: ranges, depth_z, cos_incidence, polygon_id: polygon_ids, object_id: object_ids } =
@@ -243,6 +246,25 @@ impl Painter<'_, '_> {
         if self.complete_to < f64::INFINITY {
             self.give_up(&inverse[..n], row, part);
         }
+    }
+
+    /// Leaves all samples open, if something not drawn may hide every one of them. True if so.
+    #[cold]
+    #[inline(never)]
+    fn leave_all_open(&mut self, inverse: &[f64], row: usize, part: Range<usize>) -> bool {
+        // Where there is no ray the inverse is NaN, and images show the same.
+        if inverse.iter().any(|inverse| 1.0 / inverse <= self.complete_to) {
+            return false;
+        }
+        self.given_up += inverse.iter().filter(|inverse| !inverse.is_nan()).count() as u64;
+        let Target { range, depth_z, cos_incidence, polygon_id, object_id } = self.target;
+        for image in [range, depth_z, cos_incidence] {
+            image.get_mut(row).into_iter().for_each(|row| row[part.clone()].fill(f32::NAN));
+        }
+        for image in [polygon_id, object_id] {
+            image.get_mut(row).into_iter().for_each(|row| row[part.clone()].fill(0));
+        }
+        true
     }
 
     /// Leaves samples open that something not drawn may hide: whatever is farther than all that is drawn, and where nothing is.
