@@ -179,7 +179,7 @@ impl Controller {
 
     /// Tells how the deadline was kept, and learns.
     pub fn end(&mut self, timed: &DeadlineFrame, stats: &mut Stats) {
-        let took = timed.watch.elapsed();
+        let took = timed.watch.elapsed().max(timed.images_made);
         let mut kept = stats.deadline.take().unwrap_or_default();
         (kept.deadline_ms, kept.images_ms) = (milliseconds(timed.limit), milliseconds(timed.images_made));
         if !timed.left_out.is_empty() {
@@ -284,7 +284,8 @@ impl DeadlineFrame {
 
     /// Images are made, and features follow.
     pub fn images_are_made(&mut self) {
-        self.images_made = self.watch.elapsed();
+        // Also by a clock that was set back.
+        self.images_made = self.watch.elapsed().max(self.selected);
     }
 
     /// Time left for features.
