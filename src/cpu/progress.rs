@@ -27,6 +27,8 @@ pub(super) struct Band {
     pub tested: u64,
     /// Intervals, or tiles, in which they lie.
     pub spans: u64,
+    /// Of these, samples since the clock was asked for the last time.
+    pub unwatched: u64,
     /// Samples that show a polygon; counted only with a deadline.
     pub written: u64,
     /// Samples given up.
@@ -81,7 +83,8 @@ impl<'a> FrameProgress<'a> {
                 let later = &self.plan.runs[done..];
                 let frame = thinning::Frame { batches, later, rest, beyond, radius, grid, pace, left, set_up };
                 self.in_step = estimate + rest > left;
-                if self.in_step { thinning::stride(&frame) } else { 1 }
+                let is_thinned = self.plan.sensor.part_stride() > 1;
+                if self.in_step && !is_thinned { thinning::stride(&frame) } else { 1 }
             }
             None => {
                 self.in_step = true;

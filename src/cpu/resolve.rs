@@ -218,6 +218,13 @@ impl Painter<'_, '_> {
     /// and no load waits for a store to another image, whose rows may be whole pages apart.
     #[inline(always)]
     fn paint(&mut self, pixels: &Pixels, row: usize, part: Range<usize>) {
+        let mut inverse = [0.0; TOGETHER];
+        for i in 0..TOGETHER {
+            inverse[i] = pixels.inverse[i] * pixels.per_length[i];
+        }
+        if self.complete_to < f64::INFINITY && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
+            return;
+        }
         let mut distance = [0.0; TOGETHER];
         let (mut polygon_id, mut object_id) = ([0; TOGETHER], [0; TOGETHER]);
         // Mostly all of them show one polygon.
@@ -233,9 +240,8 @@ impl Painter<'_, '_> {
                 (distance[i], polygon_id[i], object_id[i]) = (seen.distance, seen.polygon_id, seen.object_id);
             }
         }
-        let (mut inverse, mut exact, mut range) = ([0.0; TOGETHER], [0.0; TOGETHER], [0.0; TOGETHER]);
+        let (mut exact, mut range) = ([0.0; TOGETHER], [0.0; TOGETHER]);
         for i in 0..TOGETHER {
-            inverse[i] = pixels.inverse[i] * pixels.per_length[i];
             exact[i] = 1.0 / inverse[i];
             range[i] = metres(exact[i], exact[i], self.range_min, self.range_max);
         }
@@ -267,6 +273,25 @@ impl Painter<'_, '_> {
         if self.complete_to < f64::INFINITY {
             self.give_up(&inverse[..part.len()], row, part);
         }
+    }
+
+    /// Leaves all samples open, if something not drawn may hide every one of them. True if so.
+    #[cold]
+    #[inline(never)]
+    fn leave_all_open(&mut self, inverse: &[f64], row: usize, part: Range<usize>) -> bool {
+        // Where there is no ray the inverse is NaN, and images show the same.
+        if inverse.iter().any(|inverse| 1.0 / inverse <= self.complete_to) {
+            return false;
+        }
+        self.given_up += inverse.iter().filter(|inverse| !inverse.is_nan()).count() as u64;
+        let Target { range, depth_z, cos_incidence, polygon_id, object_id } = self.target;
+        for image in [range, depth_z, cos_incidence] {
+            image.get_mut(row).into_iter().for_each(|row| row[part.clone()].fill(f32::NAN));
+        }
+        for image in [polygon_id, object_id] {
+            image.get_mut(row).into_iter().for_each(|row| row[part.clone()].fill(0));
+        }
+        true
     }
 
     /// Leaves samples open that something not drawn may hide: whatever is farther than all that is drawn, and where nothing is.

@@ -15,7 +15,7 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 /// What pieces take where nothing was learnt: much.
-const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, images: 0.0, drawing: 0.0 };
+const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };
 /// Polygons: a smaller piece is not worth a submission.
 const LEAST_PIECE: u64 = 256;
 /// Ranges are rounded to f32. Only what is nearer than what was not drawn by this share of it is final: rounding moves ranges less,
