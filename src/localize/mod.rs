@@ -244,6 +244,15 @@ impl Localizer {
     /// [`crate::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none; those of
     /// [`Estimator::estimate`].
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
+        self.step_together(world, frame, &[])
+    }
+
+    /// Takes in the next frame, with frames that other sensors of the robot took at the same time. Stamp and odometry are those of the
+    /// first. A search of the whole map and hypotheses go by the first alone.
+    ///
+    /// # Errors
+    /// Those of [`Localizer::step`].
+    pub fn step_together(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
         let first = self.stamp.replace(frame.stamp).is_none();
         let motion = if first { None } else { Some(self.motion_of(frame)) };
@@ -261,7 +270,8 @@ impl Localizer {
             Phase::Tracking | Phase::Candidates => self.belief,
             Phase::Unknown | Phase::Lost => widened(&self.belief, &self.options),
         };
-        let estimate = self.estimator.estimate(world, &[frame], &prior)?;
+        let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
+        let estimate = self.estimator.estimate(world, &frames, &prior)?;
         if self.is_doubtful(frame, &estimate) {
             self.doubt(frame, &prior)?;
             return self.follow_hypotheses(world, frame, None);

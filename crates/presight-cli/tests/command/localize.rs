@@ -169,3 +169,48 @@ fn scans_of_points_are_logs() {
     assert_eq!(cut.status, Some(1), "{}", cut.stderr);
     assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is cut"), "{}", cut.stderr);
 }
+
+/// Grey images beside depth images, and instead of them: features of a layer are looked for, classed, told and drawn.
+#[test]
+fn grey_images_are_followed_and_shown() {
+    let place = drive();
+    let video = CAMERA.replace("laser", "video").replace("80", "240").replace("60", "180").replace("70.0", "210.0");
+    let video = video.replace("39.5", "119.5").replace("29.5", "89.5");
+    place.write("video.toml", video.as_bytes());
+    let made = place.run("features room.glb --class video --out edges.json");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    let made = place.run("simulate room.glb --sensor camera.toml --grey video.toml --poses drive.tum --out both");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    assert_eq!(fs::read_dir(place.path("both/grey")).unwrap().count(), 8);
+    let line =
+        "localize both --map room.glb --sensor both/sensor.toml --layer edges.json --init reference --out both.tum";
+    let done = place.run(line);
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    assert!(done.stdout.contains("8 of 8 frames have a pose"), "{}", done.stdout);
+    let matched = |details: &str| {
+        let text = fs::read_to_string(place.path(details)).unwrap();
+        let last: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        (last["features"]["matched"].as_u64(), last["verdicts"]["confirmed"].as_u64())
+    };
+    let (features, confirmed) = matched("both.jsonl");
+    assert!(features.unwrap() >= 4 && confirmed.unwrap() > 2000, "{features:?} {confirmed:?}");
+    // The grey images by themselves, of the camera that the log says.
+    fs::rename(place.path("both/depth"), place.path("depth")).unwrap();
+    let alone = "localize both --map room.glb --sensor both/sensor.toml --init reference --out x.tum";
+    let camera = place.run(alone);
+    assert!(camera.status != Some(0), "the images are not of the depth camera's size: {camera:?}");
+    let text = fs::read_to_string(place.path("both/camera.json")).unwrap();
+    let text = text.replace(":80", ":240").replace(":60", ":180").replace(":70.0", ":210.0");
+    place.write("both/camera.json", text.replace(":39.5", ":119.5").replace(":29.5", ":89.5").as_bytes());
+    let alone = "localize both --map room.glb --sensor both/grey.toml --init reference --out alone.tum";
+    let without = place.run(alone);
+    assert!(without.status == Some(2) && without.stderr.contains("layer"), "{without:?}");
+    let done = place.run(&format!("{alone} --layer edges.json"));
+    assert!(done.status == Some(0) && done.stdout.contains("8 of 8 frames"), "{done:?}");
+    assert_eq!(matched("alone.jsonl").1, Some(0), "nothing is known of ranges");
+    let shown =
+        place.run("replay both --map room.glb --sensor both/grey.toml --init reference --layer edges.json --out shown");
+    assert_eq!(shown.status, Some(0), "{}", shown.stderr);
+    assert_eq!(fs::read_dir(place.path("shown/frames")).unwrap().count(), 8);
+    fs::rename(place.path("depth"), place.path("both/depth")).unwrap();
+}
