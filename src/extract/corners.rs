@@ -91,7 +91,7 @@ impl Gradients {
     /// As far as windows at the box's pixels reach, within the image; `None` if no pixel is inside.
     fn of(image: &GreyImage, region: PixelBox) -> Option<Self> {
         let [x0, y0, x1, y1] = region.pixels(image.width(), image.height())?;
-        let reach = HALF + FARTHEST.ceil() as i64 + APART;
+        let reach = HALF + FARTHEST.ceil() as i64;
         let (left, top) = ((x0 - reach).max(1), (y0 - reach).max(1));
         let (right, bottom) =
             ((x1 + reach).min(i64::from(image.width()) - 2), (y1 + reach).min(i64::from(image.height()) - 2));

@@ -175,8 +175,8 @@ fn timed<T>(run: impl Fn() -> T) -> (Duration, T) {
     })
 }
 
-/// Of each predicted corner the strongest that is found in its region, or the one nearest to it of all in the image: how many, and how many
-/// are more than 1.5 pixels off.
+/// Of each predicted corner the nearest that is found in its region, or of all in the image: how many, and how many are more than
+/// 1.5 pixels off.
 fn nearest_corners(features: &FeaturePrediction, image: &GreyImage, everywhere: bool) -> (usize, usize) {
     let options = CornerOptions { noise: NOISE, ..CornerOptions::default() };
     let all = if everywhere { corners_in(image, PixelBox::whole(image), &options) } else { Vec::new() };
@@ -185,11 +185,8 @@ fn nearest_corners(features: &FeaturePrediction, image: &GreyImage, everywhere: 
         let (Some(roi), Some(part)) = (seen.roi, seen.visible.first()) else { continue };
         let there = part.pixels[0];
         let apart = |d: &Detection| d.shape.centre().distance(there);
-        let found = if everywhere {
-            all.iter().map(apart).min_by(f64::total_cmp)
-        } else {
-            corners_in(image, PixelBox(roi), &options).first().map(apart)
-        };
+        let near = if everywhere { Vec::new() } else { corners_in(image, PixelBox(roi), &options) };
+        let found = all.iter().chain(&near).map(apart).min_by(f64::total_cmp);
         let Some(off) = found else { continue };
         count += 1;
         wrong += usize::from(off > 1.5);

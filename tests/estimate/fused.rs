@@ -77,7 +77,7 @@ fn together_no_worse_than_the_best() {
 fn features_are_classed_by_ranges() {
     let map = room(Vec3::ZERO);
     let features = edges(&map);
-    let mut environment = map.environment().clone();
+    let mut environment = Environment::clone(map.environment());
     environment.delete("table").unwrap();
     add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
     let real = World::new(environment);
