@@ -33,6 +33,8 @@ const HALF: i64 = 3;
 const APART: i64 = 3;
 /// How far a corner may come to lie from where it was looked for, pixels.
 const FARTHEST: f64 = 4.0;
+/// Least share of the larger eigenvalue that the smaller one is: edges that meet at 35 degrees.
+const LEAST_ROUND: f64 = 0.1;
 /// What blur and sampling leave at best, pixels: edge lines bend where they meet.
 const FLOOR: f64 = 0.1;
 
@@ -115,9 +117,9 @@ impl Gradients {
         let (xx, xy, yy) = (products(|g| g.x * g.x), products(|g| g.x * g.y), products(|g| g.y * g.y));
         let smaller = |i: usize| {
             let (half, off) = (0.5 * (xx[i] + yy[i]), 0.5 * (xx[i] - yy[i]));
-            let value = half - off.hypot(xy[i]);
-            // NaN beside a pixel without a measurement.
-            if value > 0.0 { value } else { 0.0 }
+            let apart = off.hypot(xy[i]);
+            // The steps of a slanted edge are no corner. NaN beside a pixel without a measurement.
+            if half - apart > LEAST_ROUND * (half + apart) { half - apart } else { 0.0 }
         };
         (0..xx.len()).map(smaller).collect()
     }

@@ -98,7 +98,7 @@ fn nine_beams() {
 #[test]
 fn a_corner_is_three_planes() {
     // Optical axes: the right wall, the floor, and the wall ahead.
-    let turned = |n: DVec3| glam::DQuat::from_rotation_y(0.3) * glam::DQuat::from_rotation_x(0.2) * n;
+    let turned = |n: DVec3| glam::DQuat::from_rotation_y(-0.3) * glam::DQuat::from_rotation_x(0.2) * n;
     let walls = [(turned(DVec3::X), 1.0), (turned(DVec3::Y), 0.9), (turned(DVec3::Z), 3.0)];
     let (camera, mut random) = (camera(), SplitMix64(9));
     let (mut sum, mut count) = (0.0, 0.0);

@@ -129,9 +129,11 @@ impl BrightScan<'_> {
         let (x0, x1) = (end(i64::min, |at| at.0), end(i64::max, |at| at.0));
         let (y0, y1) = (end(i64::min, |at| at.1), end(i64::max, |at| at.1));
         let ray = |u: f64, v: f64| sensor.ray_at(u, v);
-        let (a, b) = (ray(x0 as f64 - 0.5, y0 as f64)?, ray(x1 as f64 + 0.5, y1 as f64)?);
-        // Half a pixel beside each end might still be part of it.
-        if a.angle_between(b) * range > self.options.widest {
+        // By the pitch, as a full turn ends where it begins.
+        let (x, y) = (x0 as f64, y0 as f64);
+        let across = ray(x - 0.5, y)?.angle_between(ray(x + 0.5, y)?) * (x1 - x0 + 1) as f64;
+        let down = if y1 > y0 { ray(x, y)?.angle_between(ray(x, y1 as f64)?) } else { 0.0 };
+        if across.max(down) * range > self.options.widest {
             return None;
         }
         // Each end lies anywhere within its pixel's pitch: 1/12 of variance each, and half of that of their middle.

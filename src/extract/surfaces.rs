@@ -63,10 +63,12 @@ const BEND: f64 = 3.0;
 const MISSING: i64 = 3;
 /// Flattest incidence at which neighbours count as one surface, as a tangent.
 const STEEPEST: f64 = 12.0;
+/// In a region of so few blocks one is enough.
+const FEW: usize = 4;
 /// Side of the blocks that planes are grown from, pixels.
 const BLOCK: i64 = 6;
 /// Root mean square distance from its plane at which a block is flat, in standard deviations.
-const FLAT: f64 = 1.4;
+const FLAT: f64 = 1.25;
 
 /// The flat surfaces in a part of a frame of ranges, the largest first. With [`PixelBox::whole_of`] it is the whole frame. Of a full
 /// turn the box may lead over the seam, its last column beyond the width.
@@ -347,6 +349,10 @@ impl<'a> Patch<'a> {
         for start in blocks.flattest() {
             let Some(mut grown) = blocks.grow(self, start) else { continue };
             grown.sort_unstable();
+            // A lone flat block among many is two planes that happen to look like one.
+            if grown.len() == 1 && blocks.scatter.len() > FEW {
+                continue;
+            }
             // Blocks at a crease hold points of both planes: without them the plane is smaller, and not bent.
             let own: Vec<Reading> = grown.iter().flat_map(|b| &blocks.readings[*b]).copied().collect();
             grown.iter().for_each(|b| blocks.scatter[*b] = f64::INFINITY);
