@@ -97,6 +97,8 @@ const LOOSE: (f64, f64) = (0.05, 0.05);
 const SETTLED: f64 = 3.0;
 /// A pose that grey images alone tell rests on at least so many features.
 const FEWEST: usize = 4;
+/// And at least this share of the matches has to agree: some edges are always taken for others.
+const LEAST_MATCHED: f64 = 0.5;
 /// The best pose has to explain more of the points than any other by this share.
 const LEAD: f64 = 0.05;
 
@@ -205,7 +207,8 @@ impl Estimator {
         let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
         let mut best = self.settle(&mut run, &found)?;
-        if best.normal.measured > 0 && best.normal.explained_share() < self.options.least_explained {
+        // What was matched in grey images is matched from another start, too.
+        if !run.has_greys_only() && best.normal.explained_share() < self.options.least_explained {
             best = self.restart(&mut run, &expected, best)?;
         }
         let others = self.other_minima(&mut run, &best)?;
@@ -375,6 +378,7 @@ impl Estimator {
             few @ 0..FEWEST if run.has_greys_only() => {
                 EstimateState::Undetermined(format!("{few} features are matched, fewer than {FEWEST}"))
             }
+            _ if run.has_greys_only() => state(&hypothesis, &others, self.options.least_explained.min(LEAST_MATCHED)),
             _ => state(&hypothesis, &others, self.options.least_explained),
         };
         for other in &others {
