@@ -322,7 +322,7 @@ impl Localizer {
 
     /// Whether what was usual no longer is. A coarse model leaves much out: there only what it has and is not there counts.
     fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
-        if self.standing.add(share(standing(estimate))) {
+        if tells_of_surfaces(estimate) && self.standing.add(share(standing(estimate))) {
             return Some(format!(
                 "the share of surfaces that are still there has left its distribution ({})",
                 self.standing
@@ -339,7 +339,7 @@ impl Localizer {
         self.agreed_points.0 += confirmed;
         self.agreed_points.1 += decided;
         let standing = share(self.agreed_points);
-        if standing < self.options.least_standing {
+        if tells_of_surfaces(estimate) && standing < self.options.least_standing {
             return Some(format!("{:.0} % of the surfaces are not where the map has them", 100.0 * (1.0 - standing)));
         }
         (estimate.explained < self.options.least_agreeing).then(|| "that is too little to tell a place by".to_owned())
@@ -393,6 +393,11 @@ impl Localizer {
             }
         }
     }
+}
+
+/// False for grey images alone: they do not say which surfaces are there.
+fn tells_of_surfaces(estimate: &Estimate) -> bool {
+    estimate.findings.is_empty() || !estimate.verdicts.is_empty()
 }
 
 /// How many measured surfaces are where the map has them, and how many are decided on.
