@@ -59,7 +59,7 @@ pub fn corners_in(image: &GreyImage, region: PixelBox, options: &CornerOptions) 
     let strengths = gradients.strengths();
     // An edge of contrast k has gradients that add up to about k^2 / 4 a row of the window; noise adds the same everywhere.
     let rows = f64::from(2 * HALF as i32 + 1);
-    let of_noise = rows * rows * 0.5 * options.noise * options.noise;
+    let of_noise = rows * rows * 0.1875 * options.noise * options.noise;
     let least = 0.125 * rows * options.least_contrast.max(4.0 * options.noise).powi(2) + 2.0 * of_noise;
     let mut peaks = gradients.peaks(&strengths, least);
     peaks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -105,7 +105,10 @@ impl Gradients {
         for r in top..=bottom {
             for c in left..=right {
                 let v = |dc: i64, dr: i64| f64::from(image.pixel((c + dc) as u32, (r + dr) as u32));
-                values.push(DVec2::new(0.5 * (v(1, 0) - v(-1, 0)), 0.5 * (v(0, 1) - v(0, -1))));
+                // Smoothed across (Sobel): the steps of a slanted edge are no corners.
+                let right = v(1, -1) + 2.0 * v(1, 0) + v(1, 1) - v(-1, -1) - 2.0 * v(-1, 0) - v(-1, 1);
+                let down = v(-1, 1) + 2.0 * v(0, 1) + v(1, 1) - v(-1, -1) - 2.0 * v(0, -1) - v(1, -1);
+                values.push(DVec2::new(right, down) / 8.0);
             }
         }
         Some(Self { left, top, width, height, values })
@@ -202,7 +205,7 @@ impl Gradients {
             let moved = next.distance(place);
             place = next;
             if moved < 0.02 || step == 3 {
-                let scatter = (squares / (n - 2.0f64)).max(0.5 * noise * noise);
+                let scatter = (squares / (n - 2.0f64)).max(0.1875 * noise * noise);
                 let covariance = inverse * scatter + DMat2::from_diagonal(DVec2::splat(FLOOR * FLOOR));
                 return Some((place + DVec2::new(self.left as f64, self.top as f64), covariance));
             }
