@@ -4,6 +4,7 @@ use super::{Place, VIEW, WALL, WALL_INDICES, bad, check, predict, wall};
 use assert_cmd::Command;
 use serde_json::{Value, json};
 use std::fs;
+use std::path::Path;
 
 /// Scenes that are broken, each with what its message must name besides the file.
 fn broken_scenes() -> Vec<(&'static str, Vec<u8>, Vec<&'static str>)> {
@@ -60,7 +61,7 @@ fn bad_scenes() {
     check(&place, cases);
 }
 
-fn camera(width: u32, height: u32) -> String {
+pub fn camera(width: u32, height: u32) -> String {
     format!(
         "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
     )

@@ -20,10 +20,11 @@ mod special;
 mod virtual_sensors;
 
 use assert_cmd::Command;
+use bad_input::camera;
 use presight::io::exr;
 use serde_json::{Value, json};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use tempfile::TempDir;
 
 /// A folder with a scene in it: a wall of 2 m x 2 m at x = 2 m, y from -1 to 1, z from 0 to 2, as two triangles.
