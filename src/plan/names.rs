@@ -54,6 +54,7 @@ words! {
         Device = "device",
         Cull = "cull",
         Raster = "raster",
+        HardwareRaster = "hardware rasterizer",
         CoarseDepth = "coarse depth",
         Resolve = "resolve",
         ResolveOnDevice = "resolve on the device",
@@ -87,6 +88,8 @@ words! {
         PolygonsHidden = "polygons hidden",
         /// Polygons that no ray of the sensor can meet.
         PolygonsBetweenSamples = "polygons between samples",
+        /// Polygons that the hardware rasterizer drew; compute spans drew the others.
+        PolygonsRendered = "polygons rendered",
         PolygonsSetUpInF64 = "polygons set up in f64",
         /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
         PolygonsEdgeOn = "polygons edge-on",

@@ -1,6 +1,6 @@
 //! Input that cannot be used: one line that names the file, the place and the remedy, and no output.
 
-use super::{Place, VIEW, WALL, WALL_INDICES, bad, check, predict, wall};
+use super::{Place, VIEW, WALL, WALL_INDICES, bad, camera, check, predict, wall};
 use assert_cmd::Command;
 use serde_json::{Value, json};
 use std::fs;
@@ -59,12 +59,6 @@ fn bad_scenes() {
     );
     cases.push(bad(predict("nobin.gltf"), 1, &["gone.bin", "; "]));
     check(&place, cases);
-}
-
-pub fn camera(width: u32, height: u32) -> String {
-    format!(
-        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
-    )
 }
 
 #[test]

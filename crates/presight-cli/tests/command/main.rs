@@ -20,7 +20,6 @@ mod special;
 mod virtual_sensors;
 
 use assert_cmd::Command;
-use bad_input::camera;
 use presight::io::exr;
 use serde_json::{Value, json};
 use std::fs;
@@ -369,6 +368,12 @@ fn check(place: &Place, cases: Vec<Bad>) {
         }
         assert_eq!(place.names(), before, "{}", case.line);
     }
+}
+
+fn camera(width: u32, height: u32) -> String {
+    format!(
+        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
+    )
 }
 
 fn predict(scene: &str) -> String {
