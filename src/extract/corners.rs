@@ -32,7 +32,7 @@ const HALF: i64 = 3;
 /// How far from each other corners are, pixels.
 const APART: i64 = 3;
 /// How far a corner may come to lie from where it was looked for, pixels.
-const FARTHEST: f64 = 4.0;
+const FARTHEST: f64 = 5.0;
 /// Least share of the larger eigenvalue that the smaller one is: edges that meet at 35 degrees.
 const LEAST_ROUND: f64 = 0.1;
 /// What blur and sampling leave at best, pixels: edge lines bend where they meet.
