@@ -1,6 +1,7 @@
 //! What an estimate tells.
 
 use super::normal::{CommonError, Freedom, Normal};
+use crate::extract::Findings;
 use crate::geometry::Pose;
 use crate::matrix::{
     Matrix, add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed,
@@ -53,8 +54,10 @@ pub struct Estimate {
     pub information: Matrix,
     /// Directions in which the measurement says little.
     pub weak: Vec<WeakDirection>,
-    /// Verdicts on each frame; empty if none of them measured anything.
+    /// Verdicts on each frame of ranges; empty if no frame measured anything.
     pub verdicts: Vec<Verdicts>,
+    /// What each grey image shows of predicted features.
+    pub findings: Vec<Findings>,
     /// Share of the measured points that the prediction explains.
     pub explained: f64,
     /// Robust cost, in variances a point.

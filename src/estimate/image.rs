@@ -4,9 +4,11 @@
 //! that was found is a line: its residuals are the distances of the projected ends of the model's segment from it. Derivatives by
 //! the pose are central differences, so that every lens and every scanner is served by one formula.
 
-use super::normal::Normal;
+use super::normal::{CommonError, GroupSum, Normal};
 use super::{Gate, Residuals};
+use crate::features::turn;
 use crate::geometry::Pose;
+use crate::matching::{UncertainValue, unwrap};
 use crate::motion::{Vector, moved};
 use crate::sensor::Sensor;
 use glam::{DMat2, DVec2, DVec3};
@@ -20,6 +22,8 @@ pub struct SeenPoint {
     pub found: DVec2,
     /// Of the place that was found, pixels squared.
     pub covariance: DMat2,
+    /// Metres along the ray, where the sensor measured them: of a reflector in a scan.
+    pub range: Option<UncertainValue>,
 }
 
 /// A segment of the model, and the line on which it was found.
@@ -31,6 +35,8 @@ pub struct SeenSegment {
     pub found: [DVec2; 2],
     /// How far each of these may be off across the line, one standard deviation, pixels.
     pub sigma: f64,
+    /// Parts of one feature share the feature's own error.
+    pub feature: u32,
 }
 
 /// What an image says of the pose.
@@ -39,6 +45,8 @@ pub struct ImageSource<'a> {
     sensor: &'a Sensor,
     points: Vec<SeenPoint>,
     segments: Vec<SeenSegment>,
+    /// Columns of a full turn.
+    turn: Option<f64>,
 }
 
 /// Steps of the differences: metres and radians. Far below a pixel, far above rounding.
@@ -47,13 +55,19 @@ const STEP: f64 = 1e-5;
 impl<'a> ImageSource<'a> {
     /// A source of what was matched in the image of a sensor.
     pub fn new(sensor: &'a Sensor, points: Vec<SeenPoint>, segments: Vec<SeenSegment>) -> Self {
-        Self { sensor, points, segments }
+        Self { sensor, points, segments, turn: turn(sensor) }
     }
 
-    fn project(&self, world_from_robot: &Pose, point: DVec3) -> Option<DVec2> {
+    /// Pixel and range of a point of the model.
+    fn project(&self, world_from_robot: &Pose, point: DVec3) -> Option<(DVec2, f64)> {
         let body = (*world_from_robot * self.sensor.spec().mount).inverse().transform_point(point);
         let (u, v) = self.sensor.project(self.sensor.body_from_image().transpose() * body)?;
-        Some(DVec2::new(u, v))
+        Some((DVec2::new(u, v), body.length()))
+    }
+
+    /// A place beside another one, where columns go round.
+    fn unwrapped(&self, at: DVec2, near: DVec2) -> DVec2 {
+        at + DVec2::new(unwrap(self.turn, near.x, at.x), 0.0)
     }
 
     /// Residuals in standard deviations; `None` where the model's point is not in front of the sensor.
@@ -62,14 +76,18 @@ impl<'a> ImageSource<'a> {
         for p in &self.points {
             // Whitened by the inverse of a root of the covariance.
             let root = lower_root(p.covariance);
-            let off = self.project(pose, p.point).map(|at| root.inverse() * (at - p.found));
+            let seen = self.project(pose, p.point);
+            let off = seen.map(|(at, _)| root.inverse() * (self.unwrapped(at, p.found) - p.found));
             all.extend([off.map(|o| o.x), off.map(|o| o.y)]);
+            if let Some(measured) = p.range {
+                all.push(seen.map(|(_, range)| (range - measured.mean) / measured.variance.sqrt().max(1e-6)));
+            }
         }
         for s in &self.segments {
             let [a, b] = s.found;
             let along = (b - a).normalize_or_zero();
-            let off = |at: DVec2| along.perp_dot(at - a) / s.sigma;
-            all.extend(s.ends.map(|end| self.project(pose, end).map(off)));
+            let off = |at: DVec2| along.perp_dot(self.unwrapped(at, a) - a) / s.sigma;
+            all.extend(s.ends.map(|end| self.project(pose, end).map(|(at, _)| off(at))));
         }
         all
     }
@@ -80,6 +98,15 @@ fn lower_root(m: DMat2) -> DMat2 {
     let a = m.x_axis.x.max(1e-12).sqrt();
     let b = m.x_axis.y / a;
     DMat2::from_cols(DVec2::new(a, b), DVec2::new(0.0, (m.y_axis.y - b * b).max(1e-12).sqrt()))
+}
+
+/// Of one residual by the six numbers of the pose.
+fn derivatives(shifted: &[[Vec<Option<f64>>; 2]], i: usize) -> Option<Vector> {
+    let mut j = [0.0; 6];
+    for (axis, [ahead, back]) in shifted.iter().enumerate() {
+        j[axis] = (ahead[i]? - back[i]?) / (2.0 * STEP);
+    }
+    Some(j)
 }
 
 impl Residuals for ImageSource<'_> {
@@ -94,11 +121,11 @@ impl Residuals for ImageSource<'_> {
                 })
             })
             .collect();
+        let first_edge = here.len() - 2 * self.segments.len();
         let mut normal = Normal { measured: here.len(), ..Normal::default() };
         let mut sizes = Vec::new();
         for (i, e) in here.iter().enumerate() {
-            let difference = |axis: usize| Some((shifted[axis][0][i]? - shifted[axis][1][i]?) / (2.0 * STEP));
-            let j: Option<Vec<f64>> = (0..6).map(difference).collect();
+            let j = derivatives(&shifted, i);
             let (Some(e), Some(j)) = (*e, j) else {
                 normal.chi2 += gate.kernel.most();
                 continue;
@@ -106,17 +133,14 @@ impl Residuals for ImageSource<'_> {
             // In pixels the gate is as wide as the pose's uncertainty moves this very residual.
             let metres = (0..3).map(|k| j[k].abs()).fold(0.0, f64::max) * gate.translation;
             let radians = (3..6).map(|k| j[k].abs()).fold(0.0, f64::max) * gate.rotation;
-            let (weight, cost) = gate.kernel.weigh(e, metres + radians);
             sizes.push(e.abs());
-            normal.compared += 1;
-            normal.chi2 += cost;
-            normal.explained += usize::from(e.abs() <= super::range::EXPLAINED);
-            for a in 0..6 {
-                normal.gradient[a] += weight * j[a] * e;
-                for b in 0..6 {
-                    normal.information[a][b] += weight * j[a] * j[b];
-                    normal.noise[a][b] += weight * weight * j[a] * j[b];
-                }
+            let weight = normal.add_residual(e, &j, metres + radians, gate.kernel);
+            // Both ends of an edge are off by what the model has it off.
+            if let Some(edge) = i.checked_sub(first_edge).filter(|_| gate.finally) {
+                let by_offset = (j[0] * j[0] + j[1] * j[1] + j[2] * j[2]).sqrt();
+                let group: &mut GroupSum =
+                    normal.groups.entry(CommonError::Edge(self.segments[edge / 2].feature)).or_default();
+                (0..6).for_each(|a| group.pull[a][0] -= weight * j[a] * by_offset);
             }
         }
         sizes.sort_by(f64::total_cmp);

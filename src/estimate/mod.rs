@@ -35,20 +35,25 @@
 //! ```
 
 mod answer;
+mod findings;
 mod fit;
 mod image;
 mod normal;
+mod prior;
 mod range;
 mod solve;
+mod surface;
 
 pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
 pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
+pub use prior::Prior;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub(crate) use solve::drawn;
-pub use solve::{EstimateOptions, Estimator, Prior};
+pub use solve::{EstimateOptions, Estimator};
+pub use surface::{SeenSurface, SurfaceSource};
 
 use crate::geometry::Pose;
 

@@ -1,5 +1,6 @@
 //! Normal equations: what a source of residuals says about a small motion of the robot.
 
+use super::Kernel;
 use crate::matrix::{Matrix, add_to};
 use crate::motion::Vector;
 use std::collections::BTreeMap;
@@ -11,6 +12,8 @@ pub enum CommonError {
     Object(u32),
     /// The offset of polygons along their normal, by [`crate::verdict::Surface::group`]; one number.
     Offset(u32),
+    /// How far an edge is beside where the model has it, by the number of the feature; one number.
+    Edge(u32),
 }
 
 /// What residuals e with weights w and Jacobians J say about a motion of the robot. The motion `(t, r)` takes a point x of the
@@ -61,6 +64,23 @@ impl GroupSum {
 }
 
 impl Normal {
+    /// Adds a residual with its derivatives, both in standard deviations. `wide` is the gate in standard deviations. Returns the
+    /// weight that it got.
+    pub(super) fn add_residual(&mut self, e: f64, j: &Vector, wide: f64, kernel: Kernel) -> f64 {
+        let (weight, cost) = kernel.weigh(e, wide);
+        self.compared += 1;
+        self.chi2 += cost;
+        self.explained += usize::from(e.abs() <= super::range::EXPLAINED);
+        for a in 0..6 {
+            self.gradient[a] += weight * j[a] * e;
+            for b in 0..6 {
+                self.information[a][b] += weight * j[a] * j[b];
+                self.noise[a][b] += weight * weight * j[a] * j[b];
+            }
+        }
+        weight
+    }
+
     /// Adds what another source says.
     pub fn add(&mut self, other: &Self) {
         add_to(&mut self.information, &other.information);

@@ -354,7 +354,7 @@ impl RangeSource<'_> {
         for (shared, group) in &mut total.groups {
             // The column of an offset is a number along the normal: it has no axes to turn.
             group.pull = match shared {
-                CommonError::Offset(_) => product(&t, &group.pull),
+                CommonError::Offset(_) | CommonError::Edge(_) => product(&t, &group.pull),
                 CommonError::Object(_) => sandwich(&t, &group.pull),
             };
         }

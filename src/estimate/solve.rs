@@ -1,10 +1,14 @@
 //! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
 
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
+use super::findings::find_at;
+use super::image::ImageSource;
 use super::normal::{CommonError, Freedom, Normal};
 use super::range::{MeasuredPoint, RangeSource, measured_points};
-use super::{Gate, Kernel, Residuals};
+use super::{Gate, Kernel, Prior, Residuals};
 use crate::error::{Error, Result};
+use crate::extract::{Findings, MeasuredRanges};
+use crate::features::{FeatureOptions, PlacedFeatures};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
 use crate::matrix::{Matrix, add_to, apply, eigen, inverse, restricted, scaled};
@@ -14,51 +18,6 @@ use crate::random::SplitMix64;
 use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
 use crate::world::World;
 use std::sync::Arc;
-
-/// What was known of the pose before.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prior {
-    /// world_from_robot.
-    pub pose: Pose,
-    /// x y z, then rotation about fixed x y z, world axes, row by row; metres and radians.
-    pub covariance: Matrix,
-}
-
-impl Prior {
-    /// With the same standard deviation along each axis, metres, and about each, radians.
-    pub fn of_sigmas(pose: Pose, translation: f64, rotation: f64) -> Self {
-        let sigma = |i: usize| if i < 3 { translation } else { rotation };
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 }));
-        Self { pose, covariance }
-    }
-
-    pub(super) fn check(&self, freedom: Freedom) -> Result<()> {
-        self.pose.check()?;
-        let c = &self.covariance;
-        let wrong = |what: &str| {
-            let remedy = "give a symmetric matrix with positive variances, metres and radians";
-            Err(Error::usage(format!("the covariance of the prior {what}"), remedy))
-        };
-        if !c.as_flattened().iter().all(|x| x.is_finite()) {
-            return wrong("is not finite");
-        }
-        let scale = |i: usize, j: usize| (c[i][i].abs() * c[j][j].abs()).sqrt();
-        if (0..6).any(|i| (0..i).any(|j| (c[i][j] - c[j][i]).abs() > 1e-6 * scale(i, j) + 1e-300)) {
-            return wrong("is not symmetric");
-        }
-        let correlations = restricted(
-            &std::array::from_fn(|i| {
-                std::array::from_fn(|j| if scale(i, j) > 0.0 { c[i][j] / scale(i, j) } else { 0.0 })
-            }),
-            freedom.axes(),
-        );
-        let (values, _) = eigen(correlations, 6);
-        if freedom.axes().iter().any(|i| !(c[*i][*i] > 0.0)) || values.iter().any(|v| *v < -1e-9) {
-            return wrong("is not positive");
-        }
-        Ok(())
-    }
-}
 
 /// How an [`Estimator`] works.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,6 +72,7 @@ impl EstimateOptions {
 pub struct Estimator {
     pub(crate) predictor: Predictor,
     surfaces: Surfaces,
+    features: FeatureOptions,
     pub(crate) options: EstimateOptions,
     /// Learnt standard deviation of the offsets of polygon groups, metres.
     offset_sigma: f64,
@@ -133,14 +93,29 @@ const AT_REST: f64 = 2e-6;
 const FAR_POINTS: usize = 500;
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
 const LOOSE: (f64, f64) = (0.05, 0.05);
+/// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
+const SETTLED: f64 = 3.0;
+/// A pose that grey images alone tell rests on at least so many features.
+const FEWEST: usize = 4;
+/// And at least this share of the matches has to agree: some edges are always taken for others.
+const LEAST_MATCHED: f64 = 0.5;
 /// The best pose has to explain more of the points than any other by this share.
 const LEAD: f64 = 0.05;
 
-/// A frame as the iteration needs it.
+/// A frame of ranges as the iteration needs it.
 struct FrameMeasurement<'a> {
     frame: &'a Frame,
     points: Vec<MeasuredPoint>,
     noise: RangeNoise,
+}
+
+/// What one prediction expects of the frames.
+#[derive(Default)]
+struct Expectation {
+    /// Of each frame of ranges.
+    images: Vec<ExpectedImage>,
+    /// What each grey image shows of the features that were predicted.
+    findings: Vec<Findings>,
 }
 
 /// Where an iteration came to rest.
@@ -148,9 +123,21 @@ struct FrameMeasurement<'a> {
 struct Minimum {
     pose: Pose,
     /// What was expected in the prediction that it was found with.
-    expected: Arc<Vec<ExpectedImage>>,
+    expected: Arc<Expectation>,
     normal: Normal,
     spread: f64,
+}
+
+impl Run<'_> {
+    /// True if no frame says anything.
+    fn is_blind(&self) -> bool {
+        self.greys.is_empty() && self.measured.iter().all(|m| m.points.is_empty())
+    }
+
+    /// True if the pose rests on grey images alone.
+    fn has_greys_only(&self) -> bool {
+        self.measured.iter().all(|m| m.points.is_empty())
+    }
 }
 
 impl Minimum {
@@ -164,6 +151,8 @@ impl Minimum {
 struct Run<'a> {
     world: &'a World,
     measured: Vec<FrameMeasurement<'a>>,
+    /// Frames that are grey images.
+    greys: Vec<&'a Frame>,
     model_sigma: f64,
     prior: Prior,
     prior_information: Matrix,
@@ -194,22 +183,32 @@ const SETTLE: Schedule =
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
     pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
-        Self { predictor, surfaces: Surfaces::default(), options, offset_sigma: options.offset_sigma }
+        let offset_sigma = options.offset_sigma;
+        Self { predictor, surfaces: Surfaces::default(), features: FeatureOptions::default(), options, offset_sigma }
     }
 
-    /// Where the robot is, by frames of its sensors taken at one time.
+    /// With the features that are looked for in grey images, instead of the world's own layer for the sensor's class. They have to be
+    /// placed in the world that frames are compared with.
+    #[must_use]
+    pub fn with_features(self, placed: PlacedFeatures) -> Self {
+        Self { features: FeatureOptions::default().with_placed(placed), ..self }
+    }
+
+    /// Where the robot is, by frames of its sensors taken at one time: ranges, and grey images in which features are looked for.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a frame, or for a prior that is none; those of [`Predictor::predict_images`].
+    /// [`crate::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without features to look for;
+    /// those of [`Predictor::predict`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
         let mut run = self.start(world, frames, prior)?;
-        if run.measured.iter().all(|m| m.points.is_empty()) {
+        if run.is_blind() {
             return Ok(self.blind(&run));
         }
-        let expected = self.expected(&mut run, &prior.pose)?;
+        let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
-        let mut best = self.settle(&mut run, &found.pose)?;
-        if best.normal.explained_share() < self.options.least_explained {
+        let mut best = self.settle(&mut run, &found)?;
+        // What was matched in grey images is matched from another start, too.
+        if !run.has_greys_only() && best.normal.explained_share() < self.options.least_explained {
             best = self.restart(&mut run, &expected, best)?;
         }
         let others = self.other_minima(&mut run, &best)?;
@@ -220,12 +219,12 @@ impl Estimator {
     /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
     pub(crate) fn refine(&mut self, world: &World, frame: &Frame, prior: &Prior) -> Result<Estimate> {
         let mut run = self.start(world, &[frame], prior)?;
-        if run.measured.iter().all(|m| m.points.is_empty()) {
+        if run.is_blind() {
             return Ok(self.blind(&run));
         }
-        let expected = self.expected(&mut run, &prior.pose)?;
+        let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
-        let end = self.settle(&mut run, &found.pose)?;
+        let end = self.settle(&mut run, &found)?;
         self.answer(&run, end, Vec::new())
     }
 
@@ -234,7 +233,8 @@ impl Estimator {
         if frames.is_empty() {
             return Err(Error::usage("an estimate without a frame", "give at least one"));
         }
-        let measured = frames.iter().map(|frame| FrameMeasurement {
+        let (greys, ranges): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|f| f.grey().is_some());
+        let measured = ranges.into_iter().map(|frame| FrameMeasurement {
             frame,
             points: measured_points(frame),
             noise: RangeNoise::of(frame.sensor()),
@@ -245,6 +245,7 @@ impl Estimator {
         Ok(Run {
             world,
             measured: measured.collect(),
+            greys,
             model_sigma: self.options.model_sigma,
             prior: *prior,
             prior_information: inverse(&prior.covariance, axes),
@@ -272,7 +273,7 @@ impl Estimator {
             {
                 continue;
             }
-            let there = self.settle(run, &there.pose)?;
+            let there = self.settle(run, &there)?;
             let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD;
             if as_good && !self.is_same(run, best, &there) && !others.iter().any(|m| self.is_same(run, m, &there)) {
                 others.push(there);
@@ -288,25 +289,34 @@ impl Estimator {
         metres < 0.1 * run.extent.0 + 3.0 * self.offset_sigma && radians < 0.1 * run.extent.1
     }
 
-    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose) -> Result<Arc<Vec<ExpectedImage>>> {
+    /// Predicts all sensors at a pose that is known as well as the covariance says.
+    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose, covariance: &Matrix) -> Result<Arc<Expectation>> {
         run.predictions += 1;
         let one = |m: &FrameMeasurement<'_>| {
             let sensor = m.frame.sensor();
             let world_from_sensor = *pose * sensor.spec().mount;
             ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
         };
-        let all: Result<Vec<ExpectedImage>> = run.measured.iter().map(one).collect();
-        all.map(Arc::new)
+        let images = run.measured.iter().map(one).collect::<Result<Vec<ExpectedImage>>>()?;
+        let find = |frame: &&Frame| find_at(&mut self.predictor, run.world, &self.features, frame, pose, covariance);
+        let findings = run.greys.iter().map(find).collect::<Result<Vec<Findings>>>()?;
+        Ok(Arc::new(Expectation { images, findings }))
     }
 
     /// Predicts anew where a search ended, and settles there.
-    fn settle(&mut self, run: &mut Run<'_>, pose: &Pose) -> Result<Minimum> {
-        let expected = self.expected(run, pose)?;
-        Ok(self.descend(run, &expected, *pose, &SETTLE))
+    fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
+        let mut information = found.normal.information;
+        add_to(&mut information, &run.prior_information);
+        // Regions of interest get narrower with what was learnt, but it may be wrong.
+        let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
+        // What the model is off by moves features, too.
+        (0..3).for_each(|i| known[i][i] += self.offset_sigma.powi(2) + run.model_sigma.powi(2));
+        let expected = self.expected(run, &found.pose, &known)?;
+        Ok(self.descend(run, &expected, found.pose, &SETTLE))
     }
 
     /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew.
-    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Vec<ExpectedImage>>, best: Minimum) -> Result<Minimum> {
+    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Expectation>, best: Minimum) -> Result<Minimum> {
         let mut best = best;
         let mut random = SplitMix64(0x5eed);
         while run.predictions + 3 <= self.options.most_predictions {
@@ -315,7 +325,7 @@ impl Estimator {
                 .collect();
             found.sort_by(|a, b| b.normal.explained_share().total_cmp(&a.normal.explained_share()));
             for start in found.iter().take(3) {
-                let end = self.settle(run, &start.pose)?;
+                let end = self.settle(run, start)?;
                 if end.normal.explained_share() > best.normal.explained_share() {
                     best = end;
                 }
@@ -328,13 +338,7 @@ impl Estimator {
     }
 
     /// Steps from a start to rest, without a new prediction.
-    fn descend(
-        &mut self,
-        run: &Run<'_>,
-        expected: &Arc<Vec<ExpectedImage>>,
-        start: Pose,
-        schedule: &Schedule,
-    ) -> Minimum {
+    fn descend(&mut self, run: &Run<'_>, expected: &Arc<Expectation>, start: Pose, schedule: &Schedule) -> Minimum {
         let at_once = || descend(run, expected, start, schedule, self.options.freedom);
         self.predictor
             .on_threads(at_once)
@@ -344,16 +348,17 @@ impl Estimator {
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
         let freedom = self.options.freedom;
         let offset = self.offset_sigma * self.offset_sigma;
-        let stored = |object: u32| best.expected.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
+        let stored =
+            |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
         let shared = |error: CommonError| match error {
             CommonError::Object(object) => stored(object).unwrap_or_default(),
-            CommonError::Offset(_) => {
+            CommonError::Offset(_) | CommonError::Edge(_) => {
                 let mut m = [[0.0; 6]; 6];
                 m[0][0] = offset;
                 m
             }
         };
-        let reach = reach_of(&run.measured);
+        let reach = reach_of(run, &best);
         let prior = Some(&run.prior_information);
         let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
         let mut information = best.normal.information;
@@ -368,17 +373,31 @@ impl Estimator {
             &shared,
         );
         let hypothesis = best.hypothesis();
-        let state = state(&hypothesis, &others, self.options.least_explained);
+        let matched: usize = best.expected.findings.iter().map(|f| f.matched().count()).sum();
+        let state = match matched {
+            few @ 0..FEWEST if run.has_greys_only() => {
+                EstimateState::Undetermined(format!("{few} features are matched, fewer than {FEWEST}"))
+            }
+            _ if run.has_greys_only() => state(&hypothesis, &others, self.options.least_explained.min(LEAST_MATCHED)),
+            _ => state(&hypothesis, &others, self.options.least_explained),
+        };
         for other in &others {
             let off = motion_between(&best.pose, &other.pose);
             let apart = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
             add_to(&mut covariance, &scaled(&apart, 1.0 / (1.0 + others.len() as f64)));
         }
         let verdicts = self.verdicts(run, &best, &covariance)?;
+        let mut findings = best.expected.findings.clone();
+        for (m, verdicts) in run.measured.iter().zip(&verdicts) {
+            let sensor = m.frame.sensor();
+            let ranges = MeasuredRanges { verdicts, sensor, world_from_sensor: best.pose * sensor.spec().mount };
+            findings.iter_mut().for_each(|f| f.explain(&ranges));
+        }
         Ok(Estimate {
             pose: best.pose,
             covariance,
             verdicts,
+            findings,
             information: restricted(&information, freedom.axes()),
             weak,
             explained: hypothesis.explained,
@@ -397,7 +416,7 @@ impl Estimator {
             let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
             judge(m.frame, expected, &best.pose, &known)
         };
-        let all = || run.measured.iter().zip(&*best.expected).map(one).collect();
+        let all = || run.measured.iter().zip(&best.expected.images).map(one).collect();
         self.predictor.on_threads(all)?
     }
 
@@ -427,6 +446,7 @@ impl Estimator {
             pose: run.prior.pose,
             covariance: restricted(&run.prior.covariance, self.options.freedom.axes()),
             verdicts: Vec::new(),
+            findings: Vec::new(),
             information: run.prior_information,
             weak: weak_directions(
                 &Normal::default(),
@@ -462,21 +482,18 @@ fn length(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-fn descend(
-    run: &Run<'_>,
-    expected: &Arc<Vec<ExpectedImage>>,
-    start: Pose,
-    schedule: &Schedule,
-    freedom: Freedom,
-) -> Minimum {
+fn descend(run: &Run<'_>, expected: &Arc<Expectation>, start: Pose, schedule: &Schedule, freedom: Freedom) -> Minimum {
     let mut sources = Vec::with_capacity(run.measured.len());
-    for (e, m) in expected.iter().zip(&run.measured) {
+    for (e, m) in expected.images.iter().zip(&run.measured) {
         let source = RangeSource::new(e, &m.points, m.noise).with_model_sigma(run.model_sigma);
         sources.push(match run.only {
             Some(object) => source.only(object),
             None => source,
         });
     }
+    let seen = expected.findings.iter().zip(&run.greys);
+    let images: Vec<ImageSource<'_>> =
+        seen.map(|(found, grey)| ImageSource::of_findings(grey.sensor(), found)).collect();
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
     let (mut factor, mut rests) = (schedule.first, false);
     for k in 0..schedule.steps {
@@ -492,6 +509,7 @@ fn descend(
         };
         let mut normal = Normal::default();
         sources.iter().for_each(|s| normal.add(&s.linearize(&end.pose, &gate)));
+        images.iter().for_each(|s| normal.add(&s.linearize(&end.pose, &gate)));
         end.spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
         end.normal = normal;
         if last {
@@ -550,9 +568,12 @@ pub(crate) fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) ->
     moved(&prior.pose, &motion)
 }
 
-/// How far away points are measured, root of the mean square, metres.
-fn reach_of(measured: &[FrameMeasurement<'_>]) -> f64 {
-    let squares = measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
+/// How far away points are measured or matched, root of the mean square, metres.
+fn reach_of(run: &Run<'_>, best: &Minimum) -> f64 {
+    let robot = best.pose.translation;
+    let measured = run.measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
+    let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
+    let squares = measured.chain(matched.map(|p| p.distance_squared(robot)));
     let (sum, count) = squares.fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
     (sum / f64::max(count, 1.0)).sqrt().max(1e-3)
 }

@@ -18,6 +18,21 @@ pub enum FeatureClass {
     Undecidable,
 }
 
+impl FeatureClass {
+    /// All names, in the order of the classes.
+    pub const NAMES: [&str; 4] = ["matched", "occluded", "missing", "undecidable"];
+
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Matched(_) => Self::NAMES[0],
+            Self::Occluded => Self::NAMES[1],
+            Self::Missing => Self::NAMES[2],
+            Self::Undecidable => Self::NAMES[3],
+        }
+    }
+}
+
 /// What became of all features and detections.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Classes {
@@ -75,7 +90,7 @@ pub fn classify(
 }
 
 /// More than half of the pixels that say anything have to say it.
-fn unmatched(counts: &[usize; 7]) -> FeatureClass {
+pub(super) fn unmatched(counts: &[usize; 7]) -> FeatureClass {
     let of = |v: Verdict| counts[v as usize];
     let decided = of(Verdict::Confirmed) + of(Verdict::Nearer) + of(Verdict::Farther);
     if 2 * of(Verdict::Nearer) > decided {

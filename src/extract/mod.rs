@@ -1,14 +1,36 @@
-//! Features in grey images, looked for only where they are predicted.
+//! Features in measured images: looked for only where they are predicted, or, by the same code, everywhere.
 //!
-//! [`edges_near`] searches across a predicted edge and tells lines to a fraction of a pixel, with covariance and sense of contrast.
-//! [`classify`] says of each feature whether it was matched, and if not, what the ranges beside it say of why.
+//! | what | in | by |
+//! |---|---|---|
+//! | edges | grey images | [`edges_near`] |
+//! | corners | grey images | [`corners_in`] |
+//! | depth edges | range images | [`jumps_near`] |
+//! | line segments | scans of one row | [`surfaces_in`] |
+//! | planes | range images | [`surfaces_in`] |
+//! | reflectors | scans with intensities | [`reflectors_in`] |
+//!
+//! Each is told with the covariance of its measurement. [`find_features`] looks for all edges and corners of a prediction, and
+//! [`classify`] says of each whether it was matched, and if not, what the ranges beside it say of why.
 
 mod classes;
+mod corners;
 mod edges;
-mod image;
+mod findings;
+mod jumps;
+mod lines;
+#[cfg(test)]
+mod range_tests;
+mod reflectors;
+mod region;
+mod surfaces;
 #[cfg(test)]
 mod tests;
 
 pub use classes::{Classes, FeatureClass, classify, verdicts_along};
+pub use corners::{CornerOptions, corners_in};
 pub use edges::{EdgeOptions, ExpectedEdge, FoundEdge, edges_near};
-pub use image::GreyImage;
+pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
+pub use jumps::{JumpOptions, jumps_near};
+pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};
+pub use region::PixelBox;
+pub use surfaces::{FoundSurface, SurfaceOptions, surfaces_in};

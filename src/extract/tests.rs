@@ -1,4 +1,5 @@
 use super::*;
+use crate::frame::GreyImage;
 use crate::random::SplitMix64;
 use crate::verdict::Verdict;
 use glam::DVec2;
@@ -89,6 +90,63 @@ fn what_is_no_edge_is_not_found() {
     assert!(GreyImage::new(2, 2, vec![0.0; 3]).is_err() && GreyImage::new(1, 1, vec![f32::INFINITY]).is_err());
     let blind = GreyImage::new(64, 64, vec![f32::NAN; 4096]).unwrap();
     assert!(edges_near(&blind, &expected(DVec2::X, 0.0), &options).is_empty());
+}
+
+/// The bright wedge between two directions from a point; what a pixel sees of it is counted finely.
+fn wedge(tip: DVec2, from: f64, opening: f64, noise: f64, seed: u64) -> GreyImage {
+    const SIDE: u32 = 48;
+    let mut random = SplitMix64(seed);
+    let bright = |i: u32| {
+        let fine = (0..64).map(|k| {
+            let part = DVec2::new(f64::from(k % 8) + 0.5, f64::from(k / 8) + 0.5) / 8.0 - 0.5;
+            let at = DVec2::new(f64::from(i % SIDE), f64::from(i / SIDE)) + part - tip;
+            if (at.to_angle() - from).rem_euclid(std::f64::consts::TAU) < opening { 0.8 } else { 0.3 }
+        });
+        fine.sum::<f64>() / 64.0
+    };
+    let values = (0..SIDE * SIDE).map(|i| (bright(i) + noise * 3f64.sqrt() * random.uniform(-1.0, 1.0)) as f32);
+    GreyImage::new(SIDE, SIDE, values.collect()).unwrap()
+}
+
+/// Corners of 75 to 126 degrees in all directions are found to a fraction of a pixel, in the whole image as in a box, with errors as the
+/// covariance claims; an edge, noise and a blind image have none.
+#[test]
+fn corners_are_found_to_a_fraction_of_a_pixel() {
+    let options = CornerOptions { noise: 0.01, ..CornerOptions::default() };
+    let (mut squares, mut count) = (0.0, 0.0);
+    for k in 0..40u32 {
+        let tip = DVec2::new(23.0 + 0.13 * f64::from(k % 7), 24.0 - 0.17 * f64::from(k % 5));
+        let image = wedge(tip, 0.31 * f64::from(k), 1.3 + 0.3 * f64::from(k % 4), 0.01, u64::from(k));
+        let found = corners_in(&image, PixelBox::whole(&image), &options);
+        assert_eq!(found.len(), 1, "{k}: {found:?}");
+        let off = found[0].shape.centre() - tip;
+        assert!(off.length() < 0.45, "{k}: {off} of {tip}");
+        squares += off.dot(found[0].covariance.inverse() * off) / 2.0;
+        count += 1.0;
+        let near = corners_in(&image, PixelBox([tip.x - 4.0, tip.y - 4.0, tip.x + 4.0, tip.y + 4.0]), &options);
+        assert_eq!(near.len(), 1);
+        assert!(near[0].shape.centre().distance(found[0].shape.centre()) < 1e-9, "the same in a box");
+        assert!(corners_in(&image, PixelBox([2.0, 2.0, 12.0, 12.0]), &options).is_empty());
+    }
+    let mean = squares / count;
+    assert!((0.1..4.0).contains(&mean), "normalized squared errors of {mean}");
+    for seed in 0..20 {
+        for none in [halves(DVec2::splat(1e4), 0.0, 0.02, seed), halves(DVec2::splat(31.0), 0.4, 0.02, seed)] {
+            let options = CornerOptions { noise: 0.02, ..options };
+            assert!(corners_in(&none, PixelBox::whole(&none), &options).is_empty(), "{seed}");
+        }
+    }
+    for value in [0.0, 0.5, 1.0, f32::NAN] {
+        let flat = GreyImage::new(64, 64, vec![value; 4096]).unwrap();
+        assert!(corners_in(&flat, PixelBox::whole(&flat), &options).is_empty());
+        let expected =
+            ExpectedEdge { ends: [DVec2::splat(5.0), DVec2::splat(50.0)], reach: 5.0, is_right_brighter: None };
+        assert!(edges_near(&flat, &expected, &EdgeOptions::default()).is_empty());
+    }
+    let image = halves(DVec2::splat(31.0), 0.0, 0.0, 1);
+    for odd in [[f64::NAN; 4], [5.0, 5.0, 1.0, 1.0], [-90.0, -90.0, -80.0, -80.0], [900.0, 0.0, 1e300, 9.0]] {
+        assert!(corners_in(&image, PixelBox(odd), &options).is_empty());
+    }
 }
 
 #[test]

@@ -30,7 +30,7 @@ pub(super) fn of_corners(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]>
 }
 
 /// Columns of 360 degrees, whether or not the image has as many.
-pub(super) fn turn(sensor: &Sensor) -> Option<f64> {
+pub(crate) fn turn(sensor: &Sensor) -> Option<f64> {
     match &sensor.spec().geometry {
         Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, .. }, .. }) if *step_deg != 0.0 => {
             Some(360.0 / step_deg.abs())

@@ -22,6 +22,7 @@ pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 #[doc(hidden)]
 pub use boxes::{BoxQuery, add_boxes};
 pub(crate) use choose::choose;
+pub(crate) use columns::turn;
 pub(crate) use contour::ContourSet;
 #[cfg(all(feature = "gpu", test))]
 pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};

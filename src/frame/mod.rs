@@ -3,8 +3,10 @@
 //! A [`Frame`] has the pixel order, the frames and the special values of a prediction, so that the two can be compared pixel by
 //! pixel. Values follow REP-117: `-inf` is too near, `+inf` is nothing within reach, NaN is no measurement.
 
+mod grey;
 mod noise;
 
+pub use grey::GreyImage;
 pub use noise::RangeNoise;
 
 use crate::error::{Error, Result};
@@ -18,6 +20,8 @@ pub enum Measurement {
     Range(Vec<f32>),
     /// Metres along the optical axis of a camera (REP-118).
     DepthZ(Vec<f32>),
+    /// Brightness, 0 black and 1 white.
+    Grey(GreyImage),
 }
 
 impl Measurement {
@@ -25,6 +29,7 @@ impl Measurement {
     pub fn values(&self) -> &[f32] {
         match self {
             Self::Range(values) | Self::DepthZ(values) => values,
+            Self::Grey(image) => image.values(),
         }
     }
 }
@@ -109,13 +114,16 @@ impl Frame {
     /// Makes a frame of measured values.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a value is negative, if the
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a distance is negative, if the
     /// stamp is no number, or if depth is given for a sensor that is no camera.
     pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = sensed.values();
         if !stamp.is_finite() {
             return Err(Error::invalid(format!("a time stamp of {stamp}"), "give finite seconds"));
+        }
+        if let Measurement::Grey(image) = &sensed {
+            return Self::of_grey(stamp, sensor, image.clone());
         }
         if values.len() != width * height {
             return Err(Error::invalid(
@@ -133,9 +141,25 @@ impl Frame {
         let mut ranges = match &sensed {
             Measurement::Range(values) => values.clone(),
             Measurement::DepthZ(values) => ranges_of_depth(&sensor, values)?,
+            Measurement::Grey(_) => Vec::new(),
         };
         ranges.iter_mut().filter(|r| **r == 0.0).for_each(|r| *r = f32::NAN);
         Ok(Self { stamp, motion: None, sensor, sensed, ranges })
+    }
+
+    fn of_grey(stamp: f64, sensor: Sensor, image: GreyImage) -> Result<Self> {
+        let (width, height) = (sensor.width(), sensor.height());
+        if (image.width(), image.height()) != (width, height) {
+            let what = format!(
+                "a grey image of {} x {} pixels for a sensor of {width} x {height}",
+                image.width(),
+                image.height()
+            );
+            return Err(Error::invalid(what, "give the sensor that took it"));
+        }
+        // Nothing is known of ranges.
+        let ranges = vec![f32::NAN; image.values().len()];
+        Ok(Self { stamp, motion: None, sensor, sensed: Measurement::Grey(image), ranges })
     }
 
     /// The sensor that measured.
@@ -148,7 +172,15 @@ impl Frame {
         &self.sensed
     }
 
-    /// Metres along each ray, row by row, whatever was measured. 0 is told as NaN: no measurement.
+    /// The grey image; `None` if distances were measured.
+    pub fn grey(&self) -> Option<&GreyImage> {
+        match &self.sensed {
+            Measurement::Grey(image) => Some(image),
+            _ => None,
+        }
+    }
+
+    /// Metres along each ray, row by row, whatever was measured. 0 is told as NaN: no measurement. Of a grey image all are NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }
@@ -173,6 +205,9 @@ impl Frame {
         let sensed = match &self.sensed {
             Measurement::Range(values) => Measurement::Range(pick(values)),
             Measurement::DepthZ(values) => Measurement::DepthZ(pick(values)),
+            Measurement::Grey(image) => {
+                Measurement::Grey(GreyImage::new(columns.count, rows.count, pick(image.values()))?)
+            }
         };
         Ok(Self {
             stamp: self.stamp,

@@ -254,6 +254,15 @@ impl Localizer {
     /// [`crate::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none; those of
     /// [`Estimator::estimate`].
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
+        self.step_together(world, frame, &[])
+    }
+
+    /// Takes in the next frame, with frames that other sensors of the robot took at the same time. Stamp and odometry are those of the
+    /// first. A search of the whole map and hypotheses go by the first alone.
+    ///
+    /// # Errors
+    /// Those of [`Localizer::step`].
+    pub fn step_together(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
         let first = self.stamp.replace(frame.stamp).is_none();
         let motion = if first { None } else { Some(self.motion_of(frame)) };
@@ -271,7 +280,8 @@ impl Localizer {
             Phase::Tracking | Phase::Candidates => self.belief,
             Phase::Unknown | Phase::Lost => widened(&self.belief, &self.options),
         };
-        let estimate = self.estimator.estimate(world, &[frame], &prior)?;
+        let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
+        let estimate = self.estimator.estimate(world, &frames, &prior)?;
         if self.is_doubtful(frame, &estimate) {
             self.doubt(frame, &prior)?;
             return self.follow_hypotheses(world, frame, None);
@@ -312,7 +322,7 @@ impl Localizer {
 
     /// Whether what was usual no longer is. A coarse model leaves much out: there only what it has and is not there counts.
     fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
-        if self.standing.add(share(standing(estimate))) {
+        if tells_of_surfaces(estimate) && self.standing.add(share(standing(estimate))) {
             return Some(format!(
                 "the share of surfaces that are still there has left its distribution ({})",
                 self.standing
@@ -329,7 +339,7 @@ impl Localizer {
         self.agreed_points.0 += confirmed;
         self.agreed_points.1 += decided;
         let standing = share(self.agreed_points);
-        if standing < self.options.least_standing {
+        if tells_of_surfaces(estimate) && standing < self.options.least_standing {
             return Some(format!("{:.0} % of the surfaces are not where the map has them", 100.0 * (1.0 - standing)));
         }
         (estimate.explained < self.options.least_agreeing).then(|| "that is too little to tell a place by".to_owned())
@@ -383,6 +393,11 @@ impl Localizer {
             }
         }
     }
+}
+
+/// False for grey images alone: they do not say which surfaces are there.
+fn tells_of_surfaces(estimate: &Estimate) -> bool {
+    estimate.findings.is_empty() || !estimate.verdicts.is_empty()
 }
 
 /// How many measured surfaces are where the map has them, and how many are decided on.

@@ -4,8 +4,10 @@
 //! The same seed gives the same log. The generator is its own: nothing here is shared with the estimator's model of noise but the
 //! sensor's stated deviations.
 
+mod grey;
 mod surroundings;
 
+pub use grey::GreySimulator;
 pub use surroundings::{Walkers, displace};
 
 use crate::error::{Error, Result};
@@ -147,9 +149,13 @@ impl Simulator {
         }
     }
 
-    /// Mean 0, variance 1 (Box and Muller).
     fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.random.unit()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.random.unit()).cos()
+        normal(&mut self.random)
     }
+}
+
+/// Mean 0, variance 1 (Box and Muller).
+fn normal(random: &mut SplitMix64) -> f64 {
+    let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * random.unit()).cos()
 }

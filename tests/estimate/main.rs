@@ -2,6 +2,7 @@
 
 mod drives;
 mod edges;
+mod fused;
 mod hall;
 mod livingroom;
 mod malaga;

@@ -4,9 +4,12 @@ use super::outputs::OutputFiles;
 use super::pose::parse_pose;
 use super::{CommandOutcome, open_scene, print};
 use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+use presight::extract::{FeatureClass, Findings};
+use presight::features::PlacedFeatures;
 use presight::frame::{Frame, OdometryNoise};
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
+use presight::io::depth_folder::DepthFolder;
 use presight::io::gltf::ImportOptions;
 use presight::io::load_sensor;
 use presight::io::log::{Frames, Observation};
@@ -24,7 +27,8 @@ const EXAMPLES: &str = "Examples:
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
 ///
-/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt), a file of ranges (a log of
+/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt) or of grey images (grey/*.png beside
+/// or instead of the depth images, in which the features of --layer are looked for), a file of ranges (a log of
 /// format 1, or a document of planar scans), or a scan or a folder of scans (.ply, .pcd, .csv, .exr). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
 /// for. Beside FILE.tum, FILE.jsonl gets covariance, state and verdicts of every frame. A frame at which the pose is not known has
 /// no line in FILE.tum.
@@ -75,6 +79,18 @@ pub struct Drive {
     #[arg(long, value_name = "PART", default_value_t = 0.1)]
     odometry_sigma: f64,
 
+    /// The camera of the grey images beside depth images [default: LOG/grey.toml, or the sensor of the depth images]
+    #[arg(long, value_name = "PRESET|FILE")]
+    grey_sensor: Option<String>,
+
+    /// Features of this layer: those that are looked for in grey images
+    #[arg(long = "layer", value_name = "FILE.json")]
+    pub layers: Vec<PathBuf>,
+
+    /// The features that the scene has itself, too
+    #[arg(long)]
+    pub own_features: bool,
+
     /// Height of the robot's frame where it is looked for in the whole map, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
     floor: f64,
@@ -92,12 +108,53 @@ pub struct Drive {
     pub threads: usize,
 }
 
+/// What was sensed at one time.
+pub struct Sensed<'a> {
+    /// What the log is of.
+    pub frame: &'a Frame,
+    /// The grey image beside it.
+    pub grey: Option<&'a Frame>,
+}
+
+impl Sensed<'_> {
+    /// The frame that is a grey image, whether beside ranges or instead of them.
+    pub fn grey(&self) -> Option<&Frame> {
+        self.grey.or(self.frame.grey().map(|_| self.frame))
+    }
+}
+
+/// What became of the features of one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FeatureCounts {
+    /// Predicted ones, by [`FeatureClass::NAMES`].
+    pub classes: [usize; 4],
+    /// Found ones that nothing predicted.
+    pub only_found: usize,
+}
+
+impl FeatureCounts {
+    /// Of all grey images of a time; `None` without one.
+    fn of(findings: &[Findings]) -> Option<Self> {
+        let count = |name: &str| findings.iter().map(|f| f.count(name)).sum();
+        let only_found = findings.iter().map(|f| f.only_found.len()).sum();
+        (!findings.is_empty()).then(|| Self { classes: FeatureClass::NAMES.map(count), only_found })
+    }
+
+    /// Names and numbers, for files and pages.
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, usize)> {
+        FeatureClass::NAMES.into_iter().zip(self.classes).chain(std::iter::once(("only_found", self.only_found)))
+    }
+}
+
 /// A drive that was followed to its end.
+#[derive(Default)]
 pub struct Followed {
     /// What became of each frame; images of verdicts are left out.
     pub steps: Vec<Step>,
     /// Pixels of each verdict, by frame.
     pub counts: Vec<[usize; 7]>,
+    /// What became of predicted features, where there was a grey image.
+    pub features: Vec<Option<FeatureCounts>>,
     /// world_from_robot by the log itself, by frame.
     pub reference: Vec<Option<Pose>>,
 }
@@ -110,12 +167,15 @@ impl Drive {
     pub fn follow(
         &self,
         files: OutputFiles,
-        mut visit: impl FnMut(&Scene, &Frame, &Step) -> Result<()>,
+        mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         files.check_named([self.log.as_path(), self.map.as_path()])?;
+        files.check_named(self.layers.iter().map(PathBuf::as_path))?;
         let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-        let mut log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?
+        let log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?;
+        let measured = log.sensor().clone();
+        let mut log = log
             .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
             .map(|o| o.and_then(|o| self.thinned(o)));
         let Some(first) = log.next().transpose()? else {
@@ -126,20 +186,30 @@ impl Drive {
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor())?);
         let scene = open_scene(&self.map, &import, Scheme::default())?;
-        let estimator = Estimator::new(Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?, options);
+        let mut grey = self.grey(&measured)?;
+        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
+        let mut estimator = Estimator::new(predictor, options);
+        let camera = grey.as_ref().map(DepthFolder::sensor).or(first.frame.grey().map(|_| first.frame.sensor()));
+        if let Some(placed) = camera.map(|camera| self.placed(&scene, camera)).transpose()?.flatten() {
+            estimator = estimator.with_features(placed);
+        }
         let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
         // Panoramas of the whole map are not made before they are needed.
         let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
         files.check_read()?;
-        let mut followed = Followed { steps: Vec::new(), counts: Vec::new(), reference: Vec::new() };
+        let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
-            let mut step = localizer.step(&scene.world, &frame)?;
+            let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
+            let beside: Vec<&Frame> = grey.iter().collect();
+            let mut step = localizer.step_together(&scene.world, &frame, &beside)?;
             if may_search && step.phase == Phase::Lost {
                 localizer.search_everywhere(&scene.world, frame.sensor(), self.search())?;
                 may_search = false;
             }
-            visit(&scene, &frame, &step)?;
+            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
+            followed.features.push(FeatureCounts::of(&step.estimate.findings));
+            step.estimate.findings.clear();
             followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
             step.estimate.verdicts.clear();
             followed.steps.push(step);
@@ -148,8 +218,34 @@ impl Drive {
         Ok(followed)
     }
 
+    /// The grey images beside depth images, if the log has some.
+    fn grey(&self, depth: &Sensor) -> Result<Option<DepthFolder>> {
+        let sensor = self.grey_sensor.as_deref().map(load_sensor).transpose()?;
+        print::notices(sensor.iter().flat_map(|(_, notices)| notices));
+        if !self.log.is_dir() {
+            return Ok(None);
+        }
+        DepthFolder::grey_beside(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), depth)
+    }
+
+    /// The features that a sensor may find; `None` if none are asked for.
+    pub fn placed(&self, scene: &Scene, sensor: &Sensor) -> Result<Option<PlacedFeatures>> {
+        let class = &sensor.spec().class;
+        if self.own_features && scene.world.environment().layer(class).is_none() {
+            let what = format!("--own-features: the scene has none for class {class:?}");
+            return Err(Error::usage(what, "give a --layer (presight features generates one)"));
+        }
+        let asked = self.own_features || !self.layers.is_empty();
+        Ok(asked.then(|| scene.place_layers(&self.layers, class)).transpose()?.map(|p| p.placed))
+    }
+
     fn thinned(&self, observation: Observation) -> Result<Observation> {
-        let frame: Frame = if self.stride > 1 { observation.frame.thinned(self.stride)? } else { observation.frame };
+        // Edges would be lost in a grey image of every N-th pixel.
+        let frame: Frame = if self.stride > 1 && observation.frame.grey().is_none() {
+            observation.frame.thinned(self.stride)?
+        } else {
+            observation.frame
+        };
         Ok(Observation { frame, ..observation })
     }
 
@@ -239,7 +335,10 @@ fn write(path: &Path, steps: &[Step]) -> Result<()> {
 
 fn write_details(path: &Path, followed: &Followed) -> Result<()> {
     write_atomically(path, |file| {
-        for (s, counts) in followed.steps.iter().zip(&followed.counts) {
+        for (k, (s, counts)) in followed.steps.iter().zip(&followed.counts).enumerate() {
+            let features = followed.features[k].map(|f| -> serde_json::Map<String, serde_json::Value> {
+                f.named().map(|(name, count)| (name.to_owned(), count.into())).collect()
+            });
             let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
             let verdicts: serde_json::Map<String, serde_json::Value> =
                 Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), (*n).into())).collect();
@@ -247,6 +346,7 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
                 "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
                 "translation": s.pose.translation.to_array(), "rotation_xyzw": s.pose.rotation.to_array(),
                 "covariance": s.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
+                "features": features,
                 "predictions": s.estimate.predictions,
                 "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
             });

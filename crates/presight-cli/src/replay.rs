@@ -1,17 +1,19 @@
 //! `presight replay`: a drive as pictures, and a page to leaf through them.
 
-use super::localize::{Drive, Followed, summary};
+use super::localize::{Drive, FeatureCounts, Followed, Sensed, summary};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
 use presight::estimate::nees;
+use presight::extract::Findings;
 use presight::features::{BoxOptions, FeatureOptions, Hidden, sensor_covariance};
 use presight::frame::Frame;
 use presight::io::atomic::write_atomically;
-use presight::io::png::{Comparison, Overlay, write_comparison};
+use presight::io::png::{Comparison, GreyMark, GreyPanel, Overlay, write_comparison};
 use presight::localize::Step;
+use presight::matching::Shape;
 use presight::verdict::Verdict as Judged;
-use presight::{Backend, Error, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene};
+use presight::{Backend, Error, Images, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene};
 use presight_studies::replay::{Leaf, page};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -23,20 +25,13 @@ const EXAMPLES: &str = "Examples:
 /// Show a drive: a picture for each frame, and a page to leaf through them
 ///
 /// The robot is followed as `localize` does. DIR gets frames/*.png - predicted, sensed, and the verdict of each pixel - and
-/// index.html with the trajectory, states, and how far off and how sure the poses are.
+/// index.html with the trajectory, states, and how far off and how sure the poses are. With --layer they show its features and the
+/// regions of interest in which they are looked for, and of grey images what was matched.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(flatten)]
     drive: Drive,
-
-    /// Draw the features of this layer, and the regions of interest in which they are looked for
-    #[arg(long = "layer", value_name = "FILE.json")]
-    layers: Vec<PathBuf>,
-
-    /// Draw the features that the scene has itself, too
-    #[arg(long)]
-    own_features: bool,
 
     /// How far off the log's own poses may be, one standard deviation, metres: it counts in the NEES
     #[arg(long, value_name = "METRES", default_value_t = 0.0)]
@@ -62,6 +57,16 @@ const LEGEND: [(&str, [u8; 3]); 7] = [
     ("not predicted", [0xcc, 0x79, 0xa7]),
 ];
 
+/// Predicted features of a grey image by class, and what was found, likewise.
+const FEATURES: [(&str, [u8; 3]); 6] = [
+    ("matched", [0x00, 0xd0, 0x9c]),
+    ("occluded", [0xff, 0x8c, 0x42]),
+    ("missing", [0x56, 0xb4, 0xe9]),
+    ("undecidable", [0x8a, 0x90, 0x9c]),
+    ("found", [0xff, 0xe1, 0x4d]),
+    ("only found", [0xcc, 0x79, 0xa7]),
+];
+
 /// Runs the command.
 ///
 /// # Errors
@@ -76,20 +81,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let mut files = OutputFiles::new();
     files.add_folder(&args.out, &["index.html"])?;
-    files.check_named(args.layers.iter().map(PathBuf::as_path))?;
     let frames = args.out.join("frames");
     let (mut painter, mut pictures) = (None, Vec::new());
-    let followed = args.drive.follow(files, |scene, frame, step| {
+    let followed = args.drive.follow(files, |scene, sensed, step| {
         let painter = match &mut painter {
             Some(painter) => painter,
             None => {
                 folder::ready(&args.out)?;
                 folder::ready(&frames)?;
-                painter.insert(Painter::new(args, scene, frame)?)
+                painter.insert(Painter::new(args, scene, sensed)?)
             }
         };
         let name = format!("{:06}.png", pictures.len());
-        painter.paint(scene, frame, step, &frames.join(&name))?;
+        painter.paint(scene, sensed, step, &frames.join(&name))?;
         pictures.push(format!("frames/{name}"));
         Ok(())
     })?;
@@ -113,24 +117,36 @@ struct Painter {
 }
 
 impl Painter {
-    fn new(args: &Args, scene: &Scene, frame: &Frame) -> Result<Self> {
+    fn new(args: &Args, scene: &Scene, sensed: &Sensed<'_>) -> Result<Self> {
         let threads = presight::Threads::from(args.drive.threads).started()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-        let class = &frame.sensor().spec().class;
-        if args.own_features && scene.world.environment().layer(class).is_none() {
-            let what = format!("--own-features: the scene has none for class {class:?}");
-            return Err(Error::usage(what, "give a --layer (presight features generates one)"));
-        }
-        let asked = args.own_features || !args.layers.is_empty();
-        let placed = asked.then(|| scene.place_layers(&args.layers, class)).transpose()?;
+        // Features of grey images are drawn over these.
+        let own = sensed.grey().is_none();
+        let placed = own.then(|| args.drive.placed(scene, sensed.frame.sensor())).transpose()?.flatten();
         Ok(Self {
             predictor,
-            features: placed.map(|p| FeatureOptions::default().with_hidden(Hidden::Full).with_placed(p.placed)),
+            features: placed.map(|p| FeatureOptions::default().with_hidden(Hidden::Full).with_placed(p)),
         })
     }
 
-    fn paint(&mut self, scene: &Scene, frame: &Frame, step: &Step, path: &Path) -> Result<()> {
-        let sensor = frame.sensor();
+    fn paint(&mut self, scene: &Scene, sensed: &Sensed<'_>, step: &Step, path: &Path) -> Result<()> {
+        let marks = step.estimate.findings.first().map(marks).unwrap_or_default();
+        let grey = sensed.grey().and_then(Frame::grey);
+        let grey = grey.map(|image| GreyPanel { image, marks: &marks, legend: &FEATURES });
+        let (frame, sensor) = (sensed.frame, sensed.frame.sensor());
+        if frame.grey().is_some() {
+            let nothing = Images::default();
+            let alone = Comparison {
+                sensor,
+                predicted: &nothing,
+                sensed: &[],
+                verdicts: &[],
+                legend: &LEGEND,
+                features: None,
+                grey,
+            };
+            return write_comparison(path, &alone);
+        }
         let world_from_robot = step.estimate.pose;
         let world_from_sensor = world_from_robot * sensor.spec().mount;
         let mut request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]));
@@ -163,9 +179,22 @@ impl Painter {
             verdicts: &judged,
             legend: &LEGEND,
             features: overlay.as_ref(),
+            grey,
         };
         write_comparison(path, &comparison)
     }
+}
+
+/// What was predicted in a grey image in the colours of its classes, and over it what was found.
+fn marks(findings: &Findings) -> Vec<GreyMark> {
+    let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
+    let mark = |shape: &Shape, kind: usize, radius: f64| GreyMark { points: shape.points().to_vec(), kind, radius };
+    let mut marks: Vec<GreyMark> =
+        findings.features.iter().map(|f| mark(&f.predicted, kind(f.class.name()), 1.6)).collect();
+    let only = findings.only_found.iter().map(|at| &findings.detections[*at].shape);
+    marks.extend(only.map(|shape| mark(shape, kind("only found"), 0.8)));
+    marks.extend(findings.matched().map(|(_, found)| mark(&found.shape, kind("found"), 0.8)));
+    marks
 }
 
 /// What the page tells of a frame. `extra` is what the log's own poses may be off, metres and radians.
@@ -191,6 +220,7 @@ fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf
         weak: step.estimate.weak.iter().map(|w| w.name.clone()).collect(),
         explained: step.estimate.explained,
         verdicts: Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name(), *n as f64 / pixels)).collect(),
+        features: followed.features[k].iter().flat_map(FeatureCounts::named).collect(),
         reference: truth.map(|t| t.translation.to_array()),
         off: known.map(|t| {
             let metres = step.pose.translation.distance(t.translation);

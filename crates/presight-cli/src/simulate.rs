@@ -7,19 +7,26 @@ use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::{depth_folder, load_sensor, png, sensor_toml, tum};
-use presight::simulate::{Disturbances, Simulator, Walkers, displace};
+use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Threads};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight simulate hall.glb --sensor laser-range-camera --poses drive.tum --out run
-  presight localize run --map hall.glb --sensor run/sensor.toml --init reference --out run.tum";
+  presight localize run --map hall.glb --sensor run/sensor.toml --init reference --out run.tum
+  presight features hall.glb --class video --out edges.json
+  presight simulate hall.glb --sensor laser.toml --grey video-camera --poses drive.tum --out both
+  presight localize both --map hall.glb --sensor both/sensor.toml --layer edges.json --init reference --out both.tum";
+
+/// Blur of a camera that is in focus, one standard deviation, pixels.
+const BLUR: f64 = 0.7;
 
 /// Simulate a log: depth images of a drive with noise, drop-outs and mixed pixels, and the truth beside them
 ///
-/// DIR gets what `localize` reads - camera.json, depth/*.png, poses.txt - and sensor.toml. Depths are whole millimetres. The
-/// same seed gives the same log.
+/// DIR gets what `localize` reads - camera.json, depth/*.png, poses.txt - and sensor.toml. Depths are whole millimetres. With
+/// --grey it gets grey images of a second camera, too: grey/*.png and grey.toml. Their light is at that camera. The same seed
+/// gives the same log.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -29,6 +36,14 @@ pub struct Args {
     /// The camera, with its noise and mount
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: String,
+
+    /// A camera beside it, whose grey images are simulated, too
+    #[arg(long, value_name = "PRESET|FILE")]
+    grey: Option<String>,
+
+    /// Noise of the grey images, one standard deviation; 1 is white
+    #[arg(long, value_name = "VALUE", default_value_t = 0.01)]
+    grey_noise: f64,
 
     /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw, times of at least 0
     #[arg(long, value_name = "FILE.tum")]
@@ -73,7 +88,7 @@ pub struct Args {
 /// Those of the scene, the sensor and the poses, and of writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
-    files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml"])?;
+    files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml"])?;
     files.check_named([args.scene.as_path(), args.poses.as_path(), Path::new(&args.sensor)])?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     super::print::notices(&notices);
@@ -86,9 +101,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut scene = open_scene(&args.scene, &import, Scheme::default())?;
-    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let disturbances =
         Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
+    let mut grey = args.grey_simulator(&threads)?;
+    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let mut simulator = Simulator::new(predictor, sensor.clone(), disturbances, args.seed)?;
     displace(&mut scene.world, args.displace, args.seed)?;
     let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
@@ -96,17 +112,39 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.check_read()?;
     folder::ready(&args.out)?;
     folder::ready(&args.out.join("depth"))?;
+    if grey.is_some() {
+        folder::ready(&args.out.join("grey"))?;
+    }
     for pose in &poses {
         walkers.walk(&mut scene.world, pose.time)?;
         let frame = simulator.frame(&scene.world, pose.time, &pose.pose)?;
         let path = args.out.join("depth").join(depth_folder::image_name(pose.time));
         super::print::notices(&png::write_depth(&path, &images(&frame), &sensor)?);
+        if let Some(grey) = &mut grey {
+            let frame = grey.frame(&scene.world, pose.time, &pose.pose)?;
+            let image = frame.grey().expect("a grey simulator gives grey images");
+            png::write_grey(&args.out.join("grey").join(depth_folder::image_name(pose.time)), image)?;
+        }
     }
     let write = |name: &str, text: &str| write_atomically(&args.out.join(name), |file| file.write_all(text.as_bytes()));
     write("camera.json", &camera)?;
     write("sensor.toml", &sensor_toml::to_string(sensor.spec()))?;
+    if let Some(grey) = &grey {
+        write("grey.toml", &sensor_toml::to_string(grey.camera().spec()))?;
+    }
     write("poses.txt", &depth_folder::poses_txt(&sensor, &poses))?;
     Ok(CommandOutcome::Done)
+}
+
+impl Args {
+    /// With another seed than the ranges have.
+    fn grey_simulator(&self, threads: &Threads) -> Result<Option<GreySimulator>> {
+        let Some(name) = &self.grey else { return Ok(None) };
+        let (camera, notices) = load_sensor(name)?;
+        super::print::notices(&notices);
+        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
+        GreySimulator::new(predictor, camera, BLUR, self.grey_noise, self.seed ^ 0x6772_6579).map(Some)
+    }
 }
 
 /// The ranges of a frame as depths.

@@ -27,6 +27,8 @@ pub struct Leaf {
     pub explained: f64,
     /// Share of the pixels of each verdict, by name.
     pub verdicts: Vec<(&'static str, f64)>,
+    /// Predicted features of a grey image by what became of them, and what else was found; empty without one.
+    pub features: Vec<(&'static str, usize)>,
     /// Where the robot was by the log itself, metres.
     pub reference: Option<[f64; 3]>,
     /// How far off that is, metres and degrees.

@@ -7,7 +7,6 @@ pub mod data;
 pub mod engines;
 #[cfg(feature = "gpu")]
 pub mod faulty;
-pub mod grey;
 pub mod hall;
 pub mod hard;
 pub mod oracle;

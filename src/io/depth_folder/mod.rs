@@ -1,8 +1,11 @@
-//! Folders of depth images: `camera.json`, `depth/*.png` of 16 bits, and optionally `poses.txt`.
+//! Folders of images: `camera.json`, `depth/*.png` of 16 bits, `grey/*.png` beside or instead of these, and optionally `poses.txt`.
 //!
 //! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, optionally `distortion` (five numbers of a plumb-bob lens) and
 //! `depth_unit_m` (default 0.001). A pixel of 0 is no measurement. Images are taken in the order of their names; where a name is a
 //! number, that is the frame's time in seconds, otherwise frames are counted from 0.
+//!
+//! Grey images have 8 or 16 bits, or colours, of which the luminance is taken. Those beside depth images belong to the depth images of
+//! the same times. They may be of another camera: then `grey.toml` is its sensor file.
 //!
 //! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; what follows is not read. These poses are world_from_camera in optical
 //! axes, in the frame of the scene's file (y up).
@@ -10,7 +13,7 @@
 use super::file;
 use super::text::read_text;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, Measurement};
+use crate::frame::{Frame, GreyImage, Measurement};
 use crate::geometry::Pose;
 use crate::io::tum::StampedPose;
 use crate::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec, body_from_optical_rotation};
@@ -21,10 +24,14 @@ use serde::Deserialize;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+/// Times that differ by less, seconds, are one.
+const SAME_TIME: f64 = 1e-6;
+
 /// The frames of a folder, one at a time.
 #[derive(Debug)]
 pub struct DepthFolder {
     sensor: Sensor,
+    is_grey: bool,
     unit: f64,
     images: std::vec::IntoIter<PathBuf>,
     count: usize,
@@ -46,11 +53,35 @@ struct File {
 }
 
 impl DepthFolder {
-    /// Opens a folder. `sensor` says what `camera.json` does not: noise, limits, mount; its image must have the same size.
+    /// Opens a folder: its depth images, or its grey ones where there are no others. `sensor` says what `camera.json` does not: noise,
+    /// limits, mount; its image must have the same size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the file at fault; [`crate::ErrorKind::System`] if the system refuses.
     pub fn open(folder: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let is_grey = !folder.join("depth").exists() && folder.join("grey").exists();
+        Self::of_images(folder, sensor, is_grey)
+    }
+
+    /// Opens the grey images beside the depth images of a folder; `None` if there are none. `sensor` is the camera that took them: by
+    /// default the one of `grey.toml`, or else the one that measured depths, `depth`.
+    ///
+    /// # Errors
+    /// As [`DepthFolder::open`], and those of the sensor file.
+    pub fn grey_beside(folder: &Path, sensor: Option<&Sensor>, depth: &Sensor) -> Result<Option<Self>> {
+        if !folder.join("grey").is_dir() || !folder.join("depth").exists() {
+            return Ok(None);
+        }
+        let own = folder.join("grey.toml");
+        let sensor = match sensor {
+            None if own.exists() => super::load_sensor(&own.to_string_lossy())?.0,
+            given => given.unwrap_or(depth).clone(),
+        };
+        let images = pngs(&folder.join("grey"))?.into_iter();
+        Ok(Some(Self { sensor, is_grey: true, unit: 1.0, images, count: 0, reference: Vec::new() }))
+    }
+
+    fn of_images(folder: &Path, sensor: Option<&Sensor>, is_grey: bool) -> Result<Self> {
         let path = folder.join("camera.json");
         let text = read_text(&path)?;
         let (own, unit) = camera(&text).map_err(|e| e.in_file(&path))?;
@@ -65,22 +96,28 @@ impl DepthFolder {
             );
             return Err(Error::invalid(what, "give the sensor that took the images").in_file(&path));
         }
-        let depth = folder.join("depth");
-        let entries = std::fs::read_dir(&depth).map_err(|e| Error::io(&depth, "list it", e))?;
-        let mut images = Vec::new();
-        for entry in entries {
-            let path = entry.map_err(|e| Error::io(&depth, "list it", e))?.path();
-            if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
-                images.push(path);
-            }
-        }
-        images.sort();
-        if images.is_empty() {
-            return Err(Error::invalid("there is no .png file", "give depth images of 16 bits").in_file(&depth));
-        }
+        let images = pngs(&folder.join(if is_grey { "grey" } else { "depth" }))?.into_iter();
         let poses = folder.join("poses.txt");
         let reference = if poses.exists() { reference(&poses)? } else { Vec::new() };
-        Ok(Self { sensor, unit, images: images.into_iter(), count: 0, reference })
+        Ok(Self { sensor, is_grey, unit, images, count: 0, reference })
+    }
+
+    /// The next frame, if it is of this time; frames before it are passed over.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for an image that cannot be read.
+    pub fn next_at(&mut self, time: f64) -> Result<Option<Frame>> {
+        while let Some(path) = self.images.as_slice().first() {
+            let stamp = self.stamp(path);
+            if stamp > time + SAME_TIME {
+                return Ok(None);
+            }
+            match self.next() {
+                Some(frame) if stamp >= time - SAME_TIME => return frame.map(Some),
+                _ => {}
+            }
+        }
+        Ok(None)
     }
 
     /// The sensor that measured.
@@ -93,11 +130,14 @@ impl DepthFolder {
         &self.reference
     }
 
-    fn frame(&self, path: &Path) -> Result<Frame> {
+    fn stamp(&self, path: &Path) -> f64 {
         let stamp = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse::<f64>().ok());
-        let stamp = stamp.filter(|s| s.is_finite()).unwrap_or(self.count as f64);
-        let wrong =
-            |what: String| Error::invalid(what, "give a PNG of 16 bits grey, depth in whole units").in_file(path);
+        stamp.filter(|s| s.is_finite()).unwrap_or(self.count as f64)
+    }
+
+    fn frame(&self, path: &Path) -> Result<Frame> {
+        let remedy = if self.is_grey { "give a grey PNG" } else { "give a PNG of 16 bits grey, depth in whole units" };
+        let wrong = |what: String| Error::invalid(what, remedy).in_file(path);
         let file = BufReader::new(file::open(path)?);
         let decoder = PngDecoder::new(file).map_err(|e| wrong(e.to_string()))?;
         // Before anything is decoded: a small file may claim a huge image.
@@ -106,15 +146,37 @@ impl DepthFolder {
         if (w, h) != size {
             return Err(wrong(format!("{w} x {h} pixels; the camera has {} x {}", size.0, size.1)));
         }
-        let DynamicImage::ImageLuma16(picture) =
-            DynamicImage::from_decoder(decoder).map_err(|e| wrong(e.to_string()))?
-        else {
-            return Err(wrong("this is no image of 16 bits grey".into()));
+        let picture = DynamicImage::from_decoder(decoder).map_err(|e| wrong(e.to_string()))?;
+        let sensed = if self.is_grey {
+            let grey = picture.into_luma16().into_raw();
+            let bright = |v: u16| f32::from(v) / f32::from(u16::MAX);
+            Measurement::Grey(GreyImage::new(w, h, grey.into_iter().map(bright).collect())?)
+        } else {
+            let DynamicImage::ImageLuma16(picture) = picture else {
+                return Err(wrong("this is no image of 16 bits grey".into()));
+            };
+            let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
+            Measurement::DepthZ(picture.as_raw().iter().map(metres).collect())
         };
-        let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
-        let depth = picture.as_raw().iter().map(metres).collect();
-        Frame::new(stamp, self.sensor.clone(), Measurement::DepthZ(depth)).map_err(|e| e.in_file(path))
+        Frame::new(self.stamp(path), self.sensor.clone(), sensed).map_err(|e| e.in_file(path))
     }
+}
+
+/// The images of a folder, by name.
+fn pngs(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list it", e))?;
+    let mut images = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| Error::io(folder, "list it", e))?.path();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+            images.push(path);
+        }
+    }
+    images.sort();
+    if images.is_empty() {
+        return Err(Error::invalid("there is no .png file", "give images").in_file(folder));
+    }
+    Ok(images)
 }
 
 impl Iterator for DepthFolder {

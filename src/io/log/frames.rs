@@ -25,7 +25,7 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Opens a log: a folder of depth images ([`crate::io::depth_folder`]), one or a folder of scans ([`super::scans`]), or a file of
+    /// Opens a log: a folder of depth or grey images ([`crate::io::depth_folder`]), one or a folder of scans ([`super::scans`]), or a file of
     /// ranges ([`super::open`]). `sensor` says what the log does not (noise, limits, mount) and has the same image, but for scans
     /// of points, whose rays are their own; `noise` says how good odometry is.
     ///
@@ -47,7 +47,9 @@ impl Frames {
     /// Those of [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with another image.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
         match path.is_dir() {
-            true if path.join("camera.json").exists() || path.join("depth").exists() => Self::of_folder(path, sensor),
+            true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
+                Self::of_folder(path, sensor)
+            }
             false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
             _ => Self::of_scans(path, sensor),
         }

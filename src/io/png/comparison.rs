@@ -1,7 +1,7 @@
 //! What was predicted beside what was sensed, and what each pixel says of it.
 
 use super::canvas::{Canvas, FAINT, INK, PageRect, Rgb, TEXT_HEIGHT, text_width};
-use super::color::{MISS, Palette};
+use super::color::{MISS, Palette, grey as gray};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::polar::{self, Map};
 use super::scale::Scale;
@@ -10,6 +10,7 @@ use super::view::{self, FOOTER, HEADER, MARGIN};
 use super::{encode, is_one_row_scan};
 use crate::error::{Error, Result};
 use crate::features::FeaturePrediction;
+use crate::frame::GreyImage;
 use crate::io::atomic::write_atomically;
 use crate::plan::{Images, Output};
 use crate::sensor::Sensor;
@@ -33,6 +34,30 @@ pub struct Comparison<'a> {
     pub legend: &'a [(&'a str, [u8; 3])],
     /// Features, and the regions of interest in which they are looked for.
     pub features: Option<&'a Overlay<'a>>,
+    /// A grey image that was taken at the same time, and what was found in it.
+    pub grey: Option<GreyPanel<'a>>,
+}
+
+/// A grey image with what was predicted and found in it.
+#[derive(Clone, Copy, Debug)]
+pub struct GreyPanel<'a> {
+    /// The image.
+    pub image: &'a GreyImage,
+    /// What is drawn over it, the first lowest.
+    pub marks: &'a [GreyMark],
+    /// Names and colours (sRGB) of marks.
+    pub legend: &'a [(&'a str, [u8; 3])],
+}
+
+/// A point or a line over a grey image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GreyMark {
+    /// Columns and rows.
+    pub points: Vec<DVec2>,
+    /// Index into the legend.
+    pub kind: usize,
+    /// Half of its width on the page, pixels.
+    pub radius: f64,
 }
 
 /// Widest panel where three stand side by side, pixels.
@@ -59,6 +84,12 @@ pub fn write_comparison(path: &Path, comparison: &Comparison<'_>) -> Result<()> 
 pub(super) fn draw(c: &Comparison<'_>) -> Result<Canvas> {
     let pixels = c.sensor.width() as usize * c.sensor.height() as usize;
     let images = [("predicted", c.predicted.range.len()), ("sensed", c.sensed.len()), ("judged", c.verdicts.len())];
+    if let Some(grey) = &c.grey
+        && c.sensed.is_empty()
+        && c.predicted.range.is_empty()
+    {
+        return Ok(grey_alone(grey));
+    }
     let wrong = |(name, len): &(&str, usize)| *len != pixels && !(*name == "judged" && *len == 0);
     if let Some((name, len)) = images.into_iter().find(wrong) {
         let what = format!("{len} pixels are {name}, the sensor has {pixels}");
@@ -87,18 +118,29 @@ fn panels(c: &Comparison<'_>) -> Canvas {
     if !c.verdicts.is_empty() {
         drawn.push(("verdicts", &sensed, Palette::of_classes(c.verdicts, c.legend), None));
     }
-    let n = drawn.len() as u32;
+    let n = drawn.len() as u32 + u32::from(c.grey.is_some());
     let (across, down) = if stacked { (1, n) } else { (n, 1) };
     let page_width = across * (width + MARGIN) + MARGIN;
     let below = MARGIN + down * (HEADER + height + MARGIN);
     let lines = legend_lines(c.legend, page_width);
-    let mut canvas = Canvas::new(page_width, below + FOOTER + legend_height(c, &lines) + MARGIN);
-    for (k, (name, images, palette, overlay)) in (0..).zip(&drawn) {
+    let of_features = c.grey.map_or_else(Vec::new, |grey| legend_lines(grey.legend, page_width));
+    let own = legend_height(c, &lines);
+    let mut canvas = Canvas::new(page_width, below + FOOTER + own + LEGEND * of_features.len() as u32 + MARGIN);
+    let cell = |k: u32| {
         let (column, row) = if stacked { (0, k) } else { (k, 0) };
-        let (left, top) = (MARGIN + column * (width + MARGIN), MARGIN + row * (HEADER + height + MARGIN));
+        (MARGIN + column * (width + MARGIN), MARGIN + row * (HEADER + height + MARGIN))
+    };
+    for (k, (name, images, palette, overlay)) in (0..).zip(&drawn) {
+        let (left, top) = cell(k);
         canvas.text(left, top, name, INK);
         let frame = PageRect { left, top: top + HEADER, width, height };
         view::draw_image(&mut canvas, frame, images, c.sensor, palette, *overlay);
+    }
+    if let Some(grey) = &c.grey {
+        let (left, top) = cell(n - 1);
+        canvas.text(left, top, "grey", INK);
+        draw_grey(&mut canvas, PageRect { left, top: top + HEADER, width, height }, grey);
+        draw_names(&mut canvas, &of_features, below + FOOTER + own);
     }
     let mut colors = palette(&both);
     // Where something was sensed, NaN is no measurement.
@@ -182,8 +224,16 @@ fn legend_height<T>(c: &Comparison<'_>, lines: &[T]) -> u32 {
 }
 
 fn draw_legends(canvas: &mut Canvas, c: &Comparison<'_>, lines: &[Vec<(u32, &str, Rgb)>], top: u32) {
+    let shown = if c.verdicts.is_empty() { &[][..] } else { lines };
+    draw_names(canvas, shown, top);
+    if c.features.is_some() {
+        legend(canvas, MARGIN, top + LEGEND * (shown.len() as u32 + 1) - TEXT_HEIGHT);
+    }
+}
+
+fn draw_names(canvas: &mut Canvas, lines: &[Vec<(u32, &str, Rgb)>], top: u32) {
     let mut y = top + LEGEND - TEXT_HEIGHT;
-    for line in lines.iter().filter(|_| !c.verdicts.is_empty()) {
+    for line in lines {
         for (x, name, color) in line {
             canvas.fill(*x, y, SQUARE, SQUARE, FAINT);
             canvas.fill(x + 1, y + 1, SQUARE - 2, SQUARE - 2, *color);
@@ -191,7 +241,48 @@ fn draw_legends(canvas: &mut Canvas, c: &Comparison<'_>, lines: &[Vec<(u32, &str
         }
         y += LEGEND;
     }
-    if c.features.is_some() {
-        legend(canvas, MARGIN, y);
+}
+
+/// A grey image that nothing else was measured with.
+fn grey_alone(grey: &GreyPanel<'_>) -> Canvas {
+    let enlarged = (2.0 * PANEL / f64::from(grey.image.width())).clamp(1.0, 4.0);
+    let [width, height] =
+        [grey.image.width(), grey.image.height()].map(|side| ((f64::from(side) * enlarged) as u32).max(24));
+    let page_width = width + 2 * MARGIN;
+    let lines = legend_lines(grey.legend, page_width);
+    let below = MARGIN + HEADER + height + MARGIN;
+    let mut canvas = Canvas::new(page_width, below + LEGEND * lines.len() as u32 + MARGIN);
+    canvas.text(MARGIN, MARGIN, "grey", INK);
+    draw_grey(&mut canvas, PageRect { left: MARGIN, top: MARGIN + HEADER, width, height }, grey);
+    draw_names(&mut canvas, &lines, below);
+    canvas
+}
+
+/// As large as fits into a frame.
+fn draw_grey(canvas: &mut Canvas, cell: PageRect, grey: &GreyPanel<'_>) {
+    let (w, h) = (grey.image.width(), grey.image.height());
+    let scale = (f64::from(cell.width) / f64::from(w)).min(f64::from(cell.height) / f64::from(h));
+    let [width, height] = [w, h].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+    let frame = PageRect { width, height, ..cell };
+    for y in 0..height {
+        for x in 0..width {
+            let at = |i: u32, drawn: u32, side: u32| (u64::from(i) * u64::from(side) / u64::from(drawn)) as u32;
+            let value = grey.image.pixel(at(x, width, w), at(y, height, h));
+            let color = if value.is_nan() { MISS } else { gray(f64::from(value)) };
+            canvas.set(i64::from(frame.left + x), i64::from(frame.top + y), color);
+        }
     }
+    let page = |p: DVec2| {
+        let at = (p + 0.5) * scale;
+        [f64::from(frame.left) + at.x, f64::from(frame.top) + at.y]
+    };
+    canvas.inside(frame, |canvas| {
+        for mark in grey.marks {
+            let color = grey.legend.get(mark.kind).map_or(FAINT, |(_, color)| *color);
+            match &mark.points[..] {
+                [at] => canvas.disc(page(*at), 2.5 * mark.radius, color),
+                points => points.windows(2).for_each(|p| canvas.stroke(page(p[0]), page(p[1]), mark.radius, color)),
+            }
+        }
+    });
 }

@@ -13,12 +13,13 @@ mod view;
 
 use super::atomic::write_atomically;
 use crate::error::{Error, Result};
+use crate::frame::GreyImage;
 use crate::plan::{Images, Output, Outputs};
 use crate::sensor::{Geometry, Sensor};
 use crate::virtual_sensors::Mask;
 use canvas::Canvas;
 use color::Palette;
-pub use comparison::{Comparison, write_comparison};
+pub use comparison::{Comparison, GreyMark, GreyPanel, write_comparison};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use overlay::Overlay;
@@ -147,6 +148,19 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
     })?;
     let notice = || format!("{}: {beyond} pixels beyond 65.535 m are written as 0", path.display());
     Ok((beyond > 0).then(notice).into_iter().collect())
+}
+
+/// Writes a 16-bit grey image, 0 black and 1 white; what is beyond is as these, and NaN is black.
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the file cannot be written.
+pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
+    // A cast takes NaN to 0.
+    let values = image.values().iter().map(|v| (v.clamp(0.0, 1.0) * f32::from(u16::MAX)).round() as u16);
+    let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
+    write_atomically(path, |file| {
+        encode(BufWriter::new(file), &bytes, image.width(), image.height(), ExtendedColorType::L16)
+    })
 }
 
 /// Writes a mask with marked pixels white and the others black, in the pixel order of the images.

@@ -169,3 +169,55 @@ fn scans_of_points_are_logs() {
     assert_eq!(cut.status, Some(1), "{}", cut.stderr);
     assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is cut"), "{}", cut.stderr);
 }
+
+/// Grey images beside depth images, and instead of them: features of a layer are looked for, classed, told and drawn.
+#[test]
+fn grey_images_are_followed_and_shown() {
+    let place = drive();
+    let video = CAMERA.replace("laser", "video").replace("60", "120").replace("80", "160").replace("70.0", "140.0");
+    let video = video.replace("39.5", "79.5").replace("29.5", "59.5");
+    place.write("video.toml", video.as_bytes());
+    let made = place.run("features room.glb --class video --out edges.json");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    let drive = fs::read_to_string(place.path("drive.tum")).unwrap();
+    let short: String = drive.lines().take(3).map(|line| format!("{line}\n")).collect();
+    place.write("short.tum", short.as_bytes());
+    let made = place.run("simulate room.glb --sensor camera.toml --grey video.toml --poses short.tum --out both");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    assert_eq!(fs::read_dir(place.path("both/grey")).unwrap().count(), 3);
+    let line =
+        "localize both --map room.glb --sensor both/sensor.toml --layer edges.json --init reference --out both.tum";
+    let done = place.run(line);
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    assert!(done.stdout.contains("3 of 3 frames have a pose"), "{}", done.stdout);
+    let matched = |details: &str| {
+        let text = fs::read_to_string(place.path(details)).unwrap();
+        let last: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        (last["features"]["matched"].as_u64(), last["verdicts"]["confirmed"].as_u64())
+    };
+    let (features, confirmed) = matched("both.jsonl");
+    assert!(features.unwrap() >= 4 && confirmed.unwrap() > 2000, "{features:?} {confirmed:?}");
+    // The grey images by themselves, of the camera that the log says.
+    fs::rename(place.path("both/depth"), place.path("depth")).unwrap();
+    let alone = "localize both --map room.glb --sensor both/sensor.toml --init reference --out x.tum";
+    let camera = place.run(alone);
+    assert!(camera.status != Some(0), "the images are not of the depth camera's size: {camera:?}");
+    let text = fs::read_to_string(place.path("both/camera.json")).unwrap();
+    let text = text.replace(":60", ":120").replace(":80", ":160").replace(":70.0", ":140.0");
+    place.write("both/camera.json", text.replace(":39.5", ":79.5").replace(":29.5", ":59.5").as_bytes());
+    let alone = "localize both --map room.glb --sensor both/grey.toml --init reference --out alone.tum";
+    let without = place.run(alone);
+    assert!(without.status == Some(2) && without.stderr.contains("layer"), "{without:?}");
+    let done = place.run(&format!("{alone} --layer edges.json"));
+    assert!(done.status == Some(0) && done.stdout.contains("of 3 frames have a pose"), "{done:?}");
+    let (features, confirmed) = matched("alone.jsonl");
+    assert!(features.is_some() && confirmed == Some(0), "nothing is known of ranges: {features:?} {confirmed:?}");
+    #[cfg(feature = "report")]
+    {
+        let line = "replay both --map room.glb --sensor both/grey.toml --init reference --layer edges.json --out shown";
+        let shown = place.run(line);
+        assert_eq!(shown.status, Some(0), "{}", shown.stderr);
+        assert_eq!(fs::read_dir(place.path("shown/frames")).unwrap().count(), 3);
+        assert!(fs::read_to_string(place.path("shown/index.html")).unwrap().contains("only_found"));
+    }
+}

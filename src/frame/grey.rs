@@ -38,6 +38,16 @@ impl GreyImage {
         self.height
     }
 
+    /// Row by row.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// One pixel's value. Panics outside of the image.
+    pub(crate) fn pixel(&self, column: u32, row: u32) -> f32 {
+        self.values[row as usize * self.width as usize + column as usize]
+    }
+
     /// Between the four pixels around a place (column, row); NaN outside of the image and beside a pixel without a measurement.
     pub fn at(&self, place: DVec2) -> f64 {
         let (w, h) = (self.width as usize, self.height as usize);
@@ -49,5 +59,24 @@ impl GreyImage {
         let (c1, r1) = ((c + 1).min(w - 1), (r + 1).min(h - 1));
         let v = |c: usize, r: usize| f64::from(self.values[r * w + c]);
         (1.0 - y) * ((1.0 - x) * v(c, r) + x * v(c1, r)) + y * ((1.0 - x) * v(c, r1) + x * v(c1, r1))
+    }
+
+    /// Adds to each sum what is at a place, and one step further at the next; as [`GreyImage::at`], NaN outside.
+    pub(crate) fn add_along(&self, first: DVec2, step: DVec2, sums: &mut [f64]) {
+        let (w, h) = (self.width as usize, self.height as usize);
+        let last = DVec2::new(w as f64 - 1.0, h as f64 - 1.0);
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let p = first + k as f64 * step;
+            if !(p.x >= 0.0 && p.y >= 0.0 && p.x < last.x && p.y < last.y) {
+                *sum += self.at(p);
+                continue;
+            }
+            let (c, r) = (p.x as usize, p.y as usize);
+            let (x, y) = (p.x - c as f64, p.y - r as f64);
+            let [above, below] = [r, r + 1].map(|r| &self.values[r * w + c..r * w + c + 2]);
+            let between = |pair: &[f32]| f64::from(pair[0]) + x * (f64::from(pair[1]) - f64::from(pair[0]));
+            let (above, below) = (between(above), between(below));
+            *sum += above + y * (below - above);
+        }
     }
 }

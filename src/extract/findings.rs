@@ -1,0 +1,235 @@
+//! All of one frame: each predicted feature looked for in its region, matched, and classed.
+
+use super::classes::unmatched;
+use super::{
+    CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, classify, corners_in, edges_near,
+    jumps_near, verdicts_along,
+};
+use crate::environment::FeatureShape;
+use crate::error::Result;
+use crate::features::{FeaturePrediction, SeenFeature, VisibleInterval};
+use crate::frame::Frame;
+use crate::geometry::Pose;
+use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Matcher, Shape};
+use crate::sensor::Sensor;
+use crate::verdict::Verdicts;
+use glam::{DMat2, DVec2, DVec3};
+
+/// How features are looked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FindOptions {
+    /// In grey images.
+    pub edges: EdgeOptions,
+    /// In grey images.
+    pub corners: CornerOptions,
+    /// In range images.
+    pub jumps: JumpOptions,
+    /// How far across itself an edge is looked for, in standard deviations of where it is predicted.
+    pub deviations: f64,
+    /// Standard deviation of where the model has its features, pixels, beside that of the pose.
+    pub model: f64,
+}
+
+impl Default for FindOptions {
+    fn default() -> Self {
+        Self {
+            edges: EdgeOptions { least_support: 0.7, ..EdgeOptions::default() },
+            corners: CornerOptions::default(),
+            jumps: JumpOptions { least_support: 0.7, ..JumpOptions::default() },
+            deviations: 3.0,
+            model: 0.3,
+        }
+    }
+}
+
+/// A visible part of a predicted feature, and what became of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureFinding {
+    /// The feature's own number.
+    pub id: u32,
+    /// In the world, metres: both ends of a part of an edge, or a point.
+    pub points_world: Vec<DVec3>,
+    /// Where it was predicted in the image.
+    pub predicted: Shape,
+    /// What became of it; a match names a detection of [`Findings::detections`].
+    pub class: FeatureClass,
+}
+
+/// What a frame shows of predicted features (paper, section 3.5).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Findings {
+    /// What was found, each once.
+    pub detections: Vec<Detection>,
+    /// The predicted features that can be found in such a frame.
+    pub features: Vec<FeatureFinding>,
+    /// Detections that are no predicted feature.
+    pub only_found: Vec<usize>,
+}
+
+impl Findings {
+    /// Features with their detections.
+    pub fn matched(&self) -> impl Iterator<Item = (&FeatureFinding, &Detection)> {
+        self.features.iter().filter_map(|f| match f.class {
+            FeatureClass::Matched(at) => Some((f, &self.detections[at])),
+            _ => None,
+        })
+    }
+
+    /// Says of what was not matched why, as far as ranges tell: *nearer* ones mean that something unknown stands before it, *farther*
+    /// ones that it is missing.
+    pub fn explain(&mut self, ranges: &MeasuredRanges<'_>) {
+        for feature in self.features.iter_mut().filter(|f| f.class == FeatureClass::Undecidable) {
+            feature.class = unmatched(&beside(ranges, &feature.points_world));
+        }
+    }
+
+    /// How many features are of a class by name ([`FeatureClass::name`]).
+    pub fn count(&self, class: &str) -> usize {
+        self.features.iter().filter(|f| f.class.name() == class).count()
+    }
+}
+
+/// Ranges that were measured at the same time, by the same sensor or by one beside it: they tell why a feature was not found.
+#[derive(Clone, Copy, Debug)]
+pub struct MeasuredRanges<'a> {
+    /// What they say of the prediction.
+    pub verdicts: &'a Verdicts,
+    /// The sensor that measured them.
+    pub sensor: &'a Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: Pose,
+}
+
+/// Pixels beside an edge at which ranges are asked: upon the edge itself hardly anything can be decided.
+const BESIDE: f64 = 2.5;
+
+/// Looks for predicted features in a frame, each in its region, and matches all of them at least cost. In grey images these are edges
+/// and corners, in range images depth edges. The prediction has to have regions of interest
+/// ([`crate::Request::with_regions`]); features without one are left out. Why a feature is not found, [`Findings::explain`] says.
+///
+/// # Errors
+/// Those of [`classify`].
+pub fn find_features(frame: &Frame, predicted: &FeaturePrediction, options: &FindOptions) -> Result<Findings> {
+    let mut findings = Findings::default();
+    let mut expected = Vec::new();
+    for seen in &predicted.features {
+        for part in parts(seen, options) {
+            for detection in look(frame, &part, options) {
+                if !findings.detections.iter().any(|known| is_same(known, &detection)) {
+                    findings.detections.push(detection);
+                }
+            }
+            findings.features.push(FeatureFinding {
+                id: seen.feature.id,
+                points_world: part.points_world,
+                predicted: part.expected.shape.clone(),
+                class: FeatureClass::Undecidable,
+            });
+            expected.push(part.expected);
+        }
+    }
+    let matcher = Matcher { turn: crate::features::turn(frame.sensor()), ..Matcher::default() };
+    let classes = classify(&expected, &findings.detections, &matcher, &[])?;
+    for (feature, class) in findings.features.iter_mut().zip(classes.features) {
+        feature.class = class;
+    }
+    findings.only_found = classes.only_found;
+    Ok(findings)
+}
+
+/// A part of a feature that can be looked for.
+struct Part {
+    points_world: Vec<DVec3>,
+    expected: ExpectedFeature,
+    edge: Option<ExpectedEdge>,
+}
+
+/// The visible parts of a segment that are long enough, or a point.
+fn parts(seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
+    let Some(covariances) = &seen.image_covariance else { return Vec::new() };
+    let model = DMat2::from_diagonal(DVec2::splat(options.model * options.model));
+    let covariances: Vec<DMat2> = covariances.iter().map(|c| DMat2::from_cols_array_2d(c) + model).collect();
+    let properties = ExpectedProperties::default();
+    match (&seen.feature.shape, &seen.points_world[..], &covariances[..], seen.visible.first(), seen.roi) {
+        (FeatureShape::Segment { .. }, [a, b], [first, last], ..) => {
+            let part = |(part, edge): (&VisibleInterval, ExpectedEdge)| {
+                let ends = part.pixels;
+                let [x, y] = [0, 1].map(|axis| (ends[0][axis].min(ends[1][axis]), ends[0][axis].max(ends[1][axis])));
+                let reach = edge.reach;
+                Part {
+                    points_world: part.t.map(|t| a.lerp(*b, t)).into(),
+                    expected: ExpectedFeature {
+                        shape: Shape::Segment { ends, corners: [false; 2] },
+                        covariances: part.t.map(|t| *first * (1.0 - t) + *last * t).into(),
+                        window: [x.0 - reach, y.0 - reach, x.1 + reach, y.1 + reach],
+                        properties: properties.clone(),
+                    },
+                    edge: Some(edge),
+                }
+            };
+            ExpectedEdge::of_parts(seen, options.deviations).into_iter().map(part).collect()
+        }
+        (FeatureShape::Point { .. }, [at], [covariance], Some(visible), Some(window)) => vec![Part {
+            points_world: vec![*at],
+            expected: ExpectedFeature {
+                shape: Shape::Point(visible.pixels[0]),
+                covariances: vec![*covariance],
+                window,
+                properties,
+            },
+            edge: None,
+        }],
+        _ => Vec::new(),
+    }
+}
+
+fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Vec<Detection> {
+    match (frame.grey(), &part.edge) {
+        (Some(image), Some(edge)) => {
+            edges_near(image, edge, &options.edges).into_iter().map(|found| found.detection).collect()
+        }
+        (Some(image), None) => corners_in(image, PixelBox(part.expected.window), &options.corners),
+        (None, Some(edge)) => {
+            jumps_near(frame, edge, &options.jumps).into_iter().map(|found| found.detection).collect()
+        }
+        (None, None) => Vec::new(),
+    }
+}
+
+/// True if two detections are one that was found in two regions: nearer than a pixel, and beside each other.
+fn is_same(a: &Detection, b: &Detection) -> bool {
+    match (&a.shape, &b.shape) {
+        (Shape::Segment { ends: p, .. }, Shape::Segment { ends: q, .. }) => {
+            let way = p[1] - p[0];
+            let along = way.normalize_or_zero();
+            let off = q.map(|q| along.perp_dot(q - p[0]).abs());
+            let at = q.map(|q| along.dot(q - p[0]));
+            let both = at[0].max(at[1]).min(way.length()) - at[0].min(at[1]).max(0.0);
+            off[0].max(off[1]) < 1.0 && both > 0.5 * way.length().min((at[1] - at[0]).abs())
+        }
+        (Shape::Point(p), Shape::Point(q)) => p.distance(*q) < 1.0,
+        _ => false,
+    }
+}
+
+/// What ranges say beside a feature, as far as their sensor sees its place.
+fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
+    let image_from_world = (ranges.world_from_sensor * crate::verdict::body_from_image(ranges.sensor)).inverse();
+    let pixel = |p: &DVec3| {
+        let (u, v) = ranges.sensor.project(image_from_world.transform_point(*p))?;
+        Some(DVec2::new(u, v))
+    };
+    let seen: Option<Vec<DVec2>> = points_world.iter().map(pixel).collect();
+    match seen.as_deref() {
+        Some([a, b]) => verdicts_along(ranges.verdicts, [*a, *b], BESIDE),
+        // Around a point: above and below, and on both sides.
+        Some([at]) => {
+            let half = DVec2::new(BESIDE, 0.0);
+            let mut counts = verdicts_along(ranges.verdicts, [*at - half, *at + half], BESIDE);
+            let more = verdicts_along(ranges.verdicts, [*at - half.perp(), *at + half.perp()], BESIDE);
+            counts.iter_mut().zip(more).for_each(|(c, m)| *c += m);
+            counts
+        }
+        _ => [0; 7],
+    }
+}

@@ -1,0 +1,171 @@
+//! Lines through steps that were found across an expected edge: the one that most support, then least squares.
+
+use super::FoundEdge;
+use crate::matching::Detection;
+use glam::{DMat2, DVec2};
+
+/// Most stations along an edge.
+const STATIONS: usize = 96;
+/// How far a step may be from the line that it supports, pixels.
+const NEAR: f64 = 1.2;
+/// Steps on either side through which lines are tried.
+const TRIED: usize = 24;
+
+/// A line that so large a share of the stations supports is taken at once.
+const PLENTY: f64 = 0.9;
+
+/// A place across the edge at which the image changes most.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    /// Along the edge and across it, from its middle, pixels.
+    pub along: f64,
+    pub across: f64,
+    /// What is right of it less what is left.
+    pub contrast: f64,
+}
+
+/// Axes along an edge and to its right.
+pub(super) struct EdgeFrame {
+    middle: DVec2,
+    along: DVec2,
+    length: f64,
+    /// How far across the edge is looked for, pixels.
+    pub reach: f64,
+}
+
+/// How well steps are known.
+pub(super) struct StepNoise {
+    /// Of a grey value, or of what else the contrast is told in.
+    pub value: f64,
+    /// Pixels that no number of steps takes away.
+    pub floor: f64,
+}
+
+/// Which lines are told.
+pub(super) struct LineOptions {
+    /// Least share of the stations at which a line is seen.
+    pub least_support: f64,
+    /// Most lines.
+    pub most: usize,
+    pub noise: StepNoise,
+}
+
+impl EdgeFrame {
+    /// `None` for what is too short, too long or no number. `longest` bounds the reach.
+    pub fn new(ends: [DVec2; 2], reach: f64, longest: f64) -> Option<Self> {
+        let [a, b] = ends;
+        let length = a.distance(b);
+        let sound = (3.0..1e6).contains(&length) && reach >= 0.0;
+        let reach = reach.min(longest);
+        sound.then(|| Self { middle: 0.5 * (a + b), along: (b - a) / length, length, reach })
+    }
+
+    fn right(&self) -> DVec2 {
+        DVec2::new(-self.along.y, self.along.x)
+    }
+
+    pub fn place(&self, along: f64, across: f64) -> DVec2 {
+        self.middle + along * self.along + across * self.right()
+    }
+
+    /// Where along the edge steps are looked for.
+    pub fn stations(&self) -> impl ExactSizeIterator<Item = f64> + use<> {
+        let (count, length) = (((self.length / 1.5).ceil() as usize).clamp(3, STATIONS), self.length);
+        (0..count).map(move |k| length * ((k as f64 + 0.5) / count as f64 - 0.5))
+    }
+
+    /// The lines that steps lie on, the best supported first.
+    pub fn lines_through(&self, mut steps: Vec<Step>, options: &LineOptions) -> Vec<FoundEdge> {
+        let mut found = Vec::new();
+        while found.len() < options.most {
+            let Some(line) = self.best_line(&steps) else { break };
+            let mut own = Vec::new();
+            steps.retain(|s| {
+                let near = line.distance(s) <= NEAR;
+                own.extend(near.then_some(*s));
+                !near
+            });
+            match self.fitted(&own, &options.noise) {
+                Some(edge) if edge.support >= options.least_support => found.push(edge),
+                _ => break,
+            }
+        }
+        found
+    }
+
+    /// The line that most steps support, each by one at a station. Lines through pairs of far steps are tried.
+    fn best_line(&self, steps: &[Step]) -> Option<Line> {
+        let third = self.length / 6.0;
+        let (left, right): (Vec<&Step>, Vec<&Step>) =
+            (steps.iter().filter(|s| s.along < -third).collect(), steps.iter().filter(|s| s.along > third).collect());
+        // A turn is limited by the reach, too.
+        let steepest = 2.0 * (self.reach + NEAR) / self.length;
+        let enough = (PLENTY * self.stations().len() as f64).ceil() as usize;
+        let some = |all: &[&Step]| all.len().div_ceil(TRIED).max(1);
+        let mut best: Option<(usize, Line)> = None;
+        for a in left.iter().step_by(some(&left)) {
+            for b in right.iter().step_by(some(&right)) {
+                let slope = (b.across - a.across) / (b.along - a.along);
+                let line = Line { across: a.across - slope * a.along, slope };
+                // Of the same sense of contrast, too: an edge does not change it.
+                if slope.abs() > steepest || a.contrast.signum() != b.contrast.signum() {
+                    continue;
+                }
+                let votes = steps.iter().filter(|s| line.distance(s) <= NEAR && s.contrast * a.contrast > 0.0).count();
+                if best.is_none_or(|(most, _)| votes > most) {
+                    best = Some((votes, line));
+                }
+                // Hardly anything is left for another line to be better by.
+                if votes >= enough {
+                    return Some(line);
+                }
+            }
+        }
+        best.filter(|(votes, _)| *votes >= 3).map(|(_, line)| line)
+    }
+
+    /// Least squares through the steps of one line.
+    fn fitted(&self, own: &[Step], noise: &StepNoise) -> Option<FoundEdge> {
+        let n = own.len() as f64;
+        if own.len() < 3 {
+            return None;
+        }
+        let mean = |f: fn(&Step) -> f64| own.iter().map(f).sum::<f64>() / n;
+        let (t, x, contrast) = (mean(|s| s.along), mean(|s| s.across), mean(|s| s.contrast));
+        let spread = own.iter().map(|s| (s.along - t).powi(2)).sum::<f64>();
+        if !(spread > 1e-9) {
+            return None;
+        }
+        let slope = own.iter().map(|s| (s.along - t) * (s.across - x)).sum::<f64>() / spread;
+        let line = Line { across: x - slope * t, slope };
+        let scatter = (own.iter().map(|s| line.distance(s).powi(2)).sum::<f64>() / (n - 2.0).max(1.0)).sqrt();
+        let (first, last) = own.iter().fold((f64::MAX, f64::MIN), |(a, b), s| (a.min(s.along), b.max(s.along)));
+        let end = |along: f64| self.place(along, line.across + line.slope * along);
+        // One step's own error: the slope of the blurred edge turns noise of values into pixels.
+        let own_sigma = scatter.max(1.5 * noise.value / contrast.abs().max(1e-6)).max(noise.floor);
+        // At the ends the line is known least: a quarter of the points' variance each, and the turn's part.
+        let variance =
+            own_sigma * own_sigma * (1.0 / n + (0.5 * (last - first)).powi(2) / spread) + noise.floor * noise.floor;
+        let mut detection = Detection::segment([end(first), end(last)], variance.sqrt());
+        detection.covariance = DMat2::from_diagonal(DVec2::splat(variance));
+        // Two steps at one station are no more than one.
+        let mut seen: Vec<i64> = own.iter().map(|s| (s.along * 1e3) as i64).collect();
+        seen.sort_unstable();
+        seen.dedup();
+        let support = seen.len() as f64 / self.stations().len() as f64;
+        Some(FoundEdge { detection, contrast, support, scatter })
+    }
+}
+
+/// A line by its distance across the edge in the middle and its slope.
+#[derive(Clone, Copy)]
+struct Line {
+    across: f64,
+    slope: f64,
+}
+
+impl Line {
+    fn distance(&self, s: &Step) -> f64 {
+        (s.across - self.across - self.slope * s.along).abs()
+    }
+}

@@ -1,0 +1,161 @@
+//! Grey images and ranges together: poses by edges in simulated grey images (light at the camera, blur, noise), by a range camera with
+//! 1 cm of noise, and by both.
+
+use super::*;
+use presight::ErrorKind;
+use presight::estimate::{Estimate, EstimateState, Prior, nees};
+use presight::extract::FeatureClass;
+use presight::features::PlacedFeatures;
+use presight::features::generate::{GenerateOptions, generate};
+use presight::frame::GreyImage;
+use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::placement::place_layer;
+use presight::simulate::GreySimulator;
+
+/// 240 x 180 pixels, 65 degrees wide, 10 cm beside the range camera.
+fn video() -> Sensor {
+    let camera = Camera::pinhole(240, 180, 188.0, 188.0, 119.5, 89.5);
+    let mut spec = SensorSpec::new("camera", "video", Geometry::Camera(camera));
+    spec.mount = Pose::from_xyz_rpy(DVec3::new(0.0, 0.1, 0.05), 0.0, 0.05, 0.0);
+    Sensor::new(spec).unwrap()
+}
+
+fn place() -> Pose {
+    Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05)
+}
+
+fn edges(world: &World) -> PlacedFeatures {
+    let layer = generate(world.environment(), "video", &GenerateOptions::default()).unwrap().layer;
+    place_layer(world, &layer).unwrap()
+}
+
+fn grey(world: &World, pose: &Pose, stamp: f64, seed: u64) -> Frame {
+    GreySimulator::new(predictor(), video(), 0.7, 0.01, seed).unwrap().frame(world, stamp, pose).unwrap()
+}
+
+fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &Prior) -> Estimate {
+    estimator(EstimateOptions::default()).with_features(features.clone()).estimate(world, frames, prior).unwrap()
+}
+
+/// Of both alone and together: root mean squares of metres and degrees, and the largest NEES by numbers.
+fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
+    let features = edges(map);
+    let mut random = Random(7);
+    let mut all = [(0.0, 0.0, 0.0f64); 3];
+    let draws = presight_testkit::env_number("PRESIGHT_FUSED_DRAWS", 4);
+    for seed in 0..draws {
+        let truth = off_by(&place(), 0.2, 4.0, &mut random);
+        let believed = off_by(&truth, 0.03, 0.6, &mut random);
+        let prior = Prior::of_sigmas(believed, 0.03, 0.01);
+        let (grey, ranges) = (grey(real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
+        for (frames, sums) in [vec![&ranges], vec![&grey], vec![&ranges, &grey]].into_iter().zip(&mut all) {
+            let found = estimate(map, &features, &frames, &prior);
+            assert!(found.is_determined(), "{:?}", found.state);
+            let (m, d) = apart(&found.pose, &truth);
+            let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+            *sums = (sums.0 + m * m, sums.1 + d * d, sums.2.max(squared / numbers as f64));
+        }
+    }
+    let mean = |sum: f64| (sum / draws as f64).sqrt();
+    all.map(|(m, d, worst)| (mean(m), mean(d), worst))
+}
+
+/// Edges alone are good to a centimetre; with ranges the pose is no worse than by the better of both, and the covariances are true.
+#[test]
+fn together_no_worse_than_the_best() {
+    let world = room(Vec3::ZERO);
+    let [ranges, grey, both] = errors(&world, &world);
+    eprintln!("(m, deg, worst NEES/6): ranges {ranges:?}, grey {grey:?}, both {both:?}");
+    assert!(grey.0 < 0.012 && grey.1 < 0.25, "{grey:?}");
+    assert!(both.0 <= 1.1 * ranges.0.min(grey.0) && both.1 <= 1.1 * ranges.1.min(grey.1), "{both:?}");
+    assert!(ranges.2 < 6.0 && grey.2 < 6.0 && both.2 < 6.0);
+}
+
+/// What stands in the room as the model has it is matched; of the table that is gone rays tell that it is missing, and of the shelf's
+/// edges that a screen hides that something unknown stands before them.
+#[test]
+fn features_are_classed_by_ranges() {
+    let map = room(Vec3::ZERO);
+    let features = edges(&map);
+    let mut environment = Environment::clone(map.environment());
+    environment.delete("table").unwrap();
+    add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
+    let real = World::new(environment);
+    let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&real, &place(), 0.0, 3)];
+    let prior = Prior::of_sigmas(place(), 0.01, 0.005);
+    let options = EstimateOptions { least_explained: 0.4, ..EstimateOptions::default() };
+    let mut estimator = estimator(options).with_features(features);
+    let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
+    let findings = &found.findings[0];
+    // By where the model has them: on the table, or on the shelf behind the screen.
+    let of = |inside: fn(DVec3) -> bool| -> Vec<FeatureClass> {
+        let on = findings.features.iter().filter(|f| f.points_world.iter().all(|p| inside(*p)));
+        on.map(|f| f.class).collect()
+    };
+    let table = of(|p| (1.99..3.21).contains(&p.x) && (0.79..1.61).contains(&p.y) && p.z > 0.1);
+    let count = |all: &[FeatureClass], class: FeatureClass| all.iter().filter(|c| **c == class).count();
+    assert!(table.len() >= 3 && 2 * count(&table, FeatureClass::Missing) > table.len(), "{table:?}");
+    assert_eq!(count(&table, FeatureClass::Occluded), 0, "{table:?}");
+    let shelf = of(|p| p.x > 4.55 && p.y > 3.35 && p.z < 1.95);
+    assert!(!shelf.is_empty() && 2 * count(&shelf, FeatureClass::Occluded) > shelf.len(), "{shelf:?}");
+    assert_eq!(count(&shelf, FeatureClass::Missing), 0, "{shelf:?}");
+    assert!(findings.count("matched") >= 8, "{:?}", findings.features);
+    // The screen's own edges are predicted by nothing.
+    assert!(!findings.only_found.is_empty());
+    // Without ranges nobody knows why.
+    let alone = estimator.estimate(&map, &[&frames[1]], &prior).unwrap();
+    assert_eq!(alone.findings[0].count("missing") + alone.findings[0].count("occluded"), 0);
+    assert!(alone.findings[0].count("undecidable") > 0);
+}
+
+/// A drive by grey images alone, then with ranges beside them.
+#[test]
+fn grey_images_are_followed() {
+    let world = room(Vec3::ZERO);
+    let features = edges(&world);
+    let pose = |k: usize| {
+        let mut pose = place();
+        pose.translation.x += 0.03 * k as f64;
+        pose
+    };
+    for with_ranges in [false, true] {
+        let estimator = estimator(EstimateOptions::default()).with_features(features.clone());
+        let mut robot = Localizer::new(estimator, Prior::of_sigmas(pose(0), 0.02, 0.01), LocalizeOptions::default());
+        for k in 0..4 {
+            let grey = grey(&world, &pose(k), k as f64, k as u64);
+            let mut ranges = sense(&world, &camera(0.01), &pose(k), &mut Random(k as u64));
+            ranges.stamp = k as f64;
+            let step = if with_ranges {
+                robot.step_together(&world, &ranges, &[&grey]).unwrap()
+            } else {
+                robot.step(&world, &grey).unwrap()
+            };
+            let (m, d) = apart(&step.pose, &pose(k));
+            assert!(m < 0.02 && d < 0.4, "{k}: {m} m, {d} deg; {}", step.reason);
+            assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });
+        }
+    }
+}
+
+#[test]
+fn images_that_say_nothing_determine_nothing() {
+    let world = room(Vec3::ZERO);
+    let features = edges(&world);
+    let prior = Prior::of_sigmas(place(), 0.03, 0.01);
+    let frame = |value: f32| {
+        let image = GreyImage::new(240, 180, vec![value; 240 * 180]).unwrap();
+        Frame::new(0.0, video(), Measurement::Grey(image)).unwrap()
+    };
+    for value in [0.0, 0.5, 1.0, f32::NAN] {
+        let found = estimate(&world, &features, &[&frame(value)], &prior);
+        assert!(matches!(&found.state, EstimateState::Undetermined(why) if why.contains("0 features")), "{found:?}");
+        // What was known before is still known, and no more.
+        assert!((found.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
+        assert!(apart(&found.pose, &place()).0 < 1e-9);
+    }
+    let other = GreyImage::new(24, 18, vec![0.5; 24 * 18]).unwrap();
+    let error = Frame::new(0.0, video(), Measurement::Grey(other)).unwrap_err();
+    assert!(error.kind() == ErrorKind::Invalid && error.to_string().contains("24 x 18"), "{error}");
+    let without = estimator(EstimateOptions::default()).estimate(&world, &[&frame(0.5)], &prior).unwrap_err();
+    assert!(without.kind() == ErrorKind::Usage && without.to_string().contains("layer"), "{without}");
+}
