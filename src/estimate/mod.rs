@@ -35,6 +35,7 @@
 //! ```
 
 mod answer;
+mod descent;
 mod fit;
 mod image;
 mod normal;
