@@ -156,7 +156,7 @@ impl<'a> RangeSource<'a> {
             return None;
         }
         let (mut cu, mut cv) = (u as i32, v as i32);
-        let mut best: Option<(usize, f32)> = None;
+        let mut best = (0, f32::INFINITY);
         let (mut hu, mut hv) = half;
         loop {
             let (su, sv) = ((hu + PROBES - 1) / PROBES, (hv + PROBES - 1) / PROBES);
@@ -175,17 +175,22 @@ impl<'a> RangeSource<'a> {
                     }
                     let at = (row * w + column) as usize;
                     let pixel = &e.pixels[at];
+                    let apart = pixel.point.distance_squared(q);
+                    // Most pixels are too far off whatever their normals; those without a point are, too.
+                    if !(apart < best.1) {
+                        continue;
+                    }
                     let agree = pixel.normal.dot(m);
                     let agree = if pixel.offset > 0.0 { -agree } else { agree };
-                    let apart = pixel.point.distance_squared(q) + lambda2 * (1.0 - agree);
-                    if best.is_none_or(|(_, b)| apart < b) && apart.is_finite() {
-                        best = Some((at, apart));
+                    let apart = apart + lambda2 * (1.0 - agree);
+                    if apart < best.1 {
+                        best = (at, apart);
                         (bu, bv) = (column, row);
                     }
                 }
             }
             if su == 1 && sv == 1 {
-                return best;
+                return (best.1 < f32::INFINITY).then_some(best);
             }
             (cu, cv) = (bu, bv);
             (hu, hv) = ((su - 1).max(0), (sv - 1).max(0));

@@ -7,7 +7,7 @@ use super::range::{MeasuredPoint, measured_points};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::matrix::{Matrix, add_to, apply, eigen, inverse, restricted, scaled};
+use crate::matrix::{Matrix, add_to, eigen, inverse, restricted, scaled};
 use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
