@@ -133,6 +133,11 @@ pub struct LocalizeOptions {
     pub search_turn: f64,
     /// Frames in a row that have to agree before a pose counts as found.
     pub agreeing: usize,
+    /// In these frames: of the surfaces that are decided on, the share that has to be where the map has it. Elsewhere in the map beams pass
+    /// through walls, however little is known of what stands before them.
+    pub least_standing: f64,
+    /// In each of these frames: the share of the measured points that has to be explained.
+    pub least_agreeing: f64,
     /// Mean number of frames between false alarms of being lost.
     pub frames_per_false_alarm: f64,
     /// Where a level scanner's map explains less than this share, or two places explain as much, hypotheses take over from one
@@ -162,6 +167,8 @@ impl Default for LocalizeOptions {
             search: 0.5,
             search_turn: 0.3,
             agreeing: 3,
+            least_standing: 0.9,
+            least_agreeing: 0.3,
             frames_per_false_alarm: 30_000.0,
             little: 0.6,
             hypotheses: 150,
@@ -184,6 +191,8 @@ pub struct Localizer {
     /// Of the frame before, in the robot's frame of then.
     motion: Pose,
     agreed: usize,
+    /// Confirmed, and all that is decided on, in the frames that agree.
+    agreed_points: (usize, usize),
     explained: Cusum,
     /// Of the surfaces that are decided on, the share that is where it should be.
     standing: Cusum,
@@ -208,6 +217,7 @@ impl Localizer {
             phase: Phase::Candidates,
             motion: Pose::IDENTITY,
             agreed: 0,
+            agreed_points: (0, 0),
             // Two tests, each with half of the false alarms.
             explained: Cusum::new(2.0 * options.frames_per_false_alarm),
             standing: if coarse { standing.with_least_sigma(0.12) } else { standing },
@@ -303,11 +313,7 @@ impl Localizer {
 
     /// Whether what was usual no longer is. A coarse model leaves much out: there only what it has and is not there counts.
     fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
-        let counts = estimate.verdicts.iter().map(Verdicts::counts);
-        let (confirmed, farther) =
-            counts.fold((0, 0), |(c, f), n| (c + n[Verdict::Confirmed as usize], f + n[Verdict::Farther as usize]));
-        let standing = if confirmed + farther > 0 { confirmed as f64 / (confirmed + farther) as f64 } else { 0.0 };
-        if self.standing.add(standing) {
+        if self.standing.add(share(standing(estimate))) {
             return Some(format!(
                 "the share of surfaces that are still there has left its distribution ({})",
                 self.standing
@@ -318,6 +324,23 @@ impl Localizer {
         (!usual).then(|| format!("the share of explained points has left its distribution ({})", self.explained))
     }
 
+    /// Why a frame may fit by chance, together with those that agreed before it.
+    fn disagrees(&mut self, estimate: &Estimate) -> Option<String> {
+        let (confirmed, decided) = standing(estimate);
+        self.agreed_points.0 += confirmed;
+        self.agreed_points.1 += decided;
+        let standing = share(self.agreed_points);
+        if standing < self.options.least_standing {
+            return Some(format!("{:.0} % of the surfaces are not where the map has them", 100.0 * (1.0 - standing)));
+        }
+        (estimate.explained < self.options.least_agreeing).then(|| "that is too little to tell a place by".to_owned())
+    }
+
+    fn restart_agreement(&mut self) {
+        self.agreed = 0;
+        self.agreed_points = (0, 0);
+    }
+
     fn restart_tests(&mut self) {
         self.explained.restart();
         self.standing.restart();
@@ -325,21 +348,26 @@ impl Localizer {
 
     /// The next phase, and why.
     fn decide(&mut self, estimate: &Estimate) -> String {
-        let share = format!("{:.0} % explained", 100.0 * estimate.explained);
+        let explained = format!("{:.0} % explained", 100.0 * estimate.explained);
         let why = match &estimate.state {
-            EstimateState::Determined => share,
+            EstimateState::Determined => explained,
             EstimateState::Undetermined(why) => why.clone(),
         };
         match self.phase {
             Phase::Tracking => match self.alarm(estimate) {
                 Some(alarm) => {
                     self.phase = Phase::Lost;
-                    self.agreed = 0;
+                    self.restart_agreement();
                     format!("{why}; {alarm}")
                 }
                 None => why,
             },
             Phase::Lost | Phase::Unknown | Phase::Candidates if estimate.is_determined() => {
+                if let Some(but) = self.disagrees(estimate) {
+                    self.restart_agreement();
+                    self.phase = Phase::Unknown;
+                    return format!("{why}; {but}");
+                }
                 self.agreed += 1;
                 if self.agreed >= self.options.agreeing {
                     self.phase = Phase::Tracking;
@@ -350,12 +378,25 @@ impl Localizer {
                 format!("{why}; {} of {} frames agree", self.agreed, self.options.agreeing)
             }
             Phase::Lost | Phase::Unknown | Phase::Candidates => {
-                self.agreed = 0;
+                self.restart_agreement();
                 self.phase = Phase::Unknown;
                 why
             }
         }
     }
+}
+
+/// How many measured surfaces are where the map has them, and how many are decided on.
+fn standing(estimate: &Estimate) -> (usize, usize) {
+    let counts = estimate.verdicts.iter().map(Verdicts::counts);
+    counts.fold((0, 0), |(confirmed, decided), n| {
+        let c = n[Verdict::Confirmed as usize];
+        (confirmed + c, decided + c + n[Verdict::Farther as usize])
+    })
+}
+
+fn share((part, whole): (usize, usize)) -> f64 {
+    if whole > 0 { part as f64 / whole as f64 } else { 0.0 }
 }
 
 /// What is known of a pose after a motion.

@@ -204,3 +204,18 @@ fn single_scans_in_an_outdated_model() {
     assert!(at(&metres, 0.5) <= 0.25 && at(&degrees, 0.5) <= 1.5);
     assert!(at(&metres, 0.9) <= 0.6 && at(&degrees, 0.9) <= 4.0);
 }
+
+/// Sixty scans from all over the building as if the robot had not moved: places where beams pass through walls are not where it is.
+#[test]
+fn scans_from_elsewhere_are_never_tracked() {
+    let Some(model) = model() else { return };
+    let mut scans = log_of_scans().map(Result::unwrap);
+    let first = scans.next().unwrap();
+    let mut robot = robot(Prior::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
+    robot.step(&model, &first.frame).unwrap();
+    for log::Observation { frame, reference } in scans {
+        let step = robot.step(&model, &frame).unwrap();
+        let (metres, _) = apart(&step.pose, &reference.unwrap());
+        assert!(step.phase != Phase::Tracking || metres < 0.75, "{metres:.1} m off: {}", step.reason);
+    }
+}

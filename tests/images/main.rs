@@ -8,6 +8,7 @@ mod gpu_hiding;
 mod hard_scenes;
 mod indexes;
 mod left_out;
+mod lenses;
 mod merged;
 mod normal;
 mod oracle;

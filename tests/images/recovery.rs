@@ -11,6 +11,7 @@ use glam::DVec3;
 use presight::batch::BatchRequest;
 use presight::gpu::testing::Setup;
 use presight::gpu::{DeviceOptions, GpuEngine};
+use presight::plan::StageName;
 use presight::verify::Precision;
 use presight::{
     Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Sensor,
@@ -85,8 +86,10 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
             assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
             let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
             assert!(notice.starts_with("the GPU was opened again after this: "), "{notice}");
-            let stages = |p: &Prediction| p.stats.stages_ms.iter().map(|(name, _)| *name).collect::<Vec<_>>();
-            assert_eq!(stages(&after), stages(&before), "nothing of the failed attempt is counted");
+            // How often a new device draws until its buffers are large enough is not the same each time.
+            let once = |p: &Prediction, stage| p.stats.stages_ms.iter().filter(|(name, _)| *name == stage).count();
+            let counts = [StageName::Selection, StageName::Upload, StageName::Echo].map(|stage| once(&after, stage));
+            assert_eq!(counts, [1; 3], "nothing of the failed attempt is counted");
         }
     }
 }

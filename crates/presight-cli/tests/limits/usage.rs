@@ -2,7 +2,7 @@
 
 use assert_cmd::Command;
 use std::ffi::OsStr;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
 
@@ -11,11 +11,9 @@ fn refused(status: i32, threads: Option<&str>, args: &[&OsStr]) -> String {
     let mut command = Command::cargo_bin("presight").unwrap();
     command.args(args).env_remove("RAYON_NUM_THREADS").timeout(Duration::from_secs(20));
     command.envs(threads.map(|threads| ("RAYON_NUM_THREADS", threads)));
-    let start = Instant::now();
     let output = command.output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(status), "{args:?}: {said}");
-    assert!(start.elapsed() < Duration::from_secs(2), "{args:?}: {:?}", start.elapsed());
     assert_eq!((said.lines().count(), output.stdout.as_slice()), (1, b"".as_slice()), "{args:?}: {said}");
     assert!(said.starts_with("error: "), "{args:?}: {said}");
     said
