@@ -119,6 +119,17 @@ struct Counters {
     // What earlier waves hide.
     runs_hidden: atomic<u32>,
     polygons_hidden: atomic<u32>,
+    // Polygons that the hardware rasterizer draws.
+    shapes: atomic<u32>,
+    // Draws of the survivors of this wave, and of all waves, as indirect draws take them.
+    draw_vertices: u32,
+    draw_instances: u32,
+    draw_first_vertex: u32,
+    draw_first_instance: u32,
+    all_draw_vertices: u32,
+    all_draw_instances: u32,
+    all_draw_first_vertex: u32,
+    all_draw_first_instance: u32,
 }
 
 // A polygon that passed the cull.
@@ -130,7 +141,17 @@ struct Survivor {
     samples: u32,
     // NEAR, ONE_SIDED.
     flags: u32,
+    // Set by setup: where the record is that the hardware rasterizer draws, or NO_RECORD, and the rectangle to draw: the direction of a
+    // side, its least and greatest place along and across it, pixels of the image from its upper left corner.
+    record: u32,
+    direction: vec2f,
+    least: vec2f,
+    greatest: vec2f,
 }
+
+const NO_RECORD: u32 = 0xffffffffu;
+// Two triangles.
+const SHAPE_VERTICES: u32 = 6u;
 
 // Its run is around the sensor: the CPU sets up what is flat, in f64.
 const NEAR: u32 = 1u;
@@ -177,9 +198,10 @@ const SLOT_SOURCE: u32 = 2u;
 const SLOT_RECORD: u32 = 3u;
 const SLOT_WORDS: u32 = 4u;
 
-// Where stages that read Counters as plain words find `items` and `items_before`.
+// Where stages that read Counters as plain words find `items`, `items_before` and `survivors_before`.
 const COUNTED_ITEMS: u32 = 2u;
 const COUNTED_ITEMS_BEFORE: u32 = 21u;
+const COUNTED_SURVIVORS_BEFORE: u32 = 20u;
 
 // Stands for infinity where comparisons must stay well-defined.
 const HUGE: f32 = 3.0e38;

@@ -66,7 +66,11 @@ fn examine(index: u32, polygon: u32, near: bool) {
         atomicMax(&counters.setup_groups, min(own / GROUP + 1u, MAX_GROUPS));
     }
     let samples = reach.first_sample | (reach.sample_count << 16u);
-    survivors[place] = Survivor(polygon, index, reach.first | (reach.count << 16u), samples, flags);
+    survivors[place].polygon = polygon;
+    survivors[place].instance = index;
+    survivors[place].lines = reach.first | (reach.count << 16u);
+    survivors[place].samples = samples;
+    survivors[place].flags = flags;
 }
 
 // How many times farther off than its plane a polygon may be: flatter ones are too much moved by rounding.

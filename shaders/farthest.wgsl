@@ -39,6 +39,7 @@ fn begin_wave() {
     atomicStore(&counters.cull_groups, 0u);
     atomicStore(&counters.setup_groups, 0u);
     atomicStore(&counters.raster_groups, 0u);
+    counters.draw_vertices = 0u;
 }
 
 // Nothing limits where there is no ray.

@@ -1,7 +1,10 @@
 // Work items of a line grid: a polygon, some of its lines and of their samples, so that a big polygon spreads over many invocations.
 
-fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
+fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     write_cap(at, instance, first_corner, corner_count);
+    if RENDER && set_shape(at, index, instance, survivor, first_corner, corner_count) {
+        return;
+    }
     let first = survivor.lines & 0xffffu;
     let count = survivor.lines >> 16u;
     let share = max(LINES_PER_ITEM, (count + ITEMS_PER_POLYGON - 1u) / ITEMS_PER_POLYGON);

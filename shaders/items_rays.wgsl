@@ -1,6 +1,6 @@
 // Work items of a ray table: a polygon and some tiles of a supertile whose cone it may meet.
 
-fn add_items(at: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
+fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     var axis = vec3f();
     for (var k = 0u; k < corner_count; k++) {
         let p = vertex(instance, arena[first_corner + k * CORNER_WORDS]);

@@ -20,7 +20,7 @@ fn offer(pixel: u32, k: f32, slot: u32) {
     }
 }
 
-// The second pass goes over the items of all waves again.
-fn first_item() -> u32 {
-    return select(counted[COUNTED_ITEMS_BEFORE], 0u, SECOND);
+// Where a wave begins: the second pass goes over all waves again.
+fn first_of(wave_begins_at: u32) -> u32 {
+    return select(wave_begins_at, 0u, SECOND);
 }

@@ -10,6 +10,6 @@ fn offer(pixel: u32, k: f32, slot: u32) {
     }
 }
 
-fn first_item() -> u32 {
-    return counted[COUNTED_ITEMS_BEFORE];
+fn first_of(wave_begins_at: u32) -> u32 {
+    return wave_begins_at;
 }

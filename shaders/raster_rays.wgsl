@@ -10,7 +10,7 @@
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = min(counted[COUNTED_ITEMS], params.item_room);
-    for (var i = first_item() + id.x; i < count; i += groups.x * GROUP) {
+    for (var i = first_of(counted[COUNTED_ITEMS_BEFORE]) + id.x; i < count; i += groups.x * GROUP) {
         let at = i * ITEM_WORDS;
         tiles(polygon_at(items[at + ITEM_RECORD]), items[at + ITEM_PART], items[at + ITEM_WITHIN]);
     }

@@ -1,9 +1,12 @@
-// Stage 2: one invocation per survivor. Edge planes, the plane m of inverse depth, and the items to rasterize.
+// Stage 2: one invocation per survivor. Edge planes, the plane m of inverse depth, and the items or the shape to rasterize.
+
+// The hardware rasterizer draws what it can.
+override RENDER: bool = false;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> instances: array<Instance>;
 @group(0) @binding(2) var<storage, read> arena: array<u32>;
-@group(0) @binding(3) var<storage, read> survivors: array<Survivor>;
+@group(0) @binding(3) var<storage, read_write> survivors: array<Survivor>;
 @group(0) @binding(4) var<storage, read> grid: array<u32>;
 @group(0) @binding(5) var<storage, read_write> counters: Counters;
 @group(0) @binding(6) var<storage, read_write> records: array<u32>;
@@ -14,8 +17,15 @@
 @compute @workgroup_size(64)
 fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = atomicLoad(&counters.survivors);
+    if RENDER && id.x == 0u {
+        counters.draw_vertices = SHAPE_VERTICES * (count - counters.survivors_before);
+        counters.all_draw_vertices = SHAPE_VERTICES * count;
+    }
     for (var i = counters.survivors_before + id.x; i < count; i += groups.x * GROUP) {
-        set_up(survivors[i]);
+        if RENDER {
+            survivors[i].record = NO_RECORD;
+        }
+        set_up(i, survivors[i]);
     }
 }
 
@@ -24,7 +34,7 @@ const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
 // |d| / |c| below which the centre's own rounding, 2^-48 of its coordinates, does not.
 const EDGE_ON_CENTER: f32 = 2.9e-14; // 2^-45
 
-fn set_up(survivor: Survivor) {
+fn set_up(index: u32, survivor: Survivor) {
     let instance = instance_at(survivor.instance);
     let first_corner = instance.corners_at + polygon_word(instance, survivor.polygon, POLYGON_FIRST_CORNER) * CORNER_WORDS;
     let corner_count = polygon_word(instance, survivor.polygon, POLYGON_CORNERS) & 0xffu;
@@ -76,7 +86,7 @@ fn set_up(survivor: Survivor) {
     // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
     let sign = select(-1.0, 1.0, instance.handedness * distance > 0.0);
     write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, sign);
-    add_items(at, instance, survivor, first_corner, corner_count);
+    add_items(at, index, instance, survivor, first_corner, corner_count);
 }
 
 // A vector that is dotted with image-frame rays, for rays of the line frame.

@@ -133,7 +133,7 @@ pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object
 pub use error::{Error, ErrorKind, Result};
 pub use geometry::{Aabb, Pose};
 pub use io::preset;
-pub use plan::{FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, StageRow, Stats, Work};
+pub use plan::{FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, Raster, StageRow, Stats, Work};
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use request::Request;
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};

@@ -21,20 +21,24 @@ from sensors import SENSORS
 HERE = Path(__file__).resolve().parent
 POSES_FILE = HERE / "poses.json"
 SEED = 1995
+SCENES = "hospital,factory_hall,scenes/factory.rhai,city,open_hall"
 
 
 def arguments():
     parser = argparse.ArgumentParser(prog="benches/peers/run.sh", description=__doc__)
-    parser.add_argument("--scenes", default="hospital,factory_hall", help="names in the data folder")
-    parser.add_argument("--sensors", default=",".join(SENSORS), help="presets to compare")
-    parser.add_argument("--backends", default="cpu,gpu", help="presight's: cpu, gpu")
+    parser.add_argument("--scenes", default=SCENES, help="names in the data folder, paths in the repository, open_hall")
+    parser.add_argument("--sensors", help="names, comma-separated; all if left out")
+    parser.add_argument("--backends", default="cpu", help="presight's: cpu, gpu, or both with a comma")
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="for both sides")
-    parser.add_argument("--repeat", type=int, default=15, help="predictions and traces at each pose")
-    parser.add_argument("--poses", type=int, default=10, help="poses of poses.json to use")
+    parser.add_argument("--poses", type=int, default=20, help="free poses of each scene")
+    parser.add_argument("--repeat", type=int, default=5, help="predictions at each pose; Embree traces as often")
+    parser.add_argument("--quick", action="store_true", help="4 poses, 3 predictions at each: figures to look at")
     parser.add_argument("--json", type=Path, help="write every figure there")
-    parser.add_argument("--embree-only", action="store_true", help="leave presight out")
     parser.add_argument("--make-poses", action="store_true", help="write poses.json anew, and nothing else")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.quick:
+        options.poses, options.repeat = 4, 3
+    return options
 
 
 def scene_file(name):
@@ -53,146 +57,130 @@ def cpu_name():
         return platform.processor() or platform.machine()
 
 
-def run_presight(args):
-    """Seconds, peak resident MB (NaN without GNU time) and (status, messages) of one run of the command."""
-    # A child of this process would count this process's own memory, for it starts as its copy: GNU time is small.
-    timer = Path("/usr/bin/time")
-    with tempfile.TemporaryFile() as messages, tempfile.NamedTemporaryFile("r") as kib:
-        measured = [str(timer), "-f", "%M", "-o", kib.name] if timer.exists() else []
-        start = time.perf_counter()
-        done = subprocess.run([*measured, os.environ["PRESIGHT"], *args], stdout=messages, stderr=subprocess.STDOUT)
-        seconds = time.perf_counter() - start
-        messages.seek(0)
-        said = messages.read().decode(errors="replace").strip()
-        lines = kib.read().split()
-    megabytes = int(lines[-1]) * 1024 / 1e6 if lines else float("nan")
-    return seconds, megabytes, done.returncode, said
+class Presight:
+    """The program that `cargo bench --bench peer --no-run` builds, with one scene open."""
+
+    def __init__(self, scene, options, backend, folder):
+        self.folder = Path(folder)
+        command = [os.environ["PRESIGHT_PEER"], scene, folder, str(options.poses), str(options.threads), backend]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        told = self.answer()
+        self.glb, self.engine, self.polygons = Path(told["glb"]), told["engine"], told["polygons"]
+        self.poses, self.sensors = np.array(told["poses"]), told["sensors"]
+
+    def answer(self):
+        line = self.process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"presight ended with status {self.process.wait()}; its message is above")
+        return json.loads(line)
+
+    def check_presets(self):
+        """The presets' rays are those of their published definition, worked out apart from presight."""
+        for name in {sensor["name"] for sensor in self.sensors} & set(SENSORS):
+            body = np.fromfile(self.folder / f"{name}.f64").reshape(-1, 3)
+            if not np.allclose(body, SENSORS[name]()[0].reshape(-1, 3), rtol=0, atol=1e-12):
+                raise RuntimeError(f"{name}: presight's rays are not those of benches/peers/sensors.py")
+
+    def predict(self, sensor, pose, repeat):
+        """Milliseconds of each prediction, and the range image."""
+        print(sensor, pose, repeat, file=self.process.stdin, flush=True)
+        times = self.answer()
+        return times, np.fromfile(self.folder / "range.f32", dtype=np.float32)
+
+    def rays(self, sensor, pose):
+        """Origins and directions in the world, f32, without pixels that have no ray, and which ones these are."""
+        body = np.fromfile(self.folder / f"{self.sensors[sensor]['name']}.f64").reshape(-1, 3)
+        there = ~np.isnan(body[:, 0])
+        directions = body[there] @ self.poses[pose][:, :3].T
+        origins = np.broadcast_to(self.poses[pose][:, 3], directions.shape)
+        return np.concatenate([origins, directions], axis=1).astype(np.float32), there
+
+    def close(self):
+        self.process.stdin.close()
+        self.process.wait()
 
 
-def must(args):
-    seconds, megabytes, status, said = run_presight(args)
-    if status != 0:
-        raise RuntimeError(f"presight {' '.join(map(str, args))}: exit status {status}: {said}")
-    return seconds, megabytes
+def differ(ranges, embree, there, range_max):
+    """Rays, and those of another range. Embree works in f32 in world coordinates: 1e-4 of the range is its error on flat surfaces."""
+    mine = ranges[there]
+    theirs = np.where(embree <= range_max, embree, np.inf)
+    # What is too near is told as minus infinity by presight.
+    same = np.isclose(mine, theirs, rtol=1e-4, atol=1e-4) | np.isneginf(mine)
+    return np.array([mine.size, (~same).sum()])
 
 
-def pose_text(pose):
-    return ",".join(repr(float(v)) for v in pose)
+def measure(scene, backend, options):
+    """Rows of one scene; the pinhole's come first."""
+    import open3d as o3d
+
+    with tempfile.TemporaryDirectory() as folder:
+        presight = Presight(scene, options, backend, folder)
+        presight.check_presets()
+        embree = Embree(triangles(presight.glb), options.threads)
+        half = max(1, (options.repeat + 1) // 2)
+        for number, sensor in enumerate(presight.sensors):
+            name = sensor["name"]
+            if options.sensors and name not in options.sensors.split(",") and name != "pinhole":
+                continue
+            row = {"scene": scene, "triangles": len(embree.triangles), "backend": backend, "engine": presight.engine}
+            row |= {"sensor": name, "size": sensor["size"], "table_bytes": sensor["table_bytes"]}
+            row |= {"embree_ms": [], "presight_ms": [], "differ": np.zeros(2, dtype=np.int64)}
+            for pose in range(len(presight.poses)):
+                rays, there = presight.rays(number, pose)
+                rays = o3d.core.Tensor(rays)
+                before = embree.time_ms(rays, half)
+                times, ranges = presight.predict(number, pose, options.repeat)
+                after = embree.time_ms(rays, half)
+                hits = embree.scene.cast_rays(rays, nthreads=options.threads)["t_hit"].numpy()
+                row["embree_ms"].append(statistics.median(before + after))
+                row["presight_ms"].append(statistics.median(times))
+                row["differ"] += differ(ranges, hits, there, sensor["range_max"])
+            print(f"measured {scene}, {name}, {backend}", file=sys.stderr)
+            yield row
+        presight.close()
 
 
-def time_presight(scene, sensor, pose, backend, options, folder):
-    stats = Path(folder) / "stats.json"
-    args = ["predict", str(scene), "--sensor", sensor, f"--pose={pose_text(pose)}", "--backend", backend]
-    args += ["--threads", str(options.threads), "--repeat", str(options.repeat), "--stats", str(stats)]
-    must(args)
-    return json.loads(stats.read_text())
+def ratios(over, under):
+    return statistics.median(a / b for a, b in zip(over, under))
 
 
-def compare(scene, sensor, pose, backend, oracle, folder):
-    """Pixels, those of another range, those of another id at another range, and those of another id at the same."""
-    import OpenEXR
-
-    out = Path(folder) / "ids.exr"
-    args = ["predict", str(scene), "--sensor", sensor, f"--pose={pose_text(pose)}", "--backend", backend]
-    must([*args, "--ids", "source", "--outputs", "range,polygon_id", "--out", str(out)])
-    with OpenEXR.File(str(out), separate_channels=True) as file:
-        channels = file.channels()
-        ours = {name: np.array(channels[name].pixels) for name in ("range", "polygon_id")}
-    ranges, ids = oracle
-    if ours["range"].shape != ranges.shape:
-        raise RuntimeError(f"{sensor}: presight's image is {ours['range'].shape}, the rays here are {ranges.shape}")
-    # Embree works in f32 in world coordinates: 1e-4 of the range holds its error on flat surfaces.
-    same_range = np.isclose(ours["range"], ranges, rtol=1e-4, atol=1e-4)
-    other_id = ours["polygon_id"] != ids
-    return np.array([ranges.size, (~same_range).sum(), (other_id & ~same_range).sum(), (other_id & same_range).sum()])
+LENSES = ("plumb-bob", "rational", "fisheye 60", "fisheye 120", "fisheye 200")
 
 
-def measure(name, options, folder, problems):
-    scene = scene_file(name)
-    embree = Embree(triangles(scene), options.threads)
-    poses = json.loads(POSES_FILE.read_text())["scenes"][name][: options.poses]
-    backends = [] if options.embree_only else options.backends.split(",")
-    for sensor in options.sensors.split(","):
-        body_rays, range_max = SENSORS[sensor]()
-        row = {"scene": name, "triangles": len(embree.triangles), "sensor": sensor}
-        row["size"] = f"{body_rays.shape[1]} x {body_rays.shape[0]}"
-        row |= {"embree_ms": [], "embree_best_ms": [], "presight": {}}
-        for pose in poses:
-            rays = embree.rays(body_rays, pose)
-            half = max(1, options.repeat // 2)
-            times = embree.time_ms(rays, half)
-            for backend in backends:
-                try:
-                    stats = time_presight(scene, sensor, pose, backend, options, folder)
-                    differ = compare(scene, sensor, pose, backend, embree.images(rays, range_max), folder)
-                except RuntimeError as problem:
-                    problems.append(str(problem))
-                    backends = [b for b in backends if b != backend]
-                    continue
-                empty = {"ms": [], "best_ms": [], "differ": np.zeros(4, dtype=np.int64)}
-                mine = row["presight"].setdefault(backend, empty)
-                mine["ms"].append(stats["prediction_ms"]["median"])
-                mine["best_ms"].append(stats["prediction_ms"]["min"])
-                mine["differ"] += differ
-                mine["adapter"] = stats.get("adapter")
-            times += embree.time_ms(rays, half)
-            row["embree_ms"].append(statistics.median(times))
-            row["embree_best_ms"].append(min(times))
-        yield row
-
-
-def cell(row, backend):
-    mine = row["presight"].get(backend)
-    if not mine or len(mine["ms"]) != len(row["embree_ms"]):
-        return ["-", "-", "-", "-"]
-    ratio, best = (
-        statistics.median(e / m for e, m in zip(row[f"embree_{key}"], mine[key])) for key in ("ms", "best_ms")
-    )
-    pixels, ranges, _, coincident = (int(n) for n in mine["differ"])
-    return [
-        f"{statistics.median(mine['ms']):.2f}",
-        f"{ratio:.2f} x ({best:.2f} x)",
-        f"{100 * ranges / pixels:.4f} %",
-        f"{100 * coincident / pixels:.4f} %",
-    ]
-
-
-def print_table(rows, backends):
-    head = ["scene", "sensor", "pixels", "Embree ms (best runs)"]
-    for backend in backends:
-        head += [f"{backend} ms", f"{backend} vs Embree (best runs)", "other range", "other id, same range"]
+def print_table(rows):
+    head = ["scene (triangles)", "sensor", "pixels", "tables MB", "engine", "Embree ms", "presight ms"]
+    head += ["times as fast as Embree", "times the pinhole's time", "other range"]
     print("| " + " | ".join(head) + " |")
     print("|---" * len(head) + "|")
     for row in rows:
-        e = row["embree_ms"]
-        cells = [f"{row['scene']} ({row['triangles']:,})", row["sensor"], row["size"]]
-        cells.append(f"{statistics.median(e):.2f} ({statistics.median(row['embree_best_ms']):.2f})")
-        for backend in backends:
-            cells += cell(row, backend)
+        pinhole = next(r for r in rows if (r["scene"], r["backend"]) == (row["scene"], row["backend"]))
+        beside = f"{ratios(row['presight_ms'], pinhole['presight_ms']):.2f}" if row["sensor"] in LENSES else ""
+        rays, other = (int(n) for n in row["differ"])
+        cells = [f"{row['scene']} ({row['triangles']:,})", row["sensor"], "{} x {}".format(*row["size"])]
+        cells += [f"{row['table_bytes'] * 1e-6:.1f}" if row["table_bytes"] else "", row["backend"]]
+        cells += [f"{statistics.median(row['embree_ms']):.2f}", f"{statistics.median(row['presight_ms']):.2f}"]
+        cells += [f"{ratios(row['embree_ms'], row['presight_ms']):.2f}", beside, f"{100 * other / rays:.4f} %"]
         print("| " + " | ".join(cells) + " |")
 
 
-def whole_process(folder, problems):
-    """The command from start to a written EXR, on the hospital."""
-    scene = scene_file("hospital")
-    pose = json.loads(POSES_FILE.read_text())["scenes"]["hospital"][0]
-    for sensor in ("microwave-radar-image", "video-camera"):
-        args = ["predict", str(scene), "--sensor", sensor, f"--pose={pose_text(pose)}", "--backend", "cpu"]
-        try:
-            runs = [must([*args, "--out", str(Path(folder) / "out.exr")]) for _ in range(7)]
-        except RuntimeError as problem:
-            problems.append(str(problem))
-            return
-        seconds = sorted(s for s, _ in runs)
-        print(
-            f"Whole process, hospital, {sensor}, cpu, EXR written: median {seconds[3]:.3f} s "
-            f"({seconds[0]:.3f}-{seconds[-1]:.3f}), peak {max(m for _, m in runs):.0f} MB"
-        )
+def print_worst(rows):
+    """For each sensor the scene in which it does worst."""
+    print("\nWorst of the scenes:\n")
+    print("| sensor | engine | times as fast as Embree | times the pinhole's time |\n|---|---|---|---|")
+    for sensor, backend in dict.fromkeys((r["sensor"], r["backend"]) for r in rows):
+        mine = [r for r in rows if (r["sensor"], r["backend"]) == (sensor, backend)]
+        slowest = min((ratios(r["embree_ms"], r["presight_ms"]), r["scene"]) for r in mine)
+        cells = [sensor, backend, f"{slowest[0]:.2f} ({slowest[1]})", ""]
+        if sensor in LENSES:
+            flat = {r["scene"]: r for r in rows if (r["sensor"], r["backend"]) == ("pinhole", backend)}
+            most = max((ratios(r["presight_ms"], flat[r["scene"]]["presight_ms"]), r["scene"]) for r in mine)
+            cells[3] = f"{most[0]:.2f} ({most[1]})"
+        print("| " + " | ".join(cells) + " |")
 
 
 def make_poses(options):
     scenes = {}
-    for name in options.scenes.split(","):
+    for name in ("hospital", "factory_hall"):
         embree = Embree(triangles(scene_file(name)), options.threads)
         scenes[name] = free_poses(embree, options.poses, SEED)
     about = "x, y, z in metres and roll, pitch, yaw in degrees of the sensor in the world; made by --make-poses"
@@ -205,28 +193,26 @@ def main():
     options = arguments()
     if options.make_poses:
         return make_poses(options)
-    versions = {p: metadata.version(p) for p in ("open3d-cpu", "numpy", "OpenEXR")}
-    backends = [] if options.embree_only else options.backends.split(",")
-    rows, problems = [], []
+    start = time.monotonic()
+    versions = {p: metadata.version(p) for p in ("open3d-cpu", "numpy")}
     print(f"{time.strftime('%Y-%m-%d')}, {cpu_name()}, {options.threads} threads for both sides")
     print("Embree 4 through " + ", ".join(f"{p} {v}" for p, v in versions.items()))
-    print(f"{options.poses} free poses, median over poses of the median of {options.repeat} at each, in turns")
-    with tempfile.TemporaryDirectory() as folder:
-        for name in options.scenes.split(","):
-            for row in measure(name, options, folder, problems):
-                print(f"measured {name} {row['sensor']}", file=sys.stderr)
-                rows.append(row)
-        adapters = {m.get("adapter") for r in rows for m in r["presight"].values()} - {None}
-        for adapter in sorted(map(str, adapters)):
-            print(f"gpu: {adapter}")
-        print()
-        print_table(rows, backends)
-        print()
-        if "cpu" in backends:
-            whole_process(folder, problems)
+    print(f"{options.poses} free poses, median over poses of the median of {options.repeat} at each, in turns\n")
+    rows, problems = [], []
+    for backend in options.backends.split(","):
+        for scene in options.scenes.split(","):
+            try:
+                rows += measure(scene, backend, options)
+            except RuntimeError as problem:
+                problems.append(f"{scene}, {backend}: {problem}")
+    for engine in dict.fromkeys(row["engine"] for row in rows if row["backend"] == "gpu"):
+        print(f"gpu: {engine}\n")
+    print_table(rows)
+    print_worst(rows)
     if options.json:
         options.json.write_text(json.dumps({"rows": rows}, default=lambda a: a.tolist(), indent=1))
-    for problem in dict.fromkeys(problems):
+    print(f"took {time.monotonic() - start:.0f} s", file=sys.stderr)
+    for problem in problems:
         print(f"NOT MEASURED: {problem}", file=sys.stderr)
     return 1 if problems else 0
 

@@ -1,13 +1,17 @@
 #!/usr/bin/env bash
 # Embree and presight on the same rays and triangles; prints one table. Needs Python 3 with venv and PyPI, once.
-#   benches/peers/run.sh [--help] [--scenes hospital,factory_hall] [--backends cpu,gpu] [--embree-only] ...
-# PRESIGHT=path takes another presight command than the one built here.
+#   benches/peers/run.sh growth.py [--help]: the plot of cost against model size
+#   benches/peers/run.sh [--help] [--quick] [--scenes hospital,open_hall] [--sensors plumb-bob,video-camera] [--backends cpu,gpu] ...
+# PRESIGHT_PEER=path takes another program than the bench `peer` built here, PEERS_PYTHON=path a Python that has the requirements.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 root=$(cd "$here/../.." && pwd)
 venv="$here/.venv"
 
-if [[ ! -f "$venv/ready" ]] || ! cmp -s "$here/requirements.txt" "$venv/ready"; then
+python="${PEERS_PYTHON:-$venv/bin/python}"
+if [[ -n "${PEERS_PYTHON:-}" ]]; then
+    :
+elif [[ ! -f "$venv/ready" ]] || ! cmp -s "$here/requirements.txt" "$venv/ready"; then
     echo "benches/peers: making $venv (open3d-cpu is about 100 MB)" >&2
     python3 -m venv "$venv"
     "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$here/requirements.txt" >&2
@@ -19,9 +23,17 @@ if [[ ! -f "$venv/ready" ]] || ! cmp -s "$here/requirements.txt" "$venv/ready"; 
     cp "$here/requirements.txt" "$venv/ready"
 fi
 
-if [[ -z "${PRESIGHT:-}" && " $* " != *" --embree-only "* && " $* " != *" --make-poses "* && " $* " != *" --help "* ]]; then
-    (cd "$root" && cargo build --release --quiet) >&2
-    PRESIGHT="${CARGO_TARGET_DIR:-$root/target}/release/presight"
+if [[ -z "${PRESIGHT_PEER:-}" && " $* " != *" --make-poses "* && " $* " != *" --help "* ]]; then
+    features=script
+    [[ " $* " == *gpu* ]] && features=script,gpu
+    PRESIGHT_PEER=$(cd "$root" && cargo bench --quiet --no-default-features --features "$features" --bench peer --no-run \
+        --message-format json | "$python" -c 'import json, sys
+print([m["executable"] for m in map(json.loads, sys.stdin) if m.get("executable")][-1])')
 fi
-export PRESIGHT="${PRESIGHT:-}"
-exec "$venv/bin/python" "$here/peers.py" "$@"
+export PRESIGHT_PEER="${PRESIGHT_PEER:-}"
+script=peers.py
+if [[ "${1:-}" == *.py ]]; then
+    script=$1
+    shift
+fi
+exec "$python" "$here/$script" "$@"

@@ -45,7 +45,7 @@ impl CostModel {
     pub fn estimate(&self, key: &Key, counts: &WorkCounts) -> TimeEstimate {
         let of = |costs: &UnitCosts| {
             let mean = costs.mean(counts);
-            let [low, high] = costs.factors();
+            let [low, high] = costs.factors;
             TimeEstimate { mean, upper: mean * high, lower: mean * low, frames: costs.frames }
         };
         self.models.get(key).map_or_else(|| of(&UnitCosts::default()), of)

@@ -35,6 +35,9 @@ pub(crate) struct UnitCosts {
     pub right: [f64; KINDS],
     /// Measured over estimated times, oldest first.
     pub ratios: VecDeque<f64>,
+    /// By what factors an estimate is widened so that all but a hundredth of frames are above the first, and all but a hundredth below
+    /// the second: made of the ratios whenever these change, for a frame asks for them often.
+    pub factors: [f64; 2],
     /// Frames learnt from.
     pub frames: u64,
 }
@@ -46,6 +49,7 @@ impl Default for UnitCosts {
             normal: [[0.0; KINDS]; KINDS],
             right: [0.0; KINDS],
             ratios: VecDeque::new(),
+            factors: Self::factors_of(&VecDeque::new()),
             frames: 0,
         }
     }
@@ -58,10 +62,9 @@ impl UnitCosts {
         sum.max(1e-9)
     }
 
-    /// By what factors an estimate is widened so that all but a hundredth of frames are above the first, and all but a hundredth below
-    /// the second.
-    pub fn factors(&self) -> [f64; 2] {
-        let mut sorted: Vec<f64> = self.ratios.iter().copied().collect();
+    /// [`UnitCosts::factors`] of these ratios.
+    pub fn factors_of(ratios: &VecDeque<f64>) -> [f64; 2] {
+        let mut sorted: Vec<f64> = ratios.iter().copied().collect();
         sorted.sort_unstable_by(f64::total_cmp);
         let rank = (QUANTILE * sorted.len() as f64).ceil() as usize;
         let at = |i: usize| sorted.get(i).copied().unwrap_or(1.0);
@@ -71,7 +74,7 @@ impl UnitCosts {
 
     #[cfg(test)]
     fn factor(&self) -> f64 {
-        self.factors()[1]
+        self.factors[1]
     }
 
     /// Learns from a frame that took `seconds`, above 0.
@@ -83,6 +86,7 @@ impl UnitCosts {
         if self.ratios.len() > RATIOS {
             self.ratios.pop_front();
         }
+        self.factors = Self::factors_of(&self.ratios);
         self.frames += 1;
         let n = counts.by_kind();
         let x: [f64; KINDS] = std::array::from_fn(|k| (n[k] * DEFAULTS[k] / seconds).min(1e6));

@@ -10,6 +10,8 @@ use std::ops::Range;
 pub(super) struct PolygonSetup {
     /// Inverse depth of a ray s is m . s, in the line frame (image frame for ray tables).
     pub m: DVec3,
+    /// Line grids: no point of it is nearer than this inverse depth tells; infinite if nothing is known of it.
+    pub nearest_inverse: f64,
     /// Lines it may cover.
     pub first_line: u32,
     pub end_line: u32,
@@ -45,6 +47,8 @@ pub(super) struct Batch {
     pub bounds: Vec<[f64; 2]>,
     /// Ray tables: edge planes.
     pub edges: Vec<DVec3>,
+    /// Polygons whose bounds were looked at.
+    pub bounded: usize,
     pub edge_on: usize,
     /// Polygons left out behind what was drawn before.
     pub hidden: usize,
@@ -94,7 +98,7 @@ impl Batch {
         self.slots.clear();
         self.bounds.clear();
         self.edges.clear();
-        (self.edge_on, self.hidden, self.between) = (0, 0, 0);
+        (self.bounded, self.edge_on, self.hidden, self.between) = (0, 0, 0, 0);
     }
 
     /// Sorts the polygons into bands, keeping their order.

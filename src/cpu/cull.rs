@@ -29,9 +29,16 @@ impl Occlusion<'_> {
     /// True if a polygon of that footprint is wholly behind it.
     #[inline(always)]
     pub fn hides(&self, footprint: &Footprint) -> bool {
-        let nearest = footprint.nearest * (1.0 - SLACK);
-        nearest > 0.0 && is_behind(footprint, 1.0 / nearest, self.canvas, self.bands)
+        let inverse = nearest_inverse(footprint);
+        inverse < f64::INFINITY && is_behind(footprint, inverse, self.canvas, self.bands)
     }
+}
+
+/// The greatest inverse depth in a footprint; infinite if nothing is known of it.
+#[inline(always)]
+pub(super) fn nearest_inverse(footprint: &Footprint) -> f64 {
+    let nearest = footprint.nearest * (1.0 - SLACK);
+    if nearest > 0.0 { 1.0 / nearest } else { f64::INFINITY }
 }
 
 /// The runs that may show: all but those behind what the bands hold.
@@ -130,6 +137,14 @@ fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Ban
 #[inline(always)]
 pub(super) fn measure(buffer: &mut Buffer, lines: usize, samples: usize) {
     buffer.clear_farthest(lines, samples, f64::INFINITY);
+    if let Some(few) = buffer.few {
+        for row in 0..lines.div_ceil(TILE) {
+            let octets = buffer.inverse[row * few..(row + 1) * few].iter();
+            let least = octets.flat_map(|octet| octet.0).fold(f64::INFINITY, |a, b| if b < a { b } else { a });
+            *buffer.farthest_of(row, 0) = least;
+        }
+        return;
+    }
     for first in (0..lines).step_by(TILE) {
         for column in 0..samples.div_ceil(TILE) {
             let mut least = [f64::INFINITY; EIGHT];

@@ -60,6 +60,11 @@ const BAND_PIXELS: usize = 8192;
 const PIXELS_PER_POLYGON: usize = 16;
 const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
+/// Nanoseconds of a slow core between looks at the clock: a polygon's setup, and its drawing in a band without its samples, of which each
+/// takes one.
+const SETUP_NS: u64 = 100;
+const POLYGON_NS: u64 = 100;
+
 /// Runs that a task looks at to drop what is hidden.
 const SIFTED: usize = 64;
 
@@ -105,21 +110,32 @@ impl CpuEngine {
     /// [`crate::ErrorKind::System`] if there is no memory for the images; those of
     /// [`crate::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
-        let thinned = match plan.part {
-            Some(part) => Some(part),
-            None => self.draw(plan, images, stats)?.map(|stride| ImagePart { stride, ..plan.sensor.whole() }),
-        };
-        thinned.map_or(Ok(()), |part| self.draw_part(plan, part, images, stats))
+        match plan.part {
+            Some(part) => self.draw_part((plan, Duration::ZERO), part, images, stats),
+            None => match self.draw(plan, images, stats)? {
+                Some(stride) => {
+                    let part = ImagePart { stride, ..plan.sensor.whole() };
+                    self.draw_part((plan, saved(plan, stride)), part, images, stats)
+                }
+                None => Ok(()),
+            },
+        }
     }
 
-    /// Fills the images of a part, which may have to be thinned, and leaves the rest out.
-    fn draw_part(&mut self, plan: &FramePlan, part: ImagePart, images: &mut Images, stats: &mut Stats) -> Result<()> {
+    /// Fills the images of a part, which has so much more time and may have to be thinned, and leaves the rest out.
+    fn draw_part(
+        &mut self,
+        (plan, more): (&FramePlan, Duration),
+        part: ImagePart,
+        images: &mut Images,
+        stats: &mut Stats,
+    ) -> Result<()> {
         let (mut of_part, mut since) = (std::mem::take(&mut self.part), plan.elapsed());
-        let stride = self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
+        let stride = self.draw(&plan.of_part(part, more)?, &mut of_part, stats)?;
         let part = ImagePart { stride: stride.unwrap_or(part.stride), ..part };
-        if stride.is_some() {
+        if let Some(stride) = stride {
             since = plan.elapsed();
-            self.draw(&plan.of_part(part)?, &mut of_part, stats)?;
+            self.draw(&plan.of_part(part, more + saved(plan, stride))?, &mut of_part, stats)?;
         }
         let left_out = images.spread(&of_part, &part, &plan.sensor)?;
         self.part = of_part;
@@ -170,6 +186,7 @@ impl CpuEngine {
                 Drawn::All(used) => used,
                 Drawn::Thinned(stride) => return Some(stride),
             };
+            stats.count(CountName::PolygonsBounded, batches[..used].iter().map(|b| b.bounded).sum());
             stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());
             stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
@@ -181,6 +198,11 @@ impl CpuEngine {
         }
         Ok(stride)
     }
+}
+
+/// What time thinned images save, by the plan's pace.
+fn saved(plan: &FramePlan, stride: u32) -> Duration {
+    plan.pace.map_or(Duration::ZERO, |pace| Duration::from_secs_f64(pace.saved(stride)))
 }
 
 /// Images and buffers that take less are not asked for beforehand.
@@ -354,7 +376,8 @@ fn set_up(
     let new = &mut batches[first..first + groups.len()];
     new.par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
         batch.nearest = runs[group.start].nearest_below();
-        batch.is_set_up = !plan.watch.as_ref().is_some_and(Watch::is_over);
+        let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
+        batch.is_set_up = !plan.watch.as_ref().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
         if batch.is_set_up {
             arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, occlusion });
         }
@@ -441,7 +464,10 @@ impl pulp::WithSimd for Draw<'_, '_> {
         let Self { buffer, target, plan, batches, winners, bands, band, clear, end, beyond, progress } = self;
         let (slots, grid) = (&winners.slots, plan.sensor.grid());
         match grid {
-            PixelGrid::Lines(_) if clear => buffer.clear(bands.axis, bands.lines(band).len(), bands.samples),
+            PixelGrid::Lines(_) if clear => {
+                buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
+                buffer.clear_farthest(bands.lines(band).len(), bands.samples, 0.0);
+            }
             PixelGrid::Rays(grid) if clear => raster_rays::clear(buffer, grid, bands, band),
             _ => {}
         }
@@ -453,18 +479,27 @@ impl pulp::WithSimd for Draw<'_, '_> {
         // One by one where there is a clock to look at.
         let together = if plan.watch.is_some() { 1 } else { batches.len().max(1) };
         for some in batches.chunks(together) {
-            if plan.watch.as_ref().is_some_and(Watch::is_over) {
+            let over = plan.watch.as_ref().is_some_and(|watch| {
+                let polygons: u64 = some.iter().map(|batch| batch.in_band(band).len() as u64).sum();
+                watch.is_over_after(POLYGON_NS * polygons + std::mem::take(&mut progress.unwatched))
+            });
+            if over {
                 (progress.complete_to, progress.has_stopped) = (some[0].nearest, true);
                 break;
             }
-            progress.tested += match grid {
+            let [tested, spans] = match grid {
                 PixelGrid::Lines(grid) => raster_lines::rasterize(simd, buffer, grid, some, slots, bands, band),
                 PixelGrid::Rays(grid) => raster_rays::rasterize(simd, buffer, grid, some, slots, bands, band),
             };
+            progress.stale |= tested > 0;
+            progress.tested += tested;
+            progress.unwatched += tested;
+            progress.spans += spans;
         }
         if let Some(target) = target {
             Resolve { buffer, target, plan, winners, bands, band, progress }.with_simd(simd);
-        } else if end && !progress.has_stopped && matches!(grid, PixelGrid::Lines(_)) {
+        } else if end && progress.stale && !progress.has_stopped && matches!(grid, PixelGrid::Lines(_)) {
+            progress.stale = false;
             cull::measure(buffer, bands.lines(band).len(), bands.samples);
         }
     }

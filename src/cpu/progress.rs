@@ -21,8 +21,14 @@ pub(super) struct Band {
     pub complete_to: f32,
     /// It stopped before all of its polygons were drawn.
     pub has_stopped: bool,
+    /// More was drawn than the tiles' farthest depths tell.
+    pub stale: bool,
     /// Samples tested against a polygon's depth.
     pub tested: u64,
+    /// Intervals, or tiles, in which they lie.
+    pub spans: u64,
+    /// Of these, samples since the clock was asked for the last time.
+    pub unwatched: u64,
     /// Samples that show a polygon; counted only with a deadline.
     pub written: u64,
     /// Samples given up.
@@ -77,7 +83,8 @@ impl<'a> FrameProgress<'a> {
                 let later = &self.plan.runs[done..];
                 let frame = thinning::Frame { batches, later, rest, beyond, radius, grid, pace, left, set_up };
                 self.in_step = estimate + rest > left;
-                if self.in_step { thinning::stride(&frame) } else { 1 }
+                let is_thinned = self.plan.sensor.part_stride() > 1;
+                if self.in_step && !is_thinned { thinning::stride(&frame) } else { 1 }
             }
             None => {
                 self.in_step = true;
@@ -133,6 +140,7 @@ impl<'a> FrameProgress<'a> {
     /// Tells counts and, with a deadline, what was given up.
     pub fn tell(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
+        stats.count(CountName::Spans, sum(|band| band.spans) as usize);
         stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
         let Some(watch) = &self.plan.watch else { return };
         stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);

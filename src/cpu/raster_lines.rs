@@ -2,11 +2,12 @@
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, PolygonSetup};
-use super::cull::TILE;
+use super::cull::{self, TILE};
 use crate::error::Result;
 use crate::memory;
 use crate::sensor::{LineAxis, LineGrid, Octet};
 use pulp::Simd;
+use std::ops::Range;
 
 /// Samples taken together, and the unit in which the lines of a z-buffer are kept.
 pub(super) const EIGHT: usize = Octet::LEN;
@@ -22,7 +23,8 @@ pub(super) struct Depths(pub [f64; EIGHT]);
 pub(super) struct Numbers(pub [u64; EIGHT]);
 
 /// The z-buffer of a band in octets of a line. Octets that go to the same place in an image are neighbours: those of a
-/// line where lines are rows, else those with the same samples on neighbouring lines.
+/// line where lines are rows, else those with the same samples on neighbouring lines. Where lines have few samples, an octet is one
+/// sample of eight neighbouring lines.
 #[derive(Default)]
 pub(super) struct Buffer {
     /// 1 / depth in the frame of the rays; 0 is nothing, and infinite past the end of a line, where nothing is drawn.
@@ -32,6 +34,8 @@ pub(super) struct Buffer {
     /// From a line to the next one, and from an octet to the next one on its line.
     pub per_line: usize,
     pub per_octet: usize,
+    /// Samples of a line where they are few, and octets go across lines.
+    pub few: Option<usize>,
     /// Least inverse depth of every tile, see [`super::cull`]; rows of them in whole eights, past the end of which nothing is
     /// hidden behind less than everything.
     farthest: Vec<[f64; EIGHT]>,
@@ -44,6 +48,7 @@ impl Buffer {
     fn layout(axis: LineAxis, lines: usize, samples: usize) -> [usize; 3] {
         let octets = samples.div_ceil(EIGHT);
         match axis {
+            LineAxis::Columns if samples <= FEW => [0, 0, samples * lines.div_ceil(EIGHT)],
             LineAxis::Rows => [octets, 1, octets * lines],
             // Odd, so that a line is spread over all sets of the cache.
             LineAxis::Columns => [1, lines | 1, octets * (lines | 1)],
@@ -80,6 +85,14 @@ impl Buffer {
         self.inverse.resize(size, Depths([0.0; EIGHT]));
         self.winner.clear();
         self.winner.resize(size, Numbers([NOTHING.into(); EIGHT]));
+        self.few = (axis == LineAxis::Columns && samples <= FEW).then_some(samples);
+        if let Some(samples) = self.few {
+            if !lines.is_multiple_of(EIGHT) {
+                let last = size - samples;
+                self.inverse[last..].iter_mut().for_each(|octet| octet.0[lines % EIGHT..].fill(f64::INFINITY));
+            }
+            return;
+        }
         if !samples.is_multiple_of(EIGHT) {
             for line in 0..lines {
                 let last = self.at(line, octets - 1);
@@ -119,6 +132,24 @@ impl Buffer {
         self.farthest[row * self.eights..(row + 1) * self.eights].as_flattened()
     }
 
+    /// True if a polygon lies behind what the tiles of some lines are known to hold.
+    #[inline(always)]
+    fn hides(&self, polygon: &PolygonSetup, lines: Range<usize>) -> bool {
+        let columns = polygon.first_sample as usize / TILE..(polygon.end_sample as usize).div_ceil(TILE);
+        let mut rows = lines.start / TILE..lines.end.div_ceil(TILE);
+        polygon.nearest_inverse < f64::INFINITY
+            && rows.all(|row| self.farthest_of_row(row)[columns.clone()].iter().all(|&k| k > polygon.nearest_inverse))
+    }
+
+    /// The octet that holds a sample, and where in it.
+    #[inline(always)]
+    pub fn place(&self, line: usize, sample: usize) -> (usize, usize) {
+        match self.few {
+            Some(samples) => (line / EIGHT * samples + sample, line % EIGHT),
+            None => (self.at(line, sample / EIGHT), sample % EIGHT),
+        }
+    }
+
     /// Where an octet of a line is.
     #[inline(always)]
     pub fn at(&self, line: usize, octet: usize) -> usize {
@@ -126,10 +157,16 @@ impl Buffer {
     }
 }
 
+/// After so many octets drawn for each of a band, what its tiles hold is measured again within a wave.
+const STALE: usize = 2;
+
+/// Samples of a scanner's column up to which octets go across columns.
+const FEW: usize = 4;
+
 /// Lines whose intervals are found together.
 const TOGETHER: usize = 8;
 
-/// Draws the polygons of some batches into a band. Returns how many samples were tested.
+/// Draws the polygons of some batches into a band. Returns how many samples were tested, and in how many spans.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
@@ -139,9 +176,9 @@ pub(super) fn rasterize<S: Simd>(
     slots: &[u32],
     bands: &Bands,
     band: usize,
-) -> u64 {
+) -> [u64; 2] {
     let lines = bands.lines(band);
-    let mut octets = 0;
+    let (mut octets, mut spans_drawn, mut measured) = (0, 0, 0);
     for batch in batches {
         for &i in batch.in_band(band) {
             let polygon = &batch.polygons[i as usize];
@@ -149,6 +186,20 @@ pub(super) fn rasterize<S: Simd>(
             let number = batch.first_number + i;
             let start = lines.start.max(polygon.first_line as usize);
             let end = lines.end.min(polygon.end_line as usize);
+            if octets > measured + STALE * buffer.inverse.len() {
+                cull::measure(buffer, lines.len(), bands.samples);
+                measured = octets;
+            }
+            if buffer.hides(polygon, start - lines.start..end - lines.start) {
+                continue;
+            }
+            if buffer.few.is_some() {
+                draw_across(simd, buffer, grid, (polygon, edges, number), (start..end, lines.start), slots);
+                let eights = end.div_ceil(EIGHT).saturating_sub(start / EIGHT);
+                octets += eights * grid.weights().len();
+                spans_drawn += end.saturating_sub(start);
+                continue;
+            }
             for first in (start..end).step_by(TOGETHER) {
                 let count = TOGETHER.min(end - first);
                 let [c0, c1] = grid.eight_lines(first);
@@ -158,13 +209,42 @@ pub(super) fn rasterize<S: Simd>(
                     scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
                 }
                 let spans = Spans { number, count, bounds, scale, slope: polygon.m.z, first: first - lines.start };
-                if spans.draw(simd, buffer, grid, &mut octets) {
+                if spans.draw(simd, buffer, grid, (&mut octets, &mut spans_drawn)) {
                     spans.settle_ties(buffer, grid, slots);
                 }
             }
         }
     }
-    (octets * EIGHT) as u64
+    [octets * EIGHT, spans_drawn].map(|count| count as u64)
+}
+
+/// Draws a polygon on some lines of few samples; `band` is the first line of the band, which begins with whole octets.
+#[inline(always)]
+fn draw_across<S: Simd>(
+    simd: S,
+    buffer: &mut Buffer,
+    grid: &LineGrid,
+    (polygon, edges, number): (&PolygonSetup, &[[f64; 2]], u32),
+    (lines, band): (Range<usize>, usize),
+    slots: &[u32],
+) {
+    for first in (lines.start / EIGHT * EIGHT..lines.end).step_by(EIGHT) {
+        let [c0, c1] = grid.eight_lines(first);
+        let mut bounds = bounds_of_lines(polygon, edges, c0, c1);
+        let mut scale = [0.0; TOGETHER];
+        for l in 0..TOGETHER {
+            scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
+        }
+        if first < lines.start || lines.end < first + EIGHT {
+            for l in (first..first + EIGHT).filter(|l| !lines.contains(l)) {
+                bounds[1][l - first] = f64::NEG_INFINITY;
+            }
+        }
+        let spans = Spans { number, count: EIGHT, bounds, scale, slope: polygon.m.z, first: first - band };
+        if spans.draw_across(simd, buffer, grid) {
+            spans.settle_ties(buffer, grid, slots);
+        }
+    }
 }
 
 /// Where the polygon's cone begins and ends on [`TOGETHER`] lines, as positions t.
@@ -199,6 +279,14 @@ fn bounds_of_lines(
     [least, greatest]
 }
 
+/// True if any lane is not zero.
+#[inline(always)]
+fn any_of<S: Simd>(_: S, lanes: S::u64s) -> bool {
+    let mut all = [0; EIGHT];
+    S::as_mut_simd_u64s(&mut all).0[0] = lanes;
+    all.iter().fold(0, |any, lane| any | lane) != 0
+}
+
 /// A polygon on some lines.
 struct Spans {
     number: u32,
@@ -217,7 +305,13 @@ impl Spans {
     /// Draws into whole octets, whose samples outside the spans stay as they are, and counts them. The answer is true if anywhere
     /// the buffer held the same depth.
     #[inline(always)]
-    fn draw<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid, tested: &mut usize) -> bool {
+    fn draw<S: Simd>(
+        &self,
+        simd: S,
+        buffer: &mut Buffer,
+        grid: &LineGrid,
+        (tested, drawn): (&mut usize, &mut usize),
+    ) -> bool {
         let octets = grid.octets();
         let [least, greatest] = &self.bounds;
         let samples = grid.samples_around(simd, least, greatest);
@@ -231,6 +325,7 @@ impl Spans {
             }
             let (from, to) = (from / EIGHT, to.div_ceil(EIGHT));
             *tested += to - from;
+            *drawn += 1;
             let line = (self.first + l) * buffer.per_line;
             let (low, high) = (simd.splat_f64s(least[l]), simd.splat_f64s(greatest[l]));
             let scale = simd.splat_f64s(self.scale[l]);
@@ -254,9 +349,38 @@ impl Spans {
                 }
             }
         }
-        let mut any = [0; EIGHT];
-        S::as_mut_simd_u64s(&mut any).0[0] = ties;
-        any.iter().fold(0, |any, tie| any | tie) != 0
+        any_of(simd, ties)
+    }
+
+    /// As [`Spans::draw`], where the buffer's octets go across lines; eight of them are drawn together.
+    #[inline(always)]
+    fn draw_across<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid) -> bool {
+        let [least, greatest] = self.bounds.each_ref().map(|t| S::as_simd_f64s(t).0);
+        let scale = S::as_simd_f64s(&self.scale).0;
+        let (number, slope) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(self.slope));
+        let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
+        let mut ties = none;
+        for (sample, (&t, &[w0, w1])) in grid.positions().iter().zip(grid.weights()).enumerate() {
+            let (at, _) = buffer.place(self.first, sample);
+            let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
+            let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
+            let (t, w0, from_slope) =
+                (simd.splat_f64s(t), simd.splat_f64s(w0), simd.mul_f64s(slope, simd.splat_f64s(w1)));
+            for i in 0..EIGHT / S::F64_LANES {
+                let k = simd.add_f64s(simd.mul_f64s(scale[i], w0), from_slope);
+                let inside = simd.and_m64s(
+                    simd.greater_than_or_equal_f64s(t, least[i]),
+                    simd.less_than_or_equal_f64s(t, greatest[i]),
+                );
+                let k = simd.select_f64s(inside, k, nowhere);
+                let before = inverse[i];
+                let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
+                ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                inverse[i] = simd.max_f64s(k, before);
+                winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
+            }
+        }
+        any_of(simd, ties)
     }
 
     /// On bit-equal inverse depth the lower slot wins.
@@ -271,7 +395,7 @@ impl Spans {
             for sample in from..grid.samples_up_to(*span.end()) {
                 let (octet, i) = (sample / EIGHT, sample % EIGHT);
                 let k = self.scale[l] * octets[octet].w0[i] + self.slope * octets[octet].w1[i];
-                let at = buffer.at(self.first + l, octet);
+                let (at, i) = buffer.place(self.first + l, sample);
                 let winner = &mut buffer.winner[at].0[i];
                 let drawn = *winner != u64::from(NOTHING);
                 if drawn && k == buffer.inverse[at].0[i] && own < slots[*winner as usize] {

@@ -61,7 +61,7 @@ struct TileOverlap {
     open: [u64; EIGHT],
 }
 
-/// Draws the polygons of some batches into a band. Returns how many samples were tested.
+/// Draws the polygons of some batches into a band. Returns how many samples were tested, and in how many tiles.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
@@ -71,9 +71,9 @@ pub(super) fn rasterize<S: Simd>(
     slots: &[u32],
     bands: &Bands,
     band: usize,
-) -> u64 {
+) -> [u64; 2] {
     let lines = bands.lines(band);
-    let mut octets = 0;
+    let (mut octets, mut tiles) = (0, 0);
     let (mut squares, mut open) = ([0.0; MAX_CORNERS], [DVec3::ZERO; MAX_CORNERS]);
     for batch in batches {
         for &i in batch.in_band(band) {
@@ -101,6 +101,7 @@ pub(super) fn rasterize<S: Simd>(
                             let inner = |line: usize| line.saturating_sub(row * TILE).min(TILE);
                             let drawn = inner(held.start)..inner(held.end);
                             octets += drawn.len();
+                            tiles += 1;
                             let count = TILE.min(lines.end - row * TILE);
                             let place = TilePlace { first: row * TILE - lines.start, count, drawn, column };
                             let count = take(edges, meeting.open[column % EIGHT], &mut open);
@@ -113,7 +114,7 @@ pub(super) fn rasterize<S: Simd>(
             }
         }
     }
-    (octets * EIGHT) as u64
+    [octets * EIGHT, tiles].map(|count| count as u64)
 }
 
 /// Copies the edges of which a bit is set; the answer is their number.

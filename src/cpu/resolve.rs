@@ -84,15 +84,41 @@ pub(super) fn resolve(
 #[inline(always)]
 fn columns(painter: &mut Painter<'_, '_>, buffer: &Buffer, lines: usize, samples: usize) {
     let mut pixels = [const { Pixels::unit() }; EIGHT];
+    if let Some(samples) = buffer.few {
+        for (first, sample) in (0..lines).step_by(TOGETHER).flat_map(|first| (0..samples).map(move |s| (first, s))) {
+            let (count, pixels) = (TOGETHER.min(lines - first), &mut pixels[0]);
+            for j in 0..count {
+                let (at, i) = buffer.place(first + j, sample);
+                (pixels.inverse[j], pixels.winner[j]) = (buffer.inverse[at].0[i], buffer.winner[at].0[i] as u32);
+            }
+            painter.paint(pixels, sample, first..first + count);
+        }
+        return;
+    }
     for first in (0..lines).step_by(TOGETHER) {
         let count = TOGETHER.min(lines - first);
         for octet in 0..samples.div_ceil(EIGHT) {
             let at = buffer.at(first, octet);
-            let column = buffer.inverse[at..at + count].iter().zip(&buffer.winner[at..at + count]);
-            for (j, (inverse, winner)) in column.enumerate() {
+            for (j, inverse) in buffer.inverse[at..at + count].iter().enumerate() {
                 for i in 0..EIGHT {
                     pixels[i].inverse[j] = inverse.0[i];
-                    pixels[i].winner[j] = winner.0[i] as u32;
+                }
+            }
+            let winners = &buffer.winner[at..at + count];
+            let first_winner = winners[0].0[0];
+            let mut other = [0; EIGHT];
+            for winner in winners {
+                for i in 0..EIGHT {
+                    other[i] |= winner.0[i] ^ first_winner;
+                }
+            }
+            if other == [0; EIGHT] {
+                pixels.iter_mut().for_each(|pixels| pixels.winner.fill(first_winner as u32));
+            } else {
+                for (j, winner) in winners.iter().enumerate() {
+                    for i in 0..EIGHT {
+                        pixels[i].winner[j] = winner.0[i] as u32;
+                    }
                 }
             }
             let rows = EIGHT.min(samples - octet * EIGHT);
@@ -188,61 +214,84 @@ struct Painter<'t, 'a> {
 }
 
 impl Painter<'_, '_> {
-    /// Pixels into a part of a row. Loops over slices, for the compiler makes vectors of those.
+    /// Pixels into a part of a row. Everything is made here for a whole part and then stored: loops of fixed length become vectors,
+    /// and no load waits for a store to another image, whose rows may be whole pages apart.
     #[inline(always)]
     fn paint(&mut self, pixels: &Pixels, row: usize, part: Range<usize>) {
-        let n = part.len();
+        let mut inverse = [0.0; TOGETHER];
+        for i in 0..TOGETHER {
+            inverse[i] = pixels.inverse[i] * pixels.per_length[i];
+        }
+        if self.complete_to < f64::INFINITY && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
+            return;
+        }
         let mut distance = [0.0; TOGETHER];
         let (mut polygon_id, mut object_id) = ([0; TOGETHER], [0; TOGETHER]);
-        for (i, &winner) in pixels.winner[..n].iter().enumerate() {
-            let seen = &self.shades[winner as usize];
-            (distance[i], polygon_id[i], object_id[i]) = (seen.distance, seen.polygon_id, seen.object_id);
-        }
-        let mut inverse = [0.0; TOGETHER];
-        for ((inverse, k), per_length) in inverse[..n].iter_mut().zip(&pixels.inverse).zip(&pixels.per_length) {
-            *inverse = k * per_length;
-        }
-        let (range_min, range_max) = (self.range_min, self.range_max);
-        let Target { range: ranges, depth_z, cos_incidence, polygon_id: polygon_ids, object_id: object_ids } =
-            self.target;
-        let mut unasked = [0.0; TOGETHER];
-        let range = match ranges.get_mut(row) {
-            Some(row) => &mut row[part.clone()],
-            None => &mut unasked[..n],
-        };
-        for (out, inverse) in range.iter_mut().zip(&inverse) {
-            let exact = 1.0 / inverse;
-            *out = metres(exact, exact, range_min, range_max);
-        }
-        let range = &*range;
-        if let Some(out) = depth_z.get_mut(row) {
-            for (i, out) in out[part.clone()].iter_mut().enumerate() {
-                *out = metres(pixels.z[i] / pixels.inverse[i], 1.0 / inverse[i], range_min, range_max);
+        // Mostly all of them show one polygon.
+        let first = pixels.winner[0];
+        if pixels.winner.iter().fold(true, |alike, winner| alike & (*winner == first)) {
+            let seen = &self.shades[first as usize];
+            distance.fill(seen.distance);
+            polygon_id.fill(seen.polygon_id);
+            object_id.fill(seen.object_id);
+        } else {
+            for (i, &winner) in pixels.winner.iter().enumerate() {
+                let seen = &self.shades[winner as usize];
+                (distance[i], polygon_id[i], object_id[i]) = (seen.distance, seen.polygon_id, seen.object_id);
             }
+        }
+        let (mut exact, mut range) = ([0.0; TOGETHER], [0.0; TOGETHER]);
+        for i in 0..TOGETHER {
+            exact[i] = 1.0 / inverse[i];
+            range[i] = metres(exact[i], exact[i], self.range_min, self.range_max);
         }
         // Ids and angle are kept below range_min; nothing is seen at infinity or without a ray.
-        if let Some(out) = cos_incidence.get_mut(row) {
-            for (((out, distance), inverse), range) in
-                out[part.clone()].iter_mut().zip(&distance).zip(&inverse).zip(range)
-            {
-                let cos = (distance * inverse) as f32;
+        if self.target.cos_incidence.get(row).is_some() {
+            let mut shown = [0.0; TOGETHER];
+            for i in 0..TOGETHER {
+                let cos = (distance[i] * inverse[i]) as f32;
                 let cos = if cos > 1.0 { 1.0 } else { cos };
-                *out = if *range < f32::INFINITY { cos } else { f32::NAN };
+                shown[i] = if range[i] < f32::INFINITY { cos } else { f32::NAN };
             }
+            store(&mut self.target.cos_incidence, row, &part, &shown);
         }
-        if let Some(out) = polygon_ids.get_mut(row) {
-            for ((out, id), range) in out[part.clone()].iter_mut().zip(&polygon_id).zip(range) {
-                *out = if *range < f32::INFINITY { *id } else { 0 };
+        for i in 0..TOGETHER {
+            let seen = range[i] < f32::INFINITY;
+            polygon_id[i] = if seen { polygon_id[i] } else { 0 };
+            object_id[i] = if seen { object_id[i] } else { 0 };
+        }
+        if self.target.depth_z.get(row).is_some() {
+            let mut shown = [0.0; TOGETHER];
+            for i in 0..TOGETHER {
+                shown[i] = metres(pixels.z[i] / pixels.inverse[i], exact[i], self.range_min, self.range_max);
             }
+            store(&mut self.target.depth_z, row, &part, &shown);
         }
-        if let Some(out) = object_ids.get_mut(row) {
-            for ((out, id), range) in out[part.clone()].iter_mut().zip(&object_id).zip(range) {
-                *out = if *range < f32::INFINITY { *id } else { 0 };
-            }
-        }
+        store(&mut self.target.range, row, &part, &range);
+        store(&mut self.target.polygon_id, row, &part, &polygon_id);
+        store(&mut self.target.object_id, row, &part, &object_id);
         if self.complete_to < f64::INFINITY {
-            self.give_up(&inverse[..n], row, part);
+            self.give_up(&inverse[..part.len()], row, part);
         }
+    }
+
+    /// Leaves all samples open, if something not drawn may hide every one of them. True if so.
+    #[cold]
+    #[inline(never)]
+    fn leave_all_open(&mut self, inverse: &[f64], row: usize, part: Range<usize>) -> bool {
+        // Where there is no ray the inverse is NaN, and images show the same.
+        if inverse.iter().any(|inverse| 1.0 / inverse <= self.complete_to) {
+            return false;
+        }
+        self.given_up += inverse.iter().filter(|inverse| !inverse.is_nan()).count() as u64;
+        let Target { range, depth_z, cos_incidence, polygon_id, object_id } = self.target;
+        for image in [range, depth_z, cos_incidence] {
+            image.get_mut(row).into_iter().for_each(|row| row[part.clone()].fill(f32::NAN));
+        }
+        for image in [polygon_id, object_id] {
+            image.get_mut(row).into_iter().for_each(|row| row[part.clone()].fill(0));
+        }
+        true
     }
 
     /// Leaves samples open that something not drawn may hide: whatever is farther than all that is drawn, and where nothing is.
@@ -269,6 +318,17 @@ impl Painter<'_, '_> {
             let Some(out) = image.get_mut(row) else { continue };
             out[part.clone()].iter_mut().zip(open).for_each(|(out, open)| *out = if *open { 0 } else { *out });
         }
+    }
+}
+
+/// Stores a part of a row, if the image is asked for.
+#[inline(always)]
+fn store<T: Copy>(image: &mut [&mut [T]], row: usize, part: &Range<usize>, values: &[T; TOGETHER]) {
+    let Some(row) = image.get_mut(row) else { return };
+    let out = &mut row[part.clone()];
+    match <&mut [T; TOGETHER]>::try_from(&mut *out) {
+        Ok(whole) => *whole = *values,
+        Err(_) => out.copy_from_slice(&values[..out.len()]),
     }
 }
 

@@ -3,7 +3,7 @@
 use super::Bands;
 use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES};
-use super::cull::Occlusion;
+use super::cull::{self, Occlusion};
 use super::lanes::PolygonLanes;
 use crate::environment::{Mesh, PolygonRecord};
 use crate::limits;
@@ -91,6 +91,7 @@ pub(super) fn fill<S: Simd>(
             known.unwrap_or_else(|| (run.instance, RayInstance::new(plan, &plan.instances[run.instance as usize]))),
         );
         let end = run.first + run.count;
+        batch.bounded += run.count as usize;
         for first in (run.first..end).step_by(LANES) {
             let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
             lanes.load(at, records);
@@ -202,12 +203,15 @@ fn push(
         object_id: at.object + 1,
     };
     let m = DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]);
+    // Rounding may draw others nearer than they are.
+    let nearest_inverse = if lanes.clear[i] { cull::nearest_inverse(footprint) } else { f64::INFINITY };
     let slot = at.first_slot + polygon;
     let Range { start: first_sample, end: end_sample } = footprint.samples;
     for lines in footprint.lines.iter().filter(|lines| !lines.is_empty()) {
         let Range { start: first_line, end: end_line } = *lines;
         batch.polygons.push(PolygonSetup {
             m,
+            nearest_inverse,
             first_line,
             end_line,
             first_sample,

@@ -3,7 +3,7 @@
 use super::*;
 use crate::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use crate::geometry::Pose;
-use crate::plan::{ImageRequest, Outputs};
+use crate::plan::{ImageRequest, Output, Outputs};
 use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 use crate::world::World;
 use glam::{DVec3, Vec3};
@@ -143,10 +143,58 @@ proptest! {
         check(&world(&triangles), &scanner(start, step / 4.0, 96, 1), &pose)?;
     }
 
+    /// Few rows are drawn across columns: their bits are those of the same rows among more, also where polygons lie in one place.
+    #[test]
+    fn few_rows_are_rows_among_more(
+        triangles in soup(), pose in pose(), start in -200.0..200.0f64, step in -5.0..5.0f64, columns in 1..70u32,
+    ) {
+        prop_assume!(step.abs() > 0.1);
+        let world = world(&[&triangles[..], &triangles[..]].concat());
+        let outputs = Outputs::ALL.without(Output::DepthZ);
+        let of = |rows: u32| {
+            let request = ImageRequest { outputs, ..ImageRequest::default() };
+            render(&FramePlan::new(&world, &scanner(start, step, columns, rows), &pose, request).unwrap(), 1)
+        };
+        let all = of(9);
+        for rows in 1..=5 {
+            let few = of(rows);
+            // The lowest ones, which come last.
+            let first = ((9 - rows) * columns) as usize;
+            let bits = |image: &[f32]| image.iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
+            prop_assert_eq!(bits(&few.range), bits(&all.range[first..]), "{} rows", rows);
+            prop_assert_eq!(bits(&few.cos_incidence), bits(&all.cos_incidence[first..]), "{} rows", rows);
+            prop_assert_eq!(&few.polygon_id[..], &all.polygon_id[first..], "{} rows", rows);
+        }
+    }
+
     #[test]
     fn ray_table_agrees(triangles in soup(), pose in pose()) {
         check(&world(&triangles), &rays(), &pose)?;
     }
+}
+
+/// Twenty walls behind each other, each over the whole image, drawn in one wave: after two samples drawn for each of a band the depth is
+/// looked at again, before the fourth wall.
+#[test]
+fn walls_behind_what_the_same_wave_drew_are_not_drawn() {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("grey")).unwrap();
+    for i in 1..=20 {
+        let x = i as f32;
+        let corners = [(-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0)].map(|(y, z)| Vec3::new(x, x * y, x * z));
+        let mesh = Mesh::new("wall", corners.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Given);
+        environment.insert(NewObject::new("wall", Pose::IDENTITY, mesh.unwrap().into())).unwrap();
+    }
+    let sensor =
+        Sensor::new(SensorSpec::new("c", "video", Geometry::Camera(Camera::pinhole(64, 64, 40.0, 40.0, 31.5, 31.5))));
+    let plan =
+        FramePlan::new(&World::new(environment), &sensor.unwrap(), &Pose::IDENTITY, ImageRequest::default()).unwrap();
+    let (mut images, mut stats) = (Images::default(), Stats::default());
+    CpuEngine::new(1).unwrap().render(&plan, &mut images, &mut stats).unwrap();
+    assert!(images.polygon_id.iter().all(|id| *id == 1));
+    assert_eq!((stats.count_of(CountName::Waves), stats.count_of(CountName::PolygonsSetUp)), (Some(1), Some(20)));
+    assert_eq!(stats.count_of(CountName::SamplesTested), Some(3 * 64 * 64));
+    assert_eq!(stats.count_of(CountName::Spans), Some(3 * 64));
 }
 
 #[test]

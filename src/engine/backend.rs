@@ -2,6 +2,7 @@
 
 use super::Engine;
 use crate::error::Result;
+use crate::plan::Raster;
 use crate::threads::Threads;
 
 #[cfg(feature = "gpu")]
@@ -14,7 +15,7 @@ mod without_gpu {
     use super::*;
     use crate::error::{Error, ErrorKind};
 
-    pub(crate) fn open_gpu(_: &Threads, _hardware_only: bool) -> Result<Box<dyn Engine>> {
+    pub(crate) fn open_gpu(_: &Threads, _hardware_only: bool, _: Raster) -> Result<Box<dyn Engine>> {
         Err(Error::new(
             ErrorKind::NoDevice,
             "this presight was built without the GPU engine",
@@ -23,7 +24,7 @@ mod without_gpu {
     }
 
     pub(crate) fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
-        open_gpu(threads, false)
+        open_gpu(threads, false, Raster::Compute)
     }
 }
 
@@ -38,8 +39,9 @@ mod with_gpu {
     use crate::verify::Precision;
 
     /// On the most capable adapter; on hardware or none, if asked.
-    pub(crate) fn open_gpu(threads: &Threads, hardware_only: bool) -> Result<Box<dyn Engine>> {
-        let engine = gpu::GpuEngine::new(DeviceOptions { hardware_only, ..DeviceOptions::default() })?;
+    pub(crate) fn open_gpu(threads: &Threads, hardware_only: bool, raster: Raster) -> Result<Box<dyn Engine>> {
+        let options = DeviceOptions { hardware_only, raster, ..DeviceOptions::default() };
+        let engine = gpu::GpuEngine::new(options)?;
         Ok(Box::new(engine.with_threads(threads.clone())))
     }
 
@@ -86,8 +88,16 @@ mod with_gpu {
             Self::adapter(self).to_string()
         }
 
+        fn raster(&self) -> Raster {
+            Self::raster(self)
+        }
+
         fn reopen(&mut self) -> Result<()> {
             Self::reopen(self)
+        }
+
+        fn take_compute(&mut self) -> Result<()> {
+            Self::take_compute(self)
         }
 
         fn takes_features(&self) -> bool {

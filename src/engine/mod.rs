@@ -8,7 +8,7 @@ use crate::cpu;
 use crate::deadline::DeadlineEngine;
 use crate::error::Result;
 use crate::features::{self, BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
-use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Work};
+use crate::plan::{CountName, FramePlan, Images, Raster, StageName, Stats, Work};
 use crate::reference;
 use crate::threads::Threads;
 use crate::verify::Precision;
@@ -90,6 +90,19 @@ pub trait Device {
     /// [`crate::ErrorKind::NoDevice`] if it is gone.
     fn reopen(&mut self) -> Result<()>;
 
+    /// What rasterizes images of pinhole cameras.
+    fn raster(&self) -> Raster {
+        Raster::Compute
+    }
+
+    /// Opens it again for compute spans alone.
+    ///
+    /// # Errors
+    /// As [`Device::reopen`].
+    fn take_compute(&mut self) -> Result<()> {
+        self.reopen()
+    }
+
     /// False if features are left to the CPU: a software adapter would run them on the same cores, by a detour.
     fn takes_features(&self) -> bool;
 
@@ -121,13 +134,15 @@ pub enum EngineKind {
     Cpu,
     /// The GPU engine as it opens on the most capable adapter, including software adapters.
     Gpu,
+    /// The same with the hardware rasterizer for pinhole cameras.
+    GpuRender,
     /// The GPU engine with 32-bit keys in two passes, every stage on the device.
     GpuNarrow,
 }
 
 impl EngineKind {
     /// Every engine.
-    pub const ALL: [Self; 4] = [Self::Reference, Self::Cpu, Self::Gpu, Self::GpuNarrow];
+    pub const ALL: [Self; 5] = [Self::Reference, Self::Cpu, Self::Gpu, Self::GpuRender, Self::GpuNarrow];
 
     /// Its name in tables.
     pub fn name(self) -> &'static str {
@@ -135,13 +150,14 @@ impl EngineKind {
             Self::Reference => "reference",
             Self::Cpu => "cpu",
             Self::Gpu => "gpu",
+            Self::GpuRender => "gpu-render",
             Self::GpuNarrow => "gpu-32-bit",
         }
     }
 
     /// True if it needs a graphics adapter.
     pub fn needs_device(self) -> bool {
-        matches!(self, Self::Gpu | Self::GpuNarrow)
+        matches!(self, Self::Gpu | Self::GpuRender | Self::GpuNarrow)
     }
 
     /// Opens it; its work on the CPU is done on these threads.
@@ -153,7 +169,8 @@ impl EngineKind {
         match self {
             Self::Reference => Ok(Box::new(Reference { threads: threads.clone() })),
             Self::Cpu => Ok(Box::new(cpu::CpuEngine::new(threads.clone())?)),
-            Self::Gpu => open_gpu(threads, false),
+            Self::Gpu => open_gpu(threads, false, Raster::Compute),
+            Self::GpuRender => open_gpu(threads, false, Raster::Render),
             Self::GpuNarrow => backend::open_narrow_gpu(threads),
         }
     }

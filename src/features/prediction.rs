@@ -130,6 +130,9 @@ pub struct SeenFeature {
     /// 2 x 2 covariance in the image of every defining point, pixels squared. Given for visible features whose defining points
     /// all have an image, but not for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
+    /// Boxes of the image that together hold what is seen of a patch, until its region of interest is found.
+    #[doc(hidden)]
+    pub windows: Vec<[DVec2; 2]>,
 }
 
 impl SeenFeature {
@@ -154,6 +157,7 @@ impl SeenFeature {
             roi: None,
             roi_flag: None,
             image_covariance: None,
+            windows: Vec::new(),
         }
     }
 }

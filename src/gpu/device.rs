@@ -1,7 +1,7 @@
 //! The adapter and device, and their faults as typed errors.
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::plan::Work;
+use crate::plan::{Raster, Work};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -25,6 +25,8 @@ pub struct Abilities {
     pub int64_atomics: bool,
     /// Times of stages.
     pub timestamps: bool,
+    /// The hardware rasterizer can write what the compute stages write.
+    pub render: bool,
     /// Most bytes of one buffer.
     pub largest_binding: u64,
 }
@@ -44,6 +46,8 @@ pub struct DeviceOptions {
     pub adapter: Option<usize>,
     /// Do without 64-bit atomics even where there are some: two passes of 32 bits.
     pub without_int64: bool,
+    /// What rasterizes. [`Raster::Render`] is taken where the adapter can; [`super::GpuEngine::raster`] tells.
+    pub raster: Raster,
 }
 
 /// What an engine has made on its device since it was opened. In steady state nothing is made any more: a frame that
@@ -123,6 +127,10 @@ pub(super) struct Gpu {
     pub int64: bool,
     /// Times of stages can be asked for.
     pub timestamps: bool,
+    /// The hardware rasterizer can be taken.
+    pub can_render: bool,
+    /// What was asked for and can be.
+    pub raster: Raster,
     pub made: AllocationCounters,
     pub done: WorkCounters,
     fault: Arc<Mutex<Option<(ErrorKind, String)>>>,
@@ -140,7 +148,15 @@ impl Gpu {
         }
         features |= has & wgpu::Features::TIMESTAMP_QUERY;
         let theirs = adapter.limits();
+        let can_render = adapter.get_downlevel_capabilities().flags.contains(
+            wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE
+                | wgpu::DownlevelFlags::VERTEX_STORAGE
+                | wgpu::DownlevelFlags::INDIRECT_EXECUTION,
+        );
+        let raster = if can_render { options.raster } else { Raster::Compute };
+        let textures = wgpu::Limits::downlevel_defaults().max_texture_dimension_2d;
         let required_limits = wgpu::Limits {
+            max_texture_dimension_2d: if raster == Raster::Render { theirs.max_texture_dimension_2d } else { textures },
             // Everything else stays at what WebGPU promises everywhere.
             max_storage_buffer_binding_size: theirs
                 .max_storage_buffer_binding_size
@@ -171,6 +187,8 @@ impl Gpu {
             adapter: described,
             int64: features.contains(int64),
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+            can_render,
+            raster,
             made: AllocationCounters::default(),
             done: WorkCounters::default(),
             fault,

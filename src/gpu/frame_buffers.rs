@@ -11,8 +11,8 @@ use super::uploads::FrameUploads;
 use crate::error::Result;
 use std::mem::size_of;
 
-/// Five in each wave, and resolve.
-const MOST_PASSES: u32 = 5 * MAX_WAVES as u32 + 1;
+/// Six in each wave, the second pass by spans and by shapes, and resolve.
+const MOST_PASSES: u32 = 6 * MAX_WAVES as u32 + 3;
 
 /// Every buffer but the meshes'.
 pub(super) struct FrameBuffers {
@@ -148,6 +148,8 @@ impl FrameBuffers {
             all_raster_groups: items.div_ceil(GROUP).min(MAX_GROUPS),
             all_raster_y: 1,
             all_raster_z: 1,
+            draw_instances: 1,
+            all_draw_instances: 1,
             ..Counters::default()
         };
         uploads.put(&self.counters, 0, bytemuck::bytes_of(&counters));
@@ -179,16 +181,21 @@ impl FrameBuffers {
 
     /// The pass of that number, which notes its times if the frame is alone.
     pub fn pass(&self, number: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
-        wgpu::ComputePassDescriptor {
-            label: Some(frame.passes[number as usize].name()),
-            timestamp_writes: self.times.as_ref().filter(|_| !frame.in_company).map(|(query_set, _)| {
-                wgpu::ComputePassTimestampWrites {
-                    query_set,
-                    beginning_of_pass_write_index: Some(2 * number),
-                    end_of_pass_write_index: Some(2 * number + 1),
-                }
-            }),
-        }
+        let times = self.render_times(number, frame).map(|times| wgpu::ComputePassTimestampWrites {
+            query_set: times.query_set,
+            beginning_of_pass_write_index: times.beginning_of_pass_write_index,
+            end_of_pass_write_index: times.end_of_pass_write_index,
+        });
+        wgpu::ComputePassDescriptor { label: Some(frame.passes[number as usize].name()), timestamp_writes: times }
+    }
+
+    /// Where the render pass of that number notes its times, if the frame is alone.
+    pub fn render_times(&self, number: u32, frame: &FrameUploads) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
+        self.times.as_ref().filter(|_| !frame.in_company).map(|(query_set, _)| wgpu::RenderPassTimestampWrites {
+            query_set,
+            beginning_of_pass_write_index: Some(2 * number),
+            end_of_pass_write_index: Some(2 * number + 1),
+        })
     }
 
     /// Encodes the copies that bring a frame's answers to where they can be mapped, from byte `first` on.

@@ -15,7 +15,7 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 /// What pieces take where nothing was learnt: much.
-const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, images: 0.0, drawing: 0.0 };
+const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };
 /// Polygons: a smaller piece is not worth a submission.
 const LEAST_PIECE: u64 = 256;
 /// Ranges are rounded to f32. Only what is nearer than what was not drawn by this share of it is final: rounding moves ranges less,
@@ -83,7 +83,7 @@ impl GpuEngine {
         self.upload(&piece)?;
         self.frame.in_company = true;
         loop {
-            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
+            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1)?;
             self.bind();
             self.store.put(&self.frame);
             let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -108,7 +108,7 @@ impl GpuEngine {
 
     /// Makes images of the keys; the answer is the number of hits without an id.
     fn take_images(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1)?;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.stages.resolve(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
         self.store.encode_readback(&mut encoder, &self.frame, 0);

@@ -108,6 +108,15 @@ pub(super) struct Counters {
     pub groups_before: u32,
     pub runs_hidden: u32,
     pub polygons_hidden: u32,
+    pub shapes: u32,
+    pub draw_vertices: u32,
+    pub draw_instances: u32,
+    pub draw_first_vertex: u32,
+    pub draw_first_instance: u32,
+    pub all_draw_vertices: u32,
+    pub all_draw_instances: u32,
+    pub all_draw_first_vertex: u32,
+    pub all_draw_first_instance: u32,
 }
 
 /// `Survivor` in common.wgsl.
@@ -119,6 +128,10 @@ pub(super) struct Survivor {
     pub lines: u32,
     pub samples: u32,
     pub flags: u32,
+    pub record: u32,
+    pub direction: [f32; 2],
+    pub least: [f32; 2],
+    pub greatest: [f32; 2],
 }
 
 /// A polygon in the arena; `POLYGON_` in common.wgsl.

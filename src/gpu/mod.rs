@@ -8,6 +8,7 @@
 //! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::setup` |
 //! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
+//! | draw, if [`Raster::Render`] is asked for | `shape.wgsl` in setup, `draw.wgsl`, `key32` or `key64` | `cpu::raster_lines` |
 //! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
 //! | resolve | `resolve.wgsl` | `cpu::resolve`; `plan::keys` from the device's keys, for software adapters |
 //! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
@@ -15,6 +16,7 @@
 
 mod buffers;
 mod device;
+mod drawing;
 mod frame_buffers;
 mod geometry;
 mod grid;
@@ -37,7 +39,8 @@ pub use visible::OcclusionQuery;
 use crate::error::{ErrorKind, Result};
 use crate::features::OcclusionHint;
 use crate::plan::{
-    CountName, FramePlan, Images, KeySurface, Keys, NOTHING_IN_VIEW, SamplesMut, StageName, Stats, Work, resolve_keys,
+    CountName, FramePlan, Images, KeySurface, Keys, NOTHING_IN_VIEW, Raster, SamplesMut, StageName, Stats, Work,
+    resolve_keys,
 };
 use crate::sensor::Sensor;
 use crate::threads::Threads;
@@ -49,7 +52,7 @@ use layout::{Counters, GridKind};
 use stages::{Stages, Variants};
 use std::time::Instant;
 use testing::Hiding;
-use uploads::FrameUploads;
+use uploads::{FrameUploads, Way};
 use visible::Visible;
 
 /// Most sensors whose tables are kept.
@@ -153,8 +156,23 @@ impl GpuEngine {
         Abilities {
             int64_atomics: self.gpu.int64,
             timestamps: self.gpu.timestamps,
+            render: self.gpu.can_render,
             largest_binding: self.gpu.device.limits().max_storage_buffer_binding_size,
         }
+    }
+
+    /// What rasterizes images of pinhole cameras.
+    pub fn raster(&self) -> Raster {
+        self.gpu.raster
+    }
+
+    /// Opens the device again for compute spans alone.
+    ///
+    /// # Errors
+    /// As [`GpuEngine::reopen`].
+    pub(crate) fn take_compute(&mut self) -> Result<()> {
+        let asked = std::mem::take(&mut self.opened.0.raster);
+        self.reopen().inspect_err(|_| self.opened.0.raster = asked)
     }
 
     /// What it has made on the device so far.
@@ -208,6 +226,14 @@ impl GpuEngine {
         }
     }
 
+    fn way(&self) -> Way {
+        let most_rendered = match self.gpu.raster {
+            Raster::Compute => 0,
+            Raster::Render => self.gpu.device.limits().max_texture_dimension_2d,
+        };
+        Way { software: self.software, in_two_passes: !self.gpu.int64, most_rendered, hiding: self.opened.1.hiding }
+    }
+
     fn know(&mut self, kind: GridKind) {
         if !self.known.contains(&kind) {
             self.known.push(kind);
@@ -254,7 +280,7 @@ impl GpuEngine {
         if let Some((_, tables)) = self.sensors.first() {
             let first = self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
             let hiding = if first { Hiding::Always } else { self.opened.1.hiding };
-            self.frame.fill(plan, tables, &self.arena, self.software, hiding);
+            self.frame.fill(plan, tables, &self.arena, Way { hiding, ..self.way() });
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         if self.frame.on_host {
@@ -286,7 +312,7 @@ impl GpuEngine {
     }
 
     fn submit(&mut self) -> Result<Variants> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1.hiding)?;
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1)?;
         self.bind();
         self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -392,6 +418,9 @@ impl GpuEngine {
         stats.count(CountName::Waves, frame.waves.len());
         stats.count(CountName::PolygonsInView, counters.survivors as usize);
         stats.count(CountName::PolygonsSetUp, counters.records as usize);
+        if frame.rendered {
+            stats.count(CountName::PolygonsRendered, counters.shapes as usize);
+        }
         stats.count(CountName::PolygonsSetUpInF64, near.slots.len());
         stats.count(CountName::PolygonsEdgeOn, (counters.edge_on + near.edge_on) as usize);
         stats.count(CountName::WorkItems, counters.items as usize);
@@ -402,8 +431,22 @@ impl GpuEngine {
         }
     }
 
+    /// Why the hardware rasterizer does not draw a frame.
+    fn why_compute(&self, frame: &FrameUploads) -> &'static str {
+        let is_camera = self.sensors.first().is_some_and(|(_, tables)| tables.kind == GridKind::Camera);
+        let side = frame.params.width.max(frame.params.height);
+        match (self.opened.0.raster, self.gpu.raster) {
+            (Raster::Compute, _) => "compute spans are the default",
+            (Raster::Render, Raster::Compute) => "its fragments cannot write storage on this adapter",
+            _ if !is_camera => "the sensor is no pinhole camera",
+            _ if side > self.way().most_rendered => "the image is larger than the adapter's targets",
+            _ => "compute spans keep the deadline",
+        }
+    }
+
     /// Which variants of stages were taken, and which were not.
     fn report_variants(&self, frame: &FrameUploads, stats: &mut Stats) {
+        stats.raster = Some(if frame.rendered { Raster::Render } else { Raster::Compute });
         if self.store.times.is_none() {
             let passes: std::collections::BTreeSet<_> = frame.passes.iter().collect();
             passes.iter().for_each(|name| stats.take(**name, "within device, which tells no times of stages"));
@@ -423,6 +466,7 @@ impl GpuEngine {
             !self.gpu.int64,
             ["the device has 64-bit atomics", "the device has no 64-bit atomics: nearest first, then the lowest id"],
         );
+        choose(StageName::HardwareRaster, frame.rendered, [self.why_compute(frame), WHY_RENDER]);
         choose(
             StageName::InstancesFromStorage,
             !frame.few(),
@@ -440,6 +484,8 @@ impl GpuEngine {
         );
     }
 }
+
+const WHY_RENDER: &str = "it was asked for; compute spans draw what it cannot draw exactly";
 
 fn counters_of(view: &[u8], at: Readback) -> Counters {
     bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()])

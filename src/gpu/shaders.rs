@@ -18,11 +18,16 @@ pub(super) const CULL_CAMERA: &str = bounding!("cull.wgsl", "cull_camera.wgsl");
 pub(super) const CULL_SCANNER: &str = bounding!("cull.wgsl", "cull_scanner.wgsl");
 pub(super) const CULL_RAYS: &str = bounding!("cull.wgsl", "cull_rays.wgsl");
 pub(super) const FARTHEST: &str = unit!("common.wgsl", "grid.wgsl", "coarse.wgsl", "farthest.wgsl");
-pub(super) const SETUP_LINES: &str = unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "setup.wgsl", "items_lines.wgsl");
+pub(super) const SETUP_LINES: &str =
+    unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "setup.wgsl", "shape.wgsl", "items_lines.wgsl");
 pub(super) const SETUP_RAYS: &str =
     unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "coarse.wgsl", "cones.wgsl", "setup.wgsl", "items_rays.wgsl");
-pub(super) const RASTER_LINES_64: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key64.wgsl");
-pub(super) const RASTER_LINES_32: &str = unit!("common.wgsl", "grid.wgsl", "raster_lines.wgsl", "key32.wgsl");
+pub(super) const RASTER_LINES_64: &str =
+    unit!("common.wgsl", "grid.wgsl", "interval.wgsl", "raster_lines.wgsl", "key64.wgsl");
+pub(super) const RASTER_LINES_32: &str =
+    unit!("common.wgsl", "grid.wgsl", "interval.wgsl", "raster_lines.wgsl", "key32.wgsl");
+pub(super) const DRAW_64: &str = unit!("common.wgsl", "grid.wgsl", "interval.wgsl", "draw.wgsl", "key64.wgsl");
+pub(super) const DRAW_32: &str = unit!("common.wgsl", "grid.wgsl", "interval.wgsl", "draw.wgsl", "key32.wgsl");
 pub(super) const RASTER_RAYS_64: &str =
     unit!("common.wgsl", "coarse.wgsl", "cones.wgsl", "raster_rays.wgsl", "key64.wgsl");
 pub(super) const RASTER_RAYS_32: &str =
@@ -40,7 +45,7 @@ mod tests {
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
-    const UNITS: [(&str, &str); 16] = [
+    const UNITS: [(&str, &str); 18] = [
         ("sift camera", SIFT_CAMERA),
         ("sift scanner", SIFT_SCANNER),
         ("sift rays", SIFT_RAYS),
@@ -54,6 +59,8 @@ mod tests {
         ("raster lines 32", RASTER_LINES_32),
         ("raster rays 64", RASTER_RAYS_64),
         ("raster rays 32", RASTER_RAYS_32),
+        ("draw 64", DRAW_64),
+        ("draw 32", DRAW_32),
         ("resolve", RESOLVE),
         ("visible", VISIBLE),
         ("roi", ROI),
@@ -117,8 +124,9 @@ mod tests {
         assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
             records, raster_groups, raster_y, raster_z, lost_ids, cull_groups, cull_y, cull_z, units,
             all_raster_groups, all_raster_y, all_raster_z, units_before, survivors_before, items_before, groups_before,
-            runs_hidden, polygons_hidden);
-        assert_same!(&module, Survivor: polygon, instance, lines, samples, flags);
+            runs_hidden, polygons_hidden, shapes, draw_vertices, draw_instances, draw_first_vertex, draw_first_instance,
+            all_draw_vertices, all_draw_instances, all_draw_first_vertex, all_draw_first_instance);
+        assert_same!(&module, Survivor: polygon, instance, lines, samples, flags, record, direction, least, greatest);
         let module = parse("roi", ROI);
         assert_same!(&module, RoiParams: sensor, by, size, turn, log_fail, lowest, first, highest, margin, bent, much,
             slightly, slight, tail_steps, feature_count);
@@ -158,6 +166,7 @@ mod tests {
         assert_eq!(value(&module, "RUN_BOX") as usize * 4, offset_of!(WorkRun, r#box));
         assert_eq!(value(&module, "COUNTED_ITEMS") as usize * 4, offset_of!(Counters, items));
         assert_eq!(value(&module, "COUNTED_ITEMS_BEFORE") as usize * 4, offset_of!(Counters, items_before));
+        assert_eq!(value(&module, "COUNTED_SURVIVORS_BEFORE") as usize * 4, offset_of!(Counters, survivors_before));
         assert_same_words!(&parse("visible", VISIBLE), "SAMPLE", Sample: place, pixel, slots);
         // A field that moves is noticed.
         let moved = CULL_CAMERA.replace("RECORD_SLOT: u32 = 3u", "RECORD_SLOT: u32 = 4u");

@@ -1,4 +1,4 @@
-//! A compute stage: its bindings, its pipeline variants, made when first needed and kept.
+//! A stage: its bindings, and if it computes its pipeline variants, made when first needed and kept.
 
 use super::device::Gpu;
 use super::layout::{Params, WAVE_BYTES};
@@ -18,20 +18,19 @@ pub(super) enum Binding {
 /// Which pipeline of a stage: the grid kind, and the stage's own bits.
 pub(super) type Variant = (u32, u32);
 
-/// Pipelines that share bindings.
-pub(super) struct Stage {
-    name: &'static str,
+/// The buffers that a stage's pipelines share.
+pub(super) struct Bindings {
+    pub name: &'static str,
     layout: wgpu::BindGroupLayout,
-    pipeline_layout: wgpu::PipelineLayout,
-    pipelines: HashMap<Variant, wgpu::ComputePipeline>,
+    pub pipeline_layout: wgpu::PipelineLayout,
     group: Option<wgpu::BindGroup>,
     /// The first binding is [`Binding::Params`].
     of_waves: bool,
 }
 
-impl Stage {
-    /// `name` is the entry point as well.
-    pub fn new(gpu: &Gpu, name: &'static str, bindings: &[Binding]) -> Self {
+impl Bindings {
+    /// Each with the shaders that see it.
+    pub fn new(gpu: &Gpu, name: &'static str, bindings: &[(Binding, wgpu::ShaderStages)]) -> Self {
         let entries: Vec<_> = bindings.iter().enumerate().map(|(i, b)| entry(i as u32, *b)).collect();
         let layout = gpu
             .device
@@ -41,8 +40,8 @@ impl Stage {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let of_waves = bindings.first() == Some(&Binding::Params);
-        Self { name, layout, pipeline_layout, pipelines: HashMap::new(), group: None, of_waves }
+        let of_waves = bindings.first().is_some_and(|(binding, _)| *binding == Binding::Params);
+        Self { name, layout, pipeline_layout, group: None, of_waves }
     }
 
     /// Binds other buffers.
@@ -65,6 +64,31 @@ impl Stage {
         buffer.as_entire_binding()
     }
 
+    /// The buffers of a wave as a pass takes them; `None` before they are bound.
+    pub fn of_wave(&self, wave: usize) -> Option<(&wgpu::BindGroup, Option<u32>)> {
+        let offset = self.of_waves.then_some(wave as u32 * WAVE_BYTES as u32);
+        self.group.as_ref().map(|group| (group, offset))
+    }
+}
+
+/// Compute pipelines that share bindings.
+pub(super) struct Stage {
+    bindings: Bindings,
+    pipelines: HashMap<Variant, wgpu::ComputePipeline>,
+}
+
+impl Stage {
+    /// `name` is the entry point as well.
+    pub fn new(gpu: &Gpu, name: &'static str, bindings: &[Binding]) -> Self {
+        let bindings: Vec<_> = bindings.iter().map(|b| (*b, wgpu::ShaderStages::COMPUTE)).collect();
+        Self { bindings: Bindings::new(gpu, name, &bindings), pipelines: HashMap::new() }
+    }
+
+    /// Binds other buffers.
+    pub fn bind(&mut self, gpu: &Gpu, buffers: &[&wgpu::Buffer]) {
+        self.bindings.bind(gpu, buffers);
+    }
+
     /// True if a variant's pipeline is there.
     pub fn has(&self, variant: Variant) -> bool {
         self.pipelines.contains_key(&variant)
@@ -78,45 +102,62 @@ impl Stage {
         if self.has(variant) {
             return Ok(());
         }
-        let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(self.name),
-            source: wgpu::ShaderSource::Wgsl(text.into()),
-        });
-        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(self.name),
-            layout: Some(&self.pipeline_layout),
-            module: &module,
-            entry_point: Some(self.name),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants,
-                zero_initialize_workgroup_memory: false,
-            },
-            cache: None,
-        });
-        if let Some(e) = pollster::block_on(scope.pop()) {
-            return Err(gpu.error(ErrorKind::NoDevice, &format!("stage {}: {e}", self.name)));
-        }
-        gpu.check()?;
-        gpu.made.pipelines.add();
+        let name = Some(self.bindings.name);
+        let pipeline = make(gpu, self.bindings.name, text, |module| {
+            gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: name,
+                layout: Some(&self.bindings.pipeline_layout),
+                module,
+                entry_point: name,
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants,
+                    zero_initialize_workgroup_memory: false,
+                },
+                cache: None,
+            })
+        })?;
         self.pipelines.insert(variant, pipeline);
         Ok(())
     }
 
     /// Sets the pipeline and bindings for a wave; false if the stage is not ready, which is a bug of the engine.
     pub fn set(&self, pass: &mut wgpu::ComputePass<'_>, variant: Variant, wave: usize) -> bool {
-        let (Some(pipeline), Some(group)) = (self.pipelines.get(&variant), &self.group) else {
-            debug_assert!(false, "stage {} is not ready", self.name);
+        let (Some(pipeline), Some((group, offset))) = (self.pipelines.get(&variant), self.bindings.of_wave(wave))
+        else {
+            debug_assert!(false, "stage {} is not ready", self.bindings.name);
             return false;
         };
         pass.set_pipeline(pipeline);
-        let offset = [wave as u32 * WAVE_BYTES as u32];
-        pass.set_bind_group(0, group, if self.of_waves { &offset } else { &[] });
+        pass.set_bind_group(0, group, offset.as_slice());
         true
     }
 }
 
-fn entry(binding: u32, what: Binding) -> wgpu::BindGroupLayoutEntry {
+/// Makes a pipeline of a shader's text.
+///
+/// # Errors
+/// The device's, if it refuses the shader.
+pub(super) fn make<P>(
+    gpu: &Gpu,
+    name: &'static str,
+    text: &str,
+    pipeline: impl FnOnce(&wgpu::ShaderModule) -> P,
+) -> Result<P> {
+    let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(name),
+        source: wgpu::ShaderSource::Wgsl(text.into()),
+    });
+    let pipeline = pipeline(&module);
+    if let Some(e) = pollster::block_on(scope.pop()) {
+        return Err(gpu.error(ErrorKind::NoDevice, &format!("stage {name}: {e}")));
+    }
+    gpu.check()?;
+    gpu.made.pipelines.add();
+    Ok(pipeline)
+}
+
+fn entry(binding: u32, (what, visibility): (Binding, wgpu::ShaderStages)) -> wgpu::BindGroupLayoutEntry {
     let ty = match what {
         Binding::Params | Binding::Uniform => wgpu::BufferBindingType::Uniform,
         Binding::Read => wgpu::BufferBindingType::Storage { read_only: true },
@@ -124,7 +165,7 @@ fn entry(binding: u32, what: Binding) -> wgpu::BindGroupLayoutEntry {
     };
     wgpu::BindGroupLayoutEntry {
         binding,
-        visibility: wgpu::ShaderStages::COMPUTE,
+        visibility,
         ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: what == Binding::Params, min_binding_size: None },
         count: None,
     }

@@ -6,25 +6,30 @@
 //! | cull | instances, units, meshes, coarse depth | survivors | `setup` |
 //! | setup | survivors, meshes | records, items | `setup` |
 //! | raster | records, items | keys | `raster_lines` or `raster_rays` |
+//! | draw, with [`crate::Raster::Render`] | records, shapes | keys | `raster_lines` |
 //! | farthest, before each further wave | keys | coarse depth | `cull::measure` |
 //! | resolve | keys, slots | outputs | `resolve` |
 //!
 //! On software adapters [`super::resolve`] does on the CPU what `resolve.wgsl` does, from the same keys.
 
 use super::device::Gpu;
+use super::drawing::{Draw, Drawing};
 use super::frame_buffers::FrameBuffers;
 use super::grid::Tables;
 use super::layout::{self, Counters, GROUP, GridKind, MAX_GROUPS, UNIT};
 use super::shaders;
 use super::stage::{Binding, Stage, Variant};
-use super::testing::Hiding;
+use super::testing::{self, Hiding};
 use super::uploads::FrameUploads;
 use crate::error::Result;
-use crate::plan::Output;
+use crate::plan::{Output, Raster};
 use std::mem::offset_of;
 
 /// The share by which a planted fault takes depth to be too near: more than the rounding that is allowed for a polygon near the axis.
 const TOO_NEAR: f64 = 1e-4;
+
+/// Bytes: where the counts of a draw are, behind those of dispatches.
+const DRAW_AT: u64 = 24;
 
 /// All stages of the engine.
 pub(super) struct Stages {
@@ -32,6 +37,8 @@ pub(super) struct Stages {
     cull: Stage,
     setup: Stage,
     raster: Stage,
+    /// Of a device that was opened for it.
+    drawing: Option<Drawing>,
     farthest: Stage,
     resolve: Stage,
 }
@@ -55,8 +62,9 @@ impl Stages {
         Self {
             sift: Stage::new(gpu, "sift", &[Params, Read, Write, Read, Read, Write, Uniform, Uniform]),
             cull: Stage::new(gpu, "cull", &[Params, Read, Read, Read, Read, Write, Write, Uniform, Uniform]),
-            setup: Stage::new(gpu, "setup", &[Params, Read, Read, Read, Read, Write, Write, Write, Write, Uniform]),
+            setup: Stage::new(gpu, "setup", &[Params, Read, Read, Write, Read, Write, Write, Write, Write, Uniform]),
             raster: Stage::new(gpu, "raster", &[Params, Read, Read, Read, Read, Write, Uniform]),
+            drawing: (gpu.raster == Raster::Render).then(|| Drawing::new(gpu)),
             farthest: Stage::new(gpu, "farthest", &[Params, Read, Write, Write, Uniform]),
             resolve: Stage::new(gpu, "resolve", &[Params, Read, Read, Read, Write, Write]),
         }
@@ -66,7 +74,13 @@ impl Stages {
     ///
     /// # Errors
     /// The device's.
-    pub fn prepare(&mut self, gpu: &Gpu, tables: &Tables, frame: &FrameUploads, hiding: Hiding) -> Result<Variants> {
+    pub fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        tables: &Tables,
+        frame: &FrameUploads,
+        test: testing::Setup,
+    ) -> Result<Variants> {
         let kind = tables.kind;
         let grid = ("GRID", f64::from(kind as u32));
         let few = ("FEW", f64::from(u32::from(frame.few())));
@@ -93,15 +107,24 @@ impl Stages {
                 GridKind::Rays => shaders::SIFT_RAYS,
             };
             self.sift.prepare(gpu, sift, sift_text, &[grid, short_constant, few])?;
-            let too_near = ("TOO_NEAR", if hiding == Hiding::TooNear { TOO_NEAR } else { 0.0 });
+            let too_near = ("TOO_NEAR", if test.hiding == Hiding::TooNear { TOO_NEAR } else { 0.0 });
             self.farthest.prepare(gpu, farthest, shaders::FARTHEST, &[grid, short_constant, too_near])?;
         }
         let plain = ("PLAIN", f64::from(u32::from(frame.plain)));
         if !self.cull.has(cull) {
             self.cull.prepare(gpu, cull, cull_text, &[grid, short_constant, few, plain])?;
         }
-        let setup = (kind as u32, u32::from(frame.few()));
-        self.setup.prepare(gpu, setup, if lines { shaders::SETUP_LINES } else { shaders::SETUP_RAYS }, &[grid, few])?;
+        let setup = (kind as u32, u32::from(frame.few()) | u32::from(frame.rendered) << 1);
+        let rendered = ("RENDER", f64::from(u32::from(frame.rendered)));
+        let growth = ("GROWTH", if test.shapes_not_grown { 0.0 } else { 1.0 });
+        if lines {
+            self.setup.prepare(gpu, setup, shaders::SETUP_LINES, &[grid, few, rendered, growth])?;
+        } else {
+            self.setup.prepare(gpu, setup, shaders::SETUP_RAYS, &[grid, few, rendered])?;
+        }
+        if let Some(drawing) = self.drawing.as_mut().filter(|_| frame.rendered) {
+            drawing.prepare(gpu, [frame.params.width, frame.params.height], short_constant)?;
+        }
         let raster = (kind as u32, u32::from(short) << 1);
         let mut second = None;
         if gpu.int64 {
@@ -147,6 +170,7 @@ impl Stages {
         self.cull.bind(gpu, &[params, instances, s.work.buffer(), arena, grid, survivors, counters, few, short]);
         self.setup.bind(gpu, &[params, instances, arena, survivors, grid, counters, records, items, slots, few]);
         self.raster.bind(gpu, &[params, records, items, grid, counters, keys, short]);
+        self.drawing.iter_mut().for_each(|drawing| drawing.bind(gpu, s));
         self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters]);
     }
 
@@ -180,9 +204,9 @@ impl Stages {
         store: &FrameBuffers,
     ) {
         debug_assert!(frame.polygon_count > 0, "nothing is in view");
-        let mut number = 0;
+        let mut recording = Recording { gpu, variants: v, frame, store, number: 0 };
         for wave in 0..frame.waves.len() {
-            self.encode_wave(gpu, encoder, v, wave, &mut number, frame, store);
+            self.encode_wave(encoder, wave, &mut recording);
         }
     }
 
@@ -205,33 +229,19 @@ impl Stages {
         }
     }
 
-    /// Encodes a wave, whose first pass has that number among those of the frame, and leaves the number of the next.
-    #[expect(clippy::too_many_arguments, reason = "what a frame is encoded from, and where in it the wave is")]
-    fn encode_wave(
-        &self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        v: &Variants,
-        wave: usize,
-        number: &mut u32,
-        frame: &FrameUploads,
-        store: &FrameBuffers,
-    ) {
+    /// Encodes a wave: what it hides, sets up and draws, and the coarse depth for the next one.
+    fn encode_wave(&self, encoder: &mut wgpu::CommandEncoder, wave: usize, r: &mut Recording<'_>) {
+        let Recording { gpu, variants: v, frame, store, .. } = *r;
         let (counters, dispatch) = (store.counters.buffer(), store.dispatch.buffer());
-        let next = |number: &mut u32| {
-            *number += 1;
-            store.pass(*number - 1, frame)
-        };
-        let last = wave + 1 == frame.waves.len();
         if wave > 0 {
-            let mut pass = gpu.pass(encoder, &next(number));
+            let mut pass = gpu.pass(encoder, &r.next());
             if self.sift.set(&mut pass, v.sift, wave) {
                 gpu.dispatch(&mut pass, layout::groups_for(frame.waves[wave].len() as u32));
             }
             drop(pass);
             encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, cull_groups) as u64, dispatch, 0, 12);
         }
-        let mut pass = gpu.pass(encoder, &next(number));
+        let mut pass = gpu.pass(encoder, &r.next());
         if self.cull.set(&mut pass, v.cull, wave) {
             if wave == 0 {
                 gpu.dispatch(&mut pass, ((frame.first_units() * UNIT).div_ceil(GROUP).min(MAX_GROUPS), 1));
@@ -241,31 +251,87 @@ impl Stages {
         }
         drop(pass);
         encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, setup_groups) as u64, dispatch, 0, 12);
-        let mut pass = gpu.pass(encoder, &next(number));
+        let mut pass = gpu.pass(encoder, &r.next());
         if self.setup.set(&mut pass, v.setup, wave) {
             pass.dispatch_workgroups_indirect(dispatch, 0);
         }
         drop(pass);
-        encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, raster_groups) as u64, dispatch, 0, 12);
-        if last && v.second.is_some() {
-            encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, all_raster_groups) as u64, dispatch, 12, 12);
-        }
-        let mut pass = gpu.pass(encoder, &next(number));
-        for (variant, at) in [(Some(v.raster), 0), (v.second.filter(|_| last), 12)] {
-            if let Some(variant) = variant
-                && self.raster.set(&mut pass, variant, wave)
-            {
-                pass.dispatch_workgroups_indirect(dispatch, at);
+        self.encode_raster(encoder, wave, r);
+        if wave + 1 < frame.waves.len() {
+            let mut pass = gpu.pass(encoder, &r.next());
+            if self.farthest.set(&mut pass, v.farthest, wave) {
+                gpu.dispatch(&mut pass, frame.blocks);
             }
         }
-        drop(pass);
-        if last {
+    }
+
+    /// Encodes what spans and shapes draw of a wave, and in the last one the second pass over all waves.
+    fn encode_raster(&self, encoder: &mut wgpu::CommandEncoder, wave: usize, r: &mut Recording<'_>) {
+        let (counters, dispatch) = (r.store.counters.buffer(), r.store.dispatch.buffer());
+        encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, raster_groups) as u64, dispatch, 0, 12);
+        let first = (r.variants.raster, 0);
+        let second = r.variants.second.filter(|_| wave + 1 == r.frame.waves.len()).map(|variant| (variant, 12));
+        if second.is_some() {
+            encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, all_raster_groups) as u64, dispatch, 12, 12);
+        }
+        if !r.frame.rendered {
+            let both: Vec<_> = [first].into_iter().chain(second).collect();
+            self.encode_spans(encoder, wave, &both, r);
             return;
         }
-        let mut pass = gpu.pass(encoder, &next(number));
-        if self.farthest.set(&mut pass, v.farthest, wave) {
-            gpu.dispatch(&mut pass, frame.blocks);
+        // The second pass begins when spans and shapes have done the first.
+        self.encode_spans(encoder, wave, &[first], r);
+        self.encode_shapes(encoder, (wave, false), r);
+        if let Some(second) = second {
+            self.encode_spans(encoder, wave, &[second], r);
+            self.encode_shapes(encoder, (wave, true), r);
         }
+    }
+
+    /// Variants, each with the place of its count among the dispatches, bytes.
+    fn encode_spans(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        wave: usize,
+        passes: &[(Variant, u64)],
+        r: &mut Recording<'_>,
+    ) {
+        let mut pass = r.gpu.pass(encoder, &r.next());
+        for (variant, at) in passes {
+            if self.raster.set(&mut pass, *variant, wave) {
+                pass.dispatch_workgroups_indirect(r.store.dispatch.buffer(), *at);
+            }
+        }
+    }
+
+    /// What the hardware rasterizer draws of a wave, or in the second pass of all waves.
+    fn encode_shapes(&self, encoder: &mut wgpu::CommandEncoder, (wave, second): (usize, bool), r: &mut Recording<'_>) {
+        let Some(drawing) = &self.drawing else { return };
+        let from = if second { offset_of!(Counters, all_draw_vertices) } else { offset_of!(Counters, draw_vertices) };
+        let (counts, at) = (r.store.dispatch.buffer(), DRAW_AT);
+        encoder.copy_buffer_to_buffer(r.store.counters.buffer(), from as u64, counts, at, 16);
+        let size = [r.frame.params.width, r.frame.params.height];
+        let times = r.store.render_times(r.number, r.frame);
+        r.number += 1;
+        drawing.encode(r.gpu, encoder, times, &Draw { wave, second, size, counts, at });
+    }
+}
+
+/// A frame while it is encoded.
+struct Recording<'a> {
+    gpu: &'a Gpu,
+    variants: &'a Variants,
+    frame: &'a FrameUploads,
+    store: &'a FrameBuffers,
+    /// Of the next pass, among those of the frame.
+    number: u32,
+}
+
+impl<'a> Recording<'a> {
+    /// The next pass.
+    fn next(&mut self) -> wgpu::ComputePassDescriptor<'a> {
+        self.number += 1;
+        self.store.pass(self.number - 1, self.frame)
     }
 }
 

@@ -27,11 +27,14 @@ pub struct Setup {
     pub all_on_device: bool,
     /// When polygons that others hide are looked for.
     pub hiding: Hiding,
+    /// A fault: shapes for the hardware rasterizer are not grown.
+    pub shapes_not_grown: bool,
 }
 
 impl Setup {
     /// Every stage on the device.
-    pub const ALL_ON_DEVICE: Self = Self { largest_binding: None, all_on_device: true, hiding: Hiding::WhereItPays };
+    pub const ALL_ON_DEVICE: Self =
+        Self { largest_binding: None, all_on_device: true, hiding: Hiding::WhereItPays, shapes_not_grown: false };
 }
 
 /// [`GpuEngine::new`] with a setup for tests.

@@ -124,10 +124,11 @@ impl GpuEngine {
         if self.frames.len() < plans.len() {
             self.frames.resize_with(plans.len(), FrameUploads::default);
         }
+        let way = self.way();
         for (frame, plan) in self.frames.iter_mut().zip(plans) {
             // What earlier frames left in the slots must not carry this frame's stamp.
             frame.near.stamp = self.frame.near.stamp;
-            frame.fill(plan, &self.sensors[0].1, &self.arena, self.software, self.opened.1.hiding);
+            frame.fill(plan, &self.sensors[0].1, &self.arena, way);
             frame.in_company = true;
             self.frame.near.stamp = frame.near.stamp;
             self.rebind |= self.store.reserve(&self.gpu, frame)?;
@@ -169,8 +170,7 @@ impl GpuEngine {
     fn submit_many(&mut self, count: usize) -> Result<Vec<Variants>> {
         let tables = &self.sensors[0].1;
         let frames = &self.frames[..count];
-        let hiding = self.opened.1.hiding;
-        let prepare = |frame| self.stages.prepare(&self.gpu, tables, frame, hiding);
+        let prepare = |frame| self.stages.prepare(&self.gpu, tables, frame, self.opened.1);
         let variants: Vec<Variants> = frames.iter().map(prepare).collect::<Result<_>>()?;
         self.bind();
         let frames = &self.frames[..count];

@@ -3,7 +3,8 @@
 use super::geometry::Arena;
 use super::grid::Tables;
 use super::layout::{
-    BOX_WORDS, FEW_INSTANCES, Instance, MAX_WAVES, Params, RUN_NEAR, RUN_WORDS, SLOT_WORDS, UNIT, UNIT_SHIFT, WorkRun,
+    BOX_WORDS, FEW_INSTANCES, GridKind, Instance, MAX_WAVES, Params, RUN_NEAR, RUN_WORDS, SLOT_WORDS, UNIT, UNIT_SHIFT,
+    WorkRun,
 };
 use super::near::{NearList, cluster_of, is_near};
 use super::testing::Hiding;
@@ -20,6 +21,18 @@ const LEAST_TO_HIDE: usize = 4096;
 const FIRST_WAVE: usize = 2048;
 /// Each wave has so many times the polygons of the one before it, and the last one all that are left.
 const WAVE_GROWTH: usize = 4;
+
+/// How frames are drawn.
+#[derive(Clone, Copy)]
+pub(super) struct Way {
+    /// On a software adapter.
+    pub software: bool,
+    /// Without 64-bit atomics.
+    pub in_two_passes: bool,
+    /// Largest side of an image that the hardware rasterizer draws; 0 if it draws none.
+    pub most_rendered: u32,
+    pub hiding: Hiding,
+}
 
 /// The uploads of a frame, in buffers that stay.
 #[derive(Default)]
@@ -49,6 +62,8 @@ pub(super) struct FrameUploads {
     pub slots: u32,
     /// The images are resolved on the CPU.
     pub on_host: bool,
+    /// The hardware rasterizer draws what it can.
+    pub rendered: bool,
     /// Drawn in one submission with others, which tells no times.
     pub in_company: bool,
 }
@@ -71,14 +86,16 @@ impl FrameUploads {
 
     /// Works it out; the arena holds every mesh of the plan. On a software adapter the images are resolved on the
     /// CPU, unless so many slots would have to be read back that nothing is gained.
-    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, software: bool, hiding: Hiding) {
+    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, way: Way) {
         self.slots = plan.environment().slot_count();
-        self.on_host = software && self.slots <= MOST_SLOTS_ON_HOST;
+        self.on_host = way.software && self.slots <= MOST_SLOTS_ON_HOST;
+        let fits = tables.params.width.max(tables.params.height) <= way.most_rendered;
+        self.rendered = tables.kind == GridKind::Camera && fits && plan.watch.is_none();
         self.params = tables.params;
         self.blocks = tables.blocks;
         self.plain = plan.instances.iter().all(|i| i.plain);
         self.fill_instances(plan, arena);
-        self.fill_waves(plan, hiding);
+        self.fill_waves(plan, way);
         self.fill_work(plan, tables, arena);
         self.place_outputs(plan);
         self.params.source_ids = u32::from(plan.drawn_ids() == IdScheme::Source);
@@ -157,11 +174,11 @@ impl FrameUploads {
     }
 
     /// Cuts the runs into waves, nearest first.
-    fn fill_waves(&mut self, plan: &FramePlan, hiding: Hiding) {
+    fn fill_waves(&mut self, plan: &FramePlan, way: Way) {
         self.polygon_count = plan.polygon_count as u32;
         self.waves.clear();
         let end = plan.runs.len() as u32;
-        let first = match hiding {
+        let first = match way.hiding {
             Hiding::WhereItPays if plan.polygon_count >= LEAST_TO_HIDE => FIRST_WAVE,
             Hiding::WhereItPays | Hiding::Off => plan.polygon_count,
             Hiding::Always | Hiding::TooNear => plan.polygon_count / 4,
@@ -179,8 +196,13 @@ impl FrameUploads {
         self.passes.clear();
         for wave in 0..self.waves.len() {
             self.passes.extend((wave > 0).then_some(StageName::Hidden));
-            self.passes.extend([StageName::Cull, StageName::Setup, StageName::Raster]);
-            self.passes.extend((wave + 1 < self.waves.len()).then_some(StageName::CoarseDepth));
+            self.passes.extend([StageName::Cull, StageName::Setup]);
+            let is_last = wave + 1 == self.waves.len();
+            for _ in 0..if self.rendered && way.in_two_passes && is_last { 2 } else { 1 } {
+                self.passes.push(StageName::Raster);
+                self.passes.extend(self.rendered.then_some(StageName::HardwareRaster));
+            }
+            self.passes.extend((!is_last).then_some(StageName::CoarseDepth));
         }
         self.passes.extend((!self.on_host).then_some(StageName::Resolve));
     }

@@ -126,7 +126,8 @@ impl Entry {
         }
         let Self { engine, adapter, threads, geometry, outputs, frames, ratios, .. } = self;
         let key = Key { engine, adapter, threads, geometry, outputs, forecast };
-        Ok((key, UnitCosts { seconds, normal, right, ratios: ratios.into(), frames }))
+        let ratios = ratios.into();
+        Ok((key, UnitCosts { seconds, normal, right, factors: UnitCosts::factors_of(&ratios), ratios, frames }))
     }
 }
 

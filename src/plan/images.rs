@@ -251,11 +251,13 @@ impl Images {
         let (width, height) = (sensor.width(), sensor.height());
         self.try_prepare(width, height, part.outputs())?;
         fn spread<T: Copy>(to: &mut [T], from: &[T], nothing: T, width: u32, which: &ImagePart) {
-            to.fill(nothing);
-            let rows = to.chunks_mut(width as usize).step_by(which.stride as usize);
-            for (to, from) in rows.zip(from.chunks(which.width() as usize)) {
-                let columns = to[which.first_column as usize..].iter_mut().step_by(which.stride as usize);
-                columns.zip(from).for_each(|(to, from)| *to = *from);
+            let mut from = from.chunks(which.width() as usize);
+            for (y, to) in to.chunks_mut(width as usize).enumerate() {
+                to.fill(nothing);
+                if y % which.stride as usize == 0 {
+                    let columns = to[which.first_column as usize..].iter_mut().step_by(which.stride as usize);
+                    columns.zip(from.next().into_iter().flatten()).for_each(|(to, from)| *to = *from);
+                }
             }
         }
         let floats = [

@@ -7,6 +7,7 @@ mod keys;
 mod names;
 mod output;
 mod polygons;
+mod raster;
 mod request;
 mod stats;
 mod view;
@@ -17,6 +18,7 @@ pub(crate) use keys::{KeySurface, Keys, resolve_keys};
 pub use names::{CountName, Part, StageName};
 pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
+pub use raster::Raster;
 pub use request::{IdScheme, ImageRequest};
 pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
@@ -26,7 +28,7 @@ use crate::environment::{Appearance, Environment, Material};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::index::{ObjectRun, QueryResult, Region};
-use crate::sensor::{ImagePart, PixelGrid, Sensor};
+use crate::sensor::{ImagePart, PixelGrid, STRIDES, Sensor};
 use crate::world::World;
 use glam::{DMat3, DVec3};
 use std::borrow::Cow;
@@ -160,16 +162,16 @@ pub(crate) struct Pace {
     pub polygon: f64,
     /// For each pixel of the boxes around the images of polygons.
     pub sample: f64,
-    /// What is kept free for making images when drawing has ended.
-    pub images: f64,
+    /// What less is to be kept free for images of each of [`STRIDES`] than for those that are drawn.
+    pub saved: [f64; STRIDES.len()],
     /// Drawing of all runs, from selection on; 0 if that is not known.
     pub drawing: f64,
 }
 
 impl Pace {
-    /// Seconds of those kept for images that a thinned image does not need: half of its share, for all of it is still written once.
+    /// Seconds of those kept for images that a thinned image does not need.
     pub fn saved(&self, stride: u32) -> f64 {
-        0.5 * self.images * (1.0 - 1.0 / f64::from(stride * stride))
+        STRIDES.iter().position(|s| *s == stride).map_or(0.0, |i| self.saved[i])
     }
 }
 
@@ -270,12 +272,10 @@ impl FramePlan {
         Ok(())
     }
 
-    /// The same of a part of the image.
-    pub(crate) fn of_part(&self, part: ImagePart) -> Result<Self> {
+    /// The same of a part of the image, that has so much more time to be drawn.
+    pub(crate) fn of_part(&self, part: ImagePart, more: Duration) -> Result<Self> {
         let mut watch = self.watch.clone();
-        if let (Some(watch), Some(pace)) = (&mut watch, &self.pace) {
-            watch.stop_later(Duration::from_secs_f64(pace.saved(part.stride)));
-        }
+        watch.iter_mut().for_each(|watch| watch.stop_later(more));
         Ok(Self {
             world: self.world.clone(),
             sensor: self.sensor.part(part)?,
@@ -291,7 +291,7 @@ impl FramePlan {
             watch,
             radius: self.radius,
             part: None,
-            pace: self.pace.filter(|_| part.stride == 1),
+            pace: self.pace,
             found: QueryResult::default(),
             selected: Vec::new(),
         })

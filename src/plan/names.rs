@@ -54,6 +54,7 @@ words! {
         Device = "device",
         Cull = "cull",
         Raster = "raster",
+        HardwareRaster = "hardware rasterizer",
         CoarseDepth = "coarse depth",
         Resolve = "resolve",
         ResolveOnDevice = "resolve on the device",
@@ -82,17 +83,23 @@ words! {
         PolygonsTested = "polygons tested",
         PolygonsSelected = "polygons selected",
         PolygonsInView = "polygons in view",
+        /// Polygons of runs that are not hidden.
+        PolygonsBounded = "polygons bounded",
         PolygonsSetUp = "polygons set up",
         /// Single polygons behind what earlier waves drew.
         PolygonsHidden = "polygons hidden",
         /// Polygons that no ray of the sensor can meet.
         PolygonsBetweenSamples = "polygons between samples",
+        /// Polygons that the hardware rasterizer drew; compute spans drew the others.
+        PolygonsRendered = "polygons rendered",
         PolygonsSetUpInF64 = "polygons set up in f64",
         /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
         PolygonsEdgeOn = "polygons edge-on",
         RunsSelected = "runs selected",
         RunsHidden = "runs hidden",
         Waves = "waves",
+        /// Intervals of samples of a polygon on a line; for ray tables tiles that it is drawn in.
+        Spans = "spans",
         SamplesTested = "samples tested",
         SamplesWritten = "samples written",
         WorkItems = "work items",

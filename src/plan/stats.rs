@@ -1,6 +1,7 @@
 //! Statistics: what a prediction did and what it cost.
 
 use super::names::{CountName, Part, StageName};
+use super::raster::Raster;
 use crate::deadline::{DeadlineOutcome, Degradation};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -13,6 +14,9 @@ pub struct Stats {
     pub engine: &'static str,
     /// Adapter and driver, for the GPU engine.
     pub adapter: Option<String>,
+    /// What rasterized on that adapter; `None` if nothing was drawn there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raster: Option<Raster>,
     /// CPU threads.
     pub threads: usize,
     /// Name of the index that selected the polygons.

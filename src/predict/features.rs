@@ -312,7 +312,16 @@ impl Predictor {
 pub(super) fn settings(request: &Request) -> FeatureSettings {
     let FeatureOptions { time, hidden, visibility, step, .. } = request.features.clone().unwrap_or_default();
     let feature_id = request.outputs.has(Output::FeatureId);
-    FeatureSettings { time, ids: request.ids, feature_id, hidden, visibility, step, is_partial: false }
+    FeatureSettings {
+        time,
+        ids: request.ids,
+        feature_id,
+        hidden,
+        visibility,
+        step,
+        is_partial: false,
+        regions: request.regions.is_some(),
+    }
 }
 
 /// What is to be known of features that are left out because nothing is under them.

@@ -11,7 +11,7 @@ use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats};
+use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats};
 use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use crate::row::RowCuts;
@@ -48,6 +48,8 @@ pub struct Options {
     pub backend: Backend,
     /// CPU threads: a handle to share, or a number (`2.into()`), 0 for all cores.
     pub threads: Threads,
+    /// What rasterizes on a GPU.
+    pub raster: Raster,
 }
 
 impl Options {
@@ -60,6 +62,12 @@ impl Options {
     #[must_use]
     pub fn with_backend(self, backend: Backend) -> Self {
         Self { backend, ..self }
+    }
+
+    /// With another rasterizer on a GPU.
+    #[must_use]
+    pub fn with_raster(self, raster: Raster) -> Self {
+        Self { raster, ..self }
     }
 
     /// With other threads: a handle to share, or a number, 0 for all cores.
@@ -135,7 +143,8 @@ impl Predictor {
     /// [`ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
     /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
     pub fn new(options: Options) -> Result<Self> {
-        let (engine, notice) = choose_engine(options.backend, &options.threads, engine::open_gpu)?;
+        let open_gpu = |threads: &Threads, hardware_only| engine::open_gpu(threads, hardware_only, options.raster);
+        let (engine, notice) = choose_engine(options.backend, &options.threads, open_gpu)?;
         Ok(Self { notice, ..Self::with_engine(options, engine) })
     }
 
@@ -419,9 +428,16 @@ impl Predictor {
         }
     }
 
-    /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine.
+    /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine. A device that draws
+    /// wrong or is lost with the hardware rasterizer goes on without it.
     fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
         let Some(device) = self.engine.device() else { return Err(fault) };
+        let may_be_raster = matches!(fault.kind(), ErrorKind::DeviceLost | ErrorKind::NoDevice);
+        if again && may_be_raster && device.raster() == Raster::Render && device.take_compute().is_ok() {
+            self.proven = ProbeResults::default();
+            self.notice = Some(format!("compute spans took over from the hardware rasterizer: {fault}"));
+            return Ok(());
+        }
         if again && fault.kind() == ErrorKind::DeviceLost && device.reopen().is_ok() {
             self.proven = ProbeResults::default();
             self.notice = Some(format!("the GPU was opened again after this: {fault}"));

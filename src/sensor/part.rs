@@ -61,6 +61,11 @@ impl Sensor {
         Ok(slot.map_or(made.clone(), |slot| self.0.thinned[slot].get_or_init(|| made).clone()))
     }
 
+    /// From column to column and from row to row of the sensor that it is a part of; 1 if it is no part.
+    pub(crate) fn part_stride(&self) -> u32 {
+        self.0.part.map_or(1, |part| part.stride)
+    }
+
     fn make_part(&self, part: ImagePart) -> Result<Self> {
         let (width, height) = (part.width(), part.height(self.height()));
         let grid = match self.grid() {

@@ -50,10 +50,8 @@ use glam::DVec3;
 pub enum Precision {
     /// f64 throughout, f32 output: the reference and the CPU engine.
     F64,
-    /// f32 corners relative to the sensor, spans or ray tables in f32: the GPU's compute engines.
+    /// f32 corners relative to the sensor, spans or ray tables in f32: the GPU engine, however it rasterizes.
     F32,
-    /// f32 and a rasterizer that snaps corners to parts of a pixel: the GPU's render pipeline.
-    Snapped,
 }
 
 impl Precision {
@@ -61,7 +59,7 @@ impl Precision {
     pub fn unit_roundoff(self) -> f64 {
         match self {
             Self::F64 => 2.0 * UNIT_ROUNDOFF,
-            Self::F32 | Self::Snapped => f64::from(f32::EPSILON) / 2.0 + UNIT_ROUNDOFF,
+            Self::F32 => f64::from(f32::EPSILON) / 2.0 + UNIT_ROUNDOFF,
         }
     }
 
@@ -70,7 +68,6 @@ impl Precision {
         match self {
             Self::F64 => (-20f64).exp2(),
             Self::F32 => (-12f64).exp2(),
-            Self::Snapped => (-8f64).exp2(),
         }
     }
 
@@ -79,7 +76,7 @@ impl Precision {
     pub fn output_ulps(self) -> f64 {
         match self {
             Self::F64 => 1.0,
-            Self::F32 | Self::Snapped => 8.0,
+            Self::F32 => 8.0,
         }
     }
 

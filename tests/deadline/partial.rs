@@ -68,7 +68,7 @@ impl Subject<'_> {
     fn render(&self, engine: &mut CpuEngine, looks: u64) -> (Images, Stats, u64) {
         let clock = Arc::new(Ticks::default());
         let mut plan = plan(self.world, self.sensor, &self.pose);
-        plan.set_watch(Watch::start(clock.clone(), Duration::from_micros(looks)));
+        plan.set_watch(Watch::start(clock.clone(), Duration::from_micros(looks)).looking_always());
         let (mut images, mut stats) = (Images::default(), Stats::default());
         engine.render(&plan, &mut images, &mut stats).unwrap();
         (images, stats, clock.looks())
@@ -77,7 +77,7 @@ impl Subject<'_> {
     /// A part of the images, stopped after so many looks at the clock.
     fn render_part(&self, engine: &mut CpuEngine, looks: u64, part: (u32, Option<(f64, u32)>)) -> (Images, Stats) {
         let mut plan = plan(self.world, self.sensor, &self.pose);
-        plan.set_watch(Watch::start(Arc::new(Ticks::default()), Duration::from_micros(looks)));
+        plan.set_watch(Watch::start(Arc::new(Ticks::default()), Duration::from_micros(looks)).looking_always());
         plan.set_part(part.0, part.1).unwrap();
         let (mut images, mut stats) = (Images::default(), Stats::default());
         engine.render(&plan, &mut images, &mut stats).unwrap();

@@ -15,12 +15,7 @@ use presight::{FramePlan, Images, Pose};
 use std::time::Instant;
 
 /// Edge pixels beyond this share fail, in scenes where rays and edges meet by chance only.
-fn most_edge_share(precision: Precision) -> f64 {
-    match precision {
-        Precision::F64 | Precision::F32 => 1e-4,
-        Precision::Snapped => 2e-2,
-    }
-}
+const MOST_EDGE_SHARE: f64 = 1e-4;
 
 fn check_room(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision) {
     let mut report = Report::default();
@@ -34,7 +29,7 @@ fn check_room(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision
         }
     }
     eprintln!("rooms: {}", summary(&report));
-    report.check(most_edge_share(precision)).unwrap();
+    report.check(MOST_EDGE_SHARE).unwrap();
 }
 
 /// Full images at each pose by `share` presets, or all.
@@ -60,7 +55,7 @@ fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precisi
             }
         }
         eprintln!("{scene}: {} in {:.1} s", summary(&report), start.elapsed().as_secs_f64());
-        report.check(most_edge_share(precision)).unwrap();
+        report.check(MOST_EDGE_SHARE).unwrap();
     }
 }
 

@@ -209,7 +209,7 @@ impl Case<'_> {
             passes += 3;
             workgroups += groups(8 * runs) + groups(survivors) + groups(items);
             // Counters and times beside the payload, and padding.
-            read += 100 + 3 * 16;
+            read += 136 + 3 * 16;
         }
         let pixels = did.pixels as u64;
         if self.on == On::Device && some {

@@ -1,7 +1,7 @@
 //! Lens cameras, fisheyes and free tables on every engine against the reference.
 //!
 //! `PRESIGHT_LENS_ROOMS` (1) is the number of generated rooms, `PRESIGHT_LENS_POSES` (0) that of poses in each real scene;
-//! `PRESIGHT_SEED` makes other ones. 110 rooms and 4 poses are 10^8 pixels for one engine.
+//! `PRESIGHT_SEED` makes other ones. 92 rooms and 10 poses are 10^8 pixels.
 
 #![expect(clippy::print_stderr, reason = "what was compared is worth reading")]
 

@@ -5,6 +5,7 @@ mod embree;
 mod engines;
 mod gpu;
 mod gpu_hiding;
+mod gpu_render;
 mod hard_scenes;
 mod indexes;
 mod left_out;

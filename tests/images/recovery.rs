@@ -14,8 +14,8 @@ use presight::gpu::{DeviceOptions, GpuEngine};
 use presight::plan::StageName;
 use presight::verify::Precision;
 use presight::{
-    Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Sensor,
-    World,
+    Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Raster, Request,
+    Sensor, World,
 };
 use std::time::Duration;
 
@@ -168,6 +168,35 @@ fn a_driver_that_draws_wrong_is_an_error_by_name_and_the_cpu_with_auto() {
     let [notice] = &instead.stats.notices[..] else { panic!("{:?}", instead.stats.notices) };
     assert!(notice.starts_with("the CPU engine took over: ") && notice.contains("wrong"), "{notice}");
     task.check(&instead);
+}
+
+/// What the hardware rasterizer does wrong is left to compute spans, by whatever backend, and said.
+#[test]
+fn compute_spans_take_over_from_a_hardware_rasterizer_that_draws_wrong_or_is_lost() {
+    let Some(task) = Task::new() else { return };
+    let by_compute = task.predict(&mut on(Backend::Gpu).0).unwrap();
+    for backend in [Backend::Gpu, Backend::Auto] {
+        let rendering = |wrong| {
+            let (engine, switches) = Faulty::with_render(wrong).unwrap();
+            (Predictor::with_engine(options(backend), Box::new(engine)), switches)
+        };
+        let told = |after: &Prediction, why: &str| {
+            assert_eq!((after.stats.engine, after.stats.raster), ("gpu", Some(Raster::Compute)));
+            assert_eq!(bits(&after.images), bits(&by_compute.images), "{backend:?}");
+            let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
+            let start = "compute spans took over from the hardware rasterizer: ";
+            assert!(notice.starts_with(start) && notice.contains(why), "{notice}");
+        };
+        told(&task.predict(&mut rendering(true).0).unwrap(), "pixels of a probe wrong");
+        let (mut predictor, switches) = rendering(false);
+        let right = task.predict(&mut predictor).unwrap();
+        assert_eq!((right.stats.raster, right.stats.notices.len()), (Some(Raster::Render), 0));
+        task.check(&right);
+        switches.lose();
+        told(&task.predict(&mut predictor).unwrap(), "lost");
+        // And stay.
+        told(&task.predict(&mut predictor).unwrap(), "lost");
+    }
 }
 
 /// As `predict --repeat N` does it, while another thread takes the device away at any point of a prediction.

@@ -1,8 +1,8 @@
 //! `presight batch`: one sensor at many poses, into a folder.
 
+use super::engine_args::EngineArgs;
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
-use super::predict::BackendArg;
 use super::{CommandOutcome, bar, folder, open_scene, print};
 use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::frames::ExternalPose;
@@ -13,7 +13,7 @@ use presight::io::gltf::ImportOptions;
 use presight::io::series::SeriesProgress;
 use presight::io::{exr, load_sensor, log, sensor_toml, tum};
 use presight::{
-    Error, IdScheme, ImageRequest, Options, Output, Outputs, Pose, Predictor, Result, Scene, Sensor, Threads, blake3_of,
+    Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor, Threads, blake3_of,
 };
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -96,9 +96,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = WorldFrame::ZUp)]
     world_frame: WorldFrame,
 
-    /// Which engine predicts
-    #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
-    backend: BackendArg,
+    #[command(flatten)]
+    engine: EngineArgs,
 
     /// CPU threads, 0 = all cores
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -137,7 +136,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let items = args.items(poses.count);
     args.check_inputs()?;
     folder::ready(&args.out)?;
-    check_job(&args.out, &args.job(&scene, &sensor, &poses)?)?;
+    let raster = check_job(&args.out, args.job(&scene, &sensor, &poses)?, args.engine.raster())?;
     let mut job = Job::new(args, scene, sensor, request)?;
     let table = args.table();
     if table.exists() {
@@ -146,7 +145,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let mut progress = job.progress(&table, items.clone())?;
     print::finished_before(&progress, items.len());
-    let mut predictor = Predictor::new(Options::new(args.backend.into()).with_threads(threads.clone()))?;
+    let mut predictor = Predictor::new(args.engine.options(threads.clone()).with_raster(raster))?;
     job.write(&mut predictor, &threads, &mut progress, items)?;
     progress.rename(&table)?;
     Ok(CommandOutcome::Done)
@@ -177,7 +176,9 @@ impl Args {
             None => None,
         };
         let images = outputs.map(ImageRequest::from);
-        Ok(BatchRequest { images, likelihood, headings, ..BatchRequest::default() })
+        // Its files tell what rasterized.
+        let statistics = images.is_some();
+        Ok(BatchRequest { images, likelihood, headings, statistics, ..BatchRequest::default() })
     }
 
     fn check_outputs(&self, outputs: Outputs, sensor: &Sensor) -> Result<()> {
@@ -256,11 +257,15 @@ fn may_write(name: &str) -> bool {
 /// Names the batch that a folder holds.
 const JOB: &str = "batch.json";
 
-/// That the folder holds this batch, or none.
-fn check_job(folder: &Path, job: &serde_json::Value) -> Result<()> {
+/// That the folder holds this batch, or none. The answer is what rasterizes, for all parts and as long as the batch goes on: what was
+/// asked for where it began.
+fn check_job(folder: &Path, mut job: serde_json::Value, asked: Option<Raster>) -> Result<Raster> {
     let path = folder.join(JOB);
     if !path.exists() {
-        return write_atomically(&path, |file| writeln!(file, "{job:#}"));
+        let raster = asked.unwrap_or_default();
+        job["raster"] = raster.name().into();
+        write_atomically(&path, |file| writeln!(file, "{job:#}"))?;
+        return Ok(raster);
     }
     let record = text::read_settings(&path)?;
     let remedy = "give another --out, or remove the folder";
@@ -268,7 +273,13 @@ fn check_job(folder: &Path, job: &serde_json::Value) -> Result<()> {
     let before: serde_json::Value = serde_json::from_str(&record).map_err(broken)?;
     let names = ["format", "presight", "scene", "sensor", "poses", "request"];
     match names.iter().find(|name| before[**name] != job[**name]) {
-        None => Ok(()),
+        None => {
+            // Records from before there was a choice name none.
+            let name = before["raster"].as_str().unwrap_or(Raster::default().name());
+            let raster = [Raster::Compute, Raster::Render].into_iter().find(|raster| raster.name() == name);
+            let other = || Error::invalid("this batch began with another --raster", "drop it, or give another --out");
+            raster.filter(|raster| asked.is_none_or(|asked| asked == *raster)).ok_or_else(|| other().in_file(&path))
+        }
         Some(name) => {
             let what = match *name {
                 "scene" => "the scene has changed since this batch began",
@@ -361,6 +372,7 @@ impl<'a> Job<'a> {
             scene_blake3: Some(blake3_of(&args.scene)?),
             ids: Some(IdScheme::Model),
             given_up: None,
+            raster: None,
             objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
             // No batch has a deadline.
         };
@@ -435,7 +447,9 @@ impl<'a> Job<'a> {
     }
 
     fn write_image(&self, index: usize, item: &BatchItem) -> Result<()> {
-        let attributes = exr::Attributes { world_from_sensor: Some(item.world_from_sensor), ..self.attributes.clone() };
+        let raster = item.stats.as_ref().and_then(|stats| stats.raster);
+        let world_from_sensor = Some(item.world_from_sensor);
+        let attributes = exr::Attributes { world_from_sensor, raster, ..self.attributes.clone() };
         exr::write(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
     }
 
@@ -479,4 +493,25 @@ fn take(batch: &mut impl Iterator<Item = Result<BatchItem>>, count: usize) -> (V
         }
     }
     (some, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_goes_on_with_the_rasterizer_that_it_began_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = || serde_json::json!({ "format": 1, "scene": "hall" });
+        let begin = |asked| check_job(folder.path(), job(), asked);
+        for asked in [Some(Raster::Render), None, Some(Raster::Render)] {
+            assert_eq!(begin(asked).unwrap(), Raster::Render);
+        }
+        let refused = begin(Some(Raster::Compute)).unwrap_err();
+        assert!(refused.to_string().contains("this batch began with another --raster"), "{refused}");
+        // A record of before there was a choice.
+        std::fs::write(folder.path().join(JOB), job().to_string()).unwrap();
+        assert_eq!(begin(None).unwrap(), Raster::Compute);
+        assert!(begin(Some(Raster::Render)).is_err());
+    }
 }

@@ -63,8 +63,6 @@ enum PrecisionArg {
     F64,
     /// 32-bit floats: the GPU engine
     F32,
-    /// 32-bit floats, and corners snapped to parts of a pixel: a render pipeline
-    Snapped,
 }
 
 impl From<PrecisionArg> for Precision {
@@ -72,7 +70,6 @@ impl From<PrecisionArg> for Precision {
         match precision {
             PrecisionArg::F64 => Self::F64,
             PrecisionArg::F32 => Self::F32,
-            PrecisionArg::Snapped => Self::Snapped,
         }
     }
 }

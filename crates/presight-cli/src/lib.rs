@@ -5,6 +5,7 @@ mod batch;
 mod compare;
 mod deadline;
 mod doctor;
+mod engine_args;
 #[cfg(feature = "store")]
 mod env;
 mod features;

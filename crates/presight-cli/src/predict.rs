@@ -1,6 +1,7 @@
 //! `presight predict`: what a sensor at a pose sees.
 
 use super::deadline::DeadlineArgs;
+use super::engine_args::EngineArgs;
 use super::file_names::{FileNames, Paths};
 use super::frame_args::FrameArgs;
 use super::layers::{LayerArgs, Layers, NamedRequest};
@@ -24,8 +25,8 @@ use presight::memory::{self, FrameMemory};
 use presight::plan::{IdScheme, Output, Outputs, Stats};
 use presight::sensor::{Geometry, Sensor};
 use presight::virtual_sensors::{Settings, VirtualReading};
-use presight::{Backend, Options, Prediction, Predictor, Request, Scene, blake3_of};
 use presight::{Error, Result};
+use presight::{Options, Prediction, Predictor, Request, Scene, blake3_of};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -82,9 +83,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE.tum|-", conflicts_with = "pose")]
     poses: Option<PathBuf>,
 
-    /// Which engine predicts
-    #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
-    backend: BackendArg,
+    #[command(flatten)]
+    engine: EngineArgs,
 
     /// How polygons are selected: none, grid, plop, s2d, s3d or two-level; the images are the same with any
     #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
@@ -174,16 +174,6 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum BackendArg {
-    /// A hardware GPU if there is one, otherwise the CPU engine
-    Auto,
-    /// The CPU engine
-    Cpu,
-    /// wgpu on any adapter, a software one too
-    Gpu,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum IdsArg {
     /// Polygons of the model, coplanar triangles merged
     Model,
@@ -229,14 +219,7 @@ impl Args {
         sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..import };
-        Ok(Job {
-            poses,
-            sensors,
-            files,
-            names,
-            import,
-            options: Options::new(self.backend.into()).with_threads(threads),
-        })
+        Ok(Job { poses, sensors, files, names, import, options: self.engine.options(threads) })
     }
 
     /// True if there may be more than one prediction.
@@ -418,16 +401,6 @@ impl Args {
     }
 }
 
-impl From<BackendArg> for Backend {
-    fn from(backend: BackendArg) -> Self {
-        match backend {
-            BackendArg::Auto => Self::Auto,
-            BackendArg::Cpu => Self::Cpu,
-            BackendArg::Gpu => Self::Gpu,
-        }
-    }
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -544,8 +517,9 @@ pub fn write_files(
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
         let world_from_sensor = Some(prediction.world_from_sensor);
-        let given_up = prediction.degradation().cloned();
-        exr::write(path, images, args.outputs, &exr::Attributes { world_from_sensor, given_up, ..attributes })?;
+        let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
+        let attributes = exr::Attributes { world_from_sensor, given_up, raster, ..attributes };
+        exr::write(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &paths.png {
         let overlay = prediction.features.as_ref().map(|features| png::Overlay {
@@ -595,6 +569,7 @@ pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::At
         scene_blake3: Some(blake3_of(&args.scene)?),
         ids: Some(args.scheme()),
         given_up: None,
+        raster: None,
         objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
     })
 }

@@ -1,7 +1,7 @@
 //! Statistics over repeated predictions, as JSON and in words.
 
 use presight::deadline::DeadlineOutcome;
-use presight::plan::{CountName, StageName, StageRow, StageVariant, Stats, Work};
+use presight::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -43,6 +43,9 @@ pub struct Statistics {
     outputs: Vec<&'static str>,
     engine: &'static str,
     adapter: Option<String>,
+    /// What rasterized on that adapter.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    raster: Option<Raster>,
     threads: usize,
     index: &'static str,
     /// Measured predictions; one before them, unmeasured, warmed up.
@@ -121,6 +124,7 @@ impl Statistics {
             outputs: subject.outputs,
             engine: last.engine,
             adapter: last.adapter,
+            raster: last.raster,
             threads: last.threads,
             index: last.index,
             repeat: times_ms.len(),
@@ -159,6 +163,7 @@ impl Statistics {
             format!("engine    {}", self.engine_in_words()),
             format!("index     {}", self.index),
         ];
+        lines.extend(self.raster.map(|raster| format!("raster    {raster}")));
         let ms = &self.prediction_ms;
         lines.push(match self.repeat {
             1 => format!("time      {:.2} ms", ms.median),

@@ -5,7 +5,7 @@ use presight::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionH
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{self, DeviceOptions};
 use presight::verify::Precision;
-use presight::{Error, ErrorKind, FramePlan, Images, Result, Stats, Work};
+use presight::{Error, ErrorKind, FramePlan, Images, Raster, Result, Stats, Work};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -33,16 +33,28 @@ impl Switches {
 pub struct Faulty {
     engine: gpu::GpuEngine,
     wrong: bool,
+    /// Only the hardware rasterizer draws wrong.
+    of_render: bool,
     switches: Switches,
 }
 
 impl Faulty {
     /// One that draws right, or every range 1 % too long.
     pub fn new(setup: Setup, wrong: bool) -> Result<(Self, Switches)> {
-        let engine = testing::open(DeviceOptions::default(), setup)?.with_threads(1);
+        Self::open(Raster::Compute, setup, wrong)
+    }
+
+    /// The same with the hardware rasterizer, without which it draws right.
+    pub fn with_render(wrong: bool) -> Result<(Self, Switches)> {
+        Self::open(Raster::Render, Setup::default(), wrong)
+    }
+
+    fn open(raster: Raster, setup: Setup, wrong: bool) -> Result<(Self, Switches)> {
+        let engine = testing::open(DeviceOptions { raster, ..DeviceOptions::default() }, setup)?.with_threads(1);
+        let of_render = raster == Raster::Render;
         let loss: Box<dyn Fn() + Send> = Box::new(testing::device_loss(&engine));
         let switches = Switches { gone: Arc::default(), loss: Arc::new(Mutex::new(loss)) };
-        Ok((Self { engine, wrong, switches: switches.clone() }, switches))
+        Ok((Self { engine, wrong, of_render, switches: switches.clone() }, switches))
     }
 }
 
@@ -57,7 +69,7 @@ impl Engine for Faulty {
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         self.engine.render(plan, images, stats)?;
-        if self.wrong {
+        if self.wrong && (!self.of_render || self.engine.raster() == Raster::Render) {
             images.range.iter_mut().for_each(|range| *range *= 1.01);
         }
         Ok(())
@@ -78,6 +90,19 @@ impl Device for Faulty {
             return Err(Error::new(ErrorKind::NoDevice, "no adapter was found", "use --backend cpu"));
         }
         self.engine.reopen()?;
+        *self.switches.loss.lock().unwrap() = Box::new(testing::device_loss(&self.engine));
+        Ok(())
+    }
+
+    fn raster(&self) -> Raster {
+        self.engine.raster()
+    }
+
+    fn take_compute(&mut self) -> Result<()> {
+        if self.switches.gone.load(Ordering::Relaxed) {
+            return self.reopen();
+        }
+        Device::take_compute(&mut self.engine)?;
         *self.switches.loss.lock().unwrap() = Box::new(testing::device_loss(&self.engine));
         Ok(())
     }

@@ -5,8 +5,9 @@ use crate::cost::Forecast;
 use crate::deadline::{DegradationKind, DegradationStep};
 use crate::error::Result;
 use crate::plan::{FramePlan, Run};
+use crate::sensor::ImagePart;
 
-/// Columns: the angle shrinks no further.
+/// Columns that are drawn: the angle shrinks no further.
 const LEAST_COLUMNS: u32 = 8;
 
 /// Share of the least radius that can be drawn in time: above it the clock decides, for narrowing takes another selection.
@@ -18,7 +19,7 @@ impl Controller {
     pub(super) fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         let left = timed.watch.left().as_secs_f64();
         let low = |runs: &[Run]| {
-            let estimate = self.costs.estimate(&timed.key_of(Forecast::Selection), &counts_of(runs));
+            let estimate = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
             // Nothing that was not learnt gives anything up.
             if estimate.frames == 0 { 0.0 } else { estimate.lower }
         };
@@ -38,10 +39,10 @@ impl Controller {
         let mut cut = Vec::new();
         cut.extend(plan.radius.map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
         let share = left / needed;
-        if share < WORTH_NARROWING && timed.may_narrow {
-            let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS);
+        if share < WORTH_NARROWING && timed.draws_parts {
+            let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
-                plan.narrow(part)?;
+                plan.narrow(ImagePart { stride: timed.stride, ..part })?;
                 cut.push(taken(DegradationKind::Angle, None));
             }
         }

@@ -6,15 +6,17 @@
 
 mod cut;
 mod features;
+mod thinning;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
 use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
 use crate::error::{Error, ErrorKind, Result};
 use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
-use crate::sensor::Sensor;
+use crate::sensor::{STRIDES, Sensor};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
+use thinning::Stopping;
 
 /// Time for what no cost counts: learning, and the way back to the caller.
 const MARGIN: Duration = Duration::from_micros(100);
@@ -33,6 +35,8 @@ pub(crate) struct Controller {
     pub costs: CostModel,
     /// By what factor estimates are doubted that refused the last frames: only frames that are tried can correct them.
     doubts: BTreeMap<Key, f64>,
+    /// By stride.
+    stopping: BTreeMap<Key, Stopping>,
 }
 
 /// A prediction with a deadline.
@@ -42,9 +46,10 @@ pub(crate) struct DeadlineFrame {
     watch: Watch,
     key: Key,
     priority: Priority,
-    /// The angle may shrink.
-    may_narrow: bool,
-    pixels: u64,
+    /// Images may be thinned and narrowed.
+    draws_parts: bool,
+    /// Width and height of an image, and how many images there are.
+    size: [u32; 2],
     images: u64,
     /// Selection began and ended so long after the call, and images were there.
     begun: Duration,
@@ -53,6 +58,10 @@ pub(crate) struct DeadlineFrame {
     /// What the drawing was to draw, before a cut.
     counts: WorkCounts,
     cut: Vec<DegradationStep>,
+    /// Chosen after selection.
+    stride: u32,
+    /// The share of its estimated time that there was for the drawing.
+    time: Option<f64>,
     first_estimate: Option<f64>,
     /// What was expected of features, before any was found.
     features: WorkCounts,
@@ -63,7 +72,8 @@ pub(crate) struct DeadlineFrame {
 
 impl Default for Controller {
     fn default() -> Self {
-        Self { clock: Arc::new(SystemClock::default()), costs: CostModel::default(), doubts: BTreeMap::new() }
+        let clock = Arc::new(SystemClock::default());
+        Self { clock, costs: CostModel::default(), doubts: BTreeMap::new(), stopping: BTreeMap::new() }
     }
 }
 
@@ -94,11 +104,11 @@ impl Controller {
             return Err(Error::usage(what, "take the CPU engine (--backend cpu), or give no deadline"));
         };
         let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
-        let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
-        let images = outputs.iter().count() as u64;
-        let mut timed = DeadlineFrame::new(limit, watch, key, priority, (pixels, images));
-        timed.may_narrow = draws_parts;
-        let floor = [self.estimate(&timed, Forecast::Access), self.estimate(&timed, Forecast::Images)];
+        let (size, images) = ([sensor.width(), sensor.height()], outputs.iter().count() as u64);
+        let mut timed = DeadlineFrame::new(limit, watch, key, priority, (size, images));
+        timed.draws_parts = draws_parts;
+        let access = self.costs.estimate(&timed.key_of(Forecast::Access), &WorkCounts::default());
+        let floor = [access, self.least_images(&timed)];
         let doubt = self.doubt(&timed.key);
         let believed = |e: &TimeEstimate| {
             if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(SLOW * e.mean) * doubt }
@@ -118,51 +128,58 @@ impl Controller {
     pub fn plan(&mut self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         timed.selected = timed.watch.elapsed();
         let access = timed.selected.saturating_sub(timed.begun);
-        let images = self.estimate(timed, Forecast::Images);
+        let least = self.least_images(timed);
         let left = timed.limit.saturating_sub(timed.selected);
         let doubt = self.doubt(&timed.key);
-        let surely = if images.frames == 0 { images.mean * UNKNOWN_MACHINE } else { images.lower * doubt };
+        let surely = if least.frames == 0 { least.mean * UNKNOWN_MACHINE } else { least.lower * doubt };
         if left.as_secs_f64() < surely {
             self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MOST_DOUBT));
-            self.learn(timed, Forecast::Access, &WorkCounts::default(), access);
-            return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + images.upper));
+            self.learn(timed, (Forecast::Access, 1), &WorkCounts::default(), access);
+            return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + least.upper));
         }
-        // Half of the time is kept for the images at most, unless they take longer on average: a slow frame that may come is no reason
-        // to give up all.
-        let seconds = |s: f64| Duration::from_secs_f64(s.min(1e6)) + MARGIN;
-        let mean = if images.frames == 0 { Duration::ZERO } else { seconds(SLOW * images.mean) };
-        let after = seconds(images.upper).min(mean.max(left / 2));
+        timed.counts = counts_of(&plan.runs);
+        timed.stride = self.stride(timed, left);
+        plan.part = thinning::part_of(&plan.sensor, timed.stride);
+        let after = self.kept_for_images(timed, timed.stride, left);
         let features = self.reserve(timed, left.saturating_sub(after));
         timed.watch.stop_after(timed.limit.saturating_sub(after + features));
-        timed.counts = counts_of(&plan.runs);
         let drawing = self.costs.estimate(&timed.key_of(Forecast::Selection), &timed.counts);
-        let first_estimate = timed.selected.as_secs_f64() + drawing.mean + images.mean;
-        timed.first_estimate = (drawing.frames > 0 && images.frames > 0).then_some(first_estimate);
+        let images = self.images(timed, 1);
+        let is_known = drawing.frames > 0 && images.frames > 0;
+        timed.first_estimate = is_known.then_some(timed.selected.as_secs_f64() + drawing.mean + images.mean);
+        let drawing = self.at_stride(timed, (Forecast::Selection, &timed.counts), timed.stride);
+        timed.time = is_known.then(|| timed.watch.left().as_secs_f64() / drawing.mean);
         self.cut(timed, plan)?;
         plan.watch = Some(timed.watch.clone());
-        plan.pace = self.pace(timed, after, &plan.runs);
+        plan.pace = self.pace(timed, left, &plan.runs);
         Ok(())
     }
 
-    /// What drawing takes, by what was learnt, where so much is kept for the images.
-    fn pace(&self, timed: &DeadlineFrame, images: Duration, runs: &[Run]) -> Option<Pace> {
+    /// What drawing takes, by what was learnt, where so much time was left after selection.
+    fn pace(&self, timed: &DeadlineFrame, left: Duration, runs: &[Run]) -> Option<Pace> {
         let key = timed.key_of(Forecast::Wave);
         let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
         let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
-        let whole = self.costs.estimate(&timed.key_of(Forecast::Selection), &counts_of(runs));
+        let drawing = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
+        let kept = |stride| self.kept_for_images(timed, stride, left);
         (none.frames > 0).then(|| Pace {
             wave: none.mean,
             polygon: each(WorkCounts { polygons: most, ..WorkCounts::default() }),
             sample: each(WorkCounts { samples_tested: most, ..WorkCounts::default() }),
-            images: images.as_secs_f64(),
-            drawing: if whole.frames > 0 { whole.mean } else { 0.0 },
+            saved: STRIDES.map(|stride| kept(timed.stride).saturating_sub(kept(stride)).as_secs_f64()),
+            drawing: if drawing.frames > 0 { drawing.mean } else { 0.0 },
         })
+    }
+
+    /// Images of nothing, thinned as far as the engine can.
+    fn least_images(&self, timed: &DeadlineFrame) -> TimeEstimate {
+        self.images(timed, timed.strides().next_back().unwrap_or(1))
     }
 
     /// Tells how the deadline was kept, and learns.
     pub fn end(&mut self, timed: &DeadlineFrame, stats: &mut Stats) {
-        let took = timed.watch.elapsed();
+        let took = timed.watch.elapsed().max(timed.images_made);
         let mut kept = stats.deadline.take().unwrap_or_default();
         (kept.deadline_ms, kept.images_ms) = (milliseconds(timed.limit), milliseconds(timed.images_made));
         if !timed.left_out.is_empty() {
@@ -180,27 +197,39 @@ impl Controller {
         kept.first_estimate_ms = timed.first_estimate.map(|s| 1e3 * s).filter(|_| kept.given_up.is_none());
         let drawn = Duration::from_secs_f64(kept.drawn_ms.max(0.0) / 1e3).clamp(timed.selected, timed.images_made);
         self.doubts.remove(&timed.key);
-        self.learn(timed, Forecast::Access, &WorkCounts::default(), timed.selected.saturating_sub(timed.begun));
-        let stride = kept.given_up.as_ref().map_or(1, |given_up| given_up.stride);
-        let is_whole = stride == 1 && kept.given_up.as_ref().is_none_or(|given_up| given_up.opening.is_none());
-        if is_whole {
-            self.learn(timed, Forecast::Images, &timed.of_images(), timed.images_made - drawn);
+        let access = timed.selected.saturating_sub(timed.begun);
+        self.learn(timed, (Forecast::Access, 1), &WorkCounts::default(), access);
+        let given_up = kept.given_up.as_ref();
+        let stride = given_up.map_or(1, |given_up| given_up.stride);
+        let has_all_columns = given_up.is_none_or(|given_up| given_up.opening.is_none());
+        let is_whole = stride == 1 && has_all_columns;
+        if has_all_columns {
+            self.learn(timed, (Forecast::Images, stride), &timed.of_images(), timed.images_made - drawn);
         }
-        let stopped = kept.given_up.as_ref().is_some_and(|g| g.means.iter().any(|m| m.means == DegradationKind::Clock));
-        if timed.cut.is_empty() && !stopped && is_whole {
-            self.learn(timed, Forecast::Selection, &timed.counts, drawn - timed.selected);
+        let stopped = given_up.is_some_and(|g| g.means.iter().any(|m| m.means == DegradationKind::Clock));
+        if let Some(time) = timed.time.filter(|_| has_all_columns && stride == timed.stride) {
+            let there = 1.0 - given_up.map_or(0, |g| g.samples) as f64 / timed.pixels() as f64;
+            let stopping = self.stopping.entry(Self::key_at(timed, Forecast::Selection, stride)).or_default();
+            stopping.learn(time, (there / timed.share(stride)).min(1.0));
+        }
+        if timed.cut.is_empty() && has_all_columns && stride == timed.stride {
+            let (took, key) = (drawn - timed.selected, Self::key_at(timed, Forecast::Selection, stride));
+            // What was stopped would have taken longer.
+            if !stopped || took.as_secs_f64() > self.costs.estimate(&key, &timed.counts).mean {
+                self.learn(timed, (Forecast::Selection, stride), &timed.counts, took);
+            }
         }
         if let Some(wave) = &kept.wave {
             let counts = WorkCounts { polygons: wave.polygons, samples_tested: wave.samples, ..WorkCounts::default() };
-            self.learn(timed, Forecast::Wave, &counts, Duration::from_secs_f64(wave.time_ms.max(0.0) / 1e3));
+            self.learn(timed, (Forecast::Wave, 1), &counts, Duration::from_secs_f64(wave.time_ms.max(0.0) / 1e3));
         }
         let done = finished(stats, timed);
         if is_whole {
             kept.estimate_ms = 1e3 * self.costs.estimate(&timed.key_of(Forecast::Finished), &done).mean;
-            self.learn(timed, Forecast::Finished, &done, timed.images_made);
+            self.learn(timed, (Forecast::Finished, 1), &done, timed.images_made);
         }
         if timed.found > 0 {
-            self.learn(timed, Forecast::Features, &timed.of_features(timed.found), took - timed.images_made);
+            self.learn(timed, (Forecast::Features, 1), &timed.of_features(timed.found), took - timed.images_made);
         }
         kept.time_ms = milliseconds(timed.watch.elapsed());
         stats.deadline = Some(kept);
@@ -211,19 +240,15 @@ impl Controller {
         self.doubts.get(key).copied().unwrap_or(1.0)
     }
 
-    fn estimate(&self, timed: &DeadlineFrame, forecast: Forecast) -> TimeEstimate {
-        let counts = if forecast == Forecast::Images { timed.of_images() } else { WorkCounts::default() };
-        self.costs.estimate(&timed.key_of(forecast), &counts)
-    }
-
-    fn learn(&mut self, timed: &DeadlineFrame, forecast: Forecast, counts: &WorkCounts, took: Duration) {
+    /// Learns what a forecast of images of a stride should have said.
+    fn learn(&mut self, timed: &DeadlineFrame, about: (Forecast, u32), counts: &WorkCounts, took: Duration) {
         // Times that cannot be, of a clock that jumps, teach nothing.
-        let _ = self.costs.observe(&timed.key_of(forecast), counts, took.as_secs_f64());
+        let _ = self.costs.observe(&Self::key_at(timed, about.0, about.1), counts, took.as_secs_f64());
     }
 }
 
 impl DeadlineFrame {
-    fn new(limit: Duration, watch: Watch, key: Key, priority: &Priority, (pixels, images): (u64, u64)) -> Self {
+    fn new(limit: Duration, watch: Watch, key: Key, priority: &Priority, (size, images): ([u32; 2], u64)) -> Self {
         let zero = Duration::ZERO;
         let (begun, selected, images_made) = (zero, zero, zero);
         let (counts, features, cut, first_estimate) = (WorkCounts::default(), WorkCounts::default(), Vec::new(), None);
@@ -233,14 +258,16 @@ impl DeadlineFrame {
             watch,
             key,
             priority,
-            may_narrow: true,
-            pixels,
+            draws_parts: true,
+            size,
             images,
             begun,
             selected,
             images_made,
             counts,
             cut,
+            stride: 1,
+            time: None,
             first_estimate,
             features,
             found,
@@ -257,7 +284,8 @@ impl DeadlineFrame {
 
     /// Images are made, and features follow.
     pub fn images_are_made(&mut self) {
-        self.images_made = self.watch.elapsed();
+        // Also by a clock that was set back.
+        self.images_made = self.watch.elapsed().max(self.selected);
     }
 
     /// Time left for features.
@@ -274,14 +302,23 @@ impl DeadlineFrame {
         Key { forecast, ..self.key.clone() }
     }
 
+    fn pixels(&self) -> u64 {
+        self.size.map(u64::from).iter().product()
+    }
+
     fn of_images(&self) -> WorkCounts {
-        WorkCounts { pixels_resolved: self.pixels * self.images, ..WorkCounts::default() }
+        WorkCounts { pixels_resolved: self.pixels() * self.images, ..WorkCounts::default() }
     }
 }
 
 fn impossible(limit: Duration, needed: f64) -> Error {
     let what = format!("nothing can be predicted within {:.3} ms", milliseconds(limit));
     Error::new(ErrorKind::Deadline, what, format!("give {:.3} ms or more, or ask for fewer images", 1e3 * needed))
+}
+
+/// A time that is kept free, with the margin.
+fn seconds(s: f64) -> Duration {
+    Duration::from_secs_f64(s.min(1e6)) + MARGIN
 }
 
 fn milliseconds(time: Duration) -> f64 {
@@ -302,7 +339,7 @@ fn finished(stats: &Stats, timed: &DeadlineFrame) -> WorkCounts {
         waves: of(CountName::Waves),
         samples_tested: of(CountName::SamplesTested),
         samples_written: of(CountName::SamplesWritten),
-        pixels_resolved: timed.pixels * timed.images,
+        pixels_resolved: timed.pixels() * timed.images,
         ..WorkCounts::default()
     }
 }

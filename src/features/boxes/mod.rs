@@ -142,10 +142,10 @@ pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Re
             return;
         }
         let uncertain = frame.uncertain(&query.placed[given_at(given, i)]);
-        if frame.prepare(seen, &uncertain, room) {
-            let found = room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method);
-            frame.set(seen, found);
-        }
+        let found = frame
+            .prepare(seen, &uncertain, room)
+            .then(|| room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method));
+        frame.set(seen, found.flatten());
     };
     parallel(|| {
         let features = features.par_iter_mut().enumerate().with_min_len(64);
@@ -214,6 +214,7 @@ impl<'a> BoxFrame<'a> {
 
     /// Writes a box down. A patch or curve that is seen over more than half a turn lies around the axis, and so does its box.
     pub fn set(&self, seen: &mut SeenFeature, found: Option<Roi>) {
+        seen.windows = Vec::new();
         let Some(found) = found else { return };
         let [_, y0, _, y1] = found.bounds;
         let wide = |turn: f64| seen.visible.iter().any(|v| v.pixels[1].x - v.pixels[0].x > 0.5 * turn);

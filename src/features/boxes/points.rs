@@ -6,8 +6,8 @@
 use super::image::{Image, Kind};
 use super::outermost;
 use crate::environment::FeatureShape;
+use crate::features::SeenFeature;
 use crate::features::roi::{BodyPoint, FeatureErrorModel, Projection, Viewpoint};
-use crate::features::{MAX_PATCH_SAMPLES, STEP, SeenFeature, VisibleInterval};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
 
@@ -127,7 +127,9 @@ fn patch(
     into: &mut Vec<BodyPoint>,
 ) {
     let [visible] = seen.visible.as_slice() else { return };
-    let window = PatchWindow::of(image, uncertain, corners, visible);
+    let one = [visible.pixels];
+    let windows = if seen.windows.is_empty() { &one[..] } else { &seen.windows[..] };
+    let windows: Vec<PatchWindow> = windows.iter().map(|seen| PatchWindow::of(image, *seen)).collect();
     // What is outside the image is no hidden part: a patch is seen whole only if its corners are in the image.
     let (w, h) = image.size();
     let inside_image = |corner: &DVec3| {
@@ -137,7 +139,7 @@ fn patch(
     };
     let whole = seen.hidden.is_empty() && corners.iter().all(inside_image);
     let holds = |p: DVec3| match image.project(uncertain.nominal(&BodyPoint::rigid(p)).p) {
-        Some(at) => whole || window.holds(at),
+        Some(at) => whole || windows.iter().any(|window| window.holds(at)),
         None => false,
     };
     let straight = matches!(image.kind, Kind::Pinhole(_));
@@ -165,7 +167,8 @@ fn patch(
         }
     }
     if !(straight && whole) {
-        inside(image, uncertain, corners, if whole { None } else { Some(window) }, into);
+        inside(image, uncertain, corners, if whole { &[][..] } else { &windows[..] }, into);
+        outermost::keep(image, uncertain, into);
     }
     if into.is_empty() {
         // Seen from its edge, at its middle.
@@ -191,7 +194,7 @@ fn inside(
     image: &Image<'_>,
     uncertain: &FeatureErrorModel,
     corners: &[DVec3],
-    window: Option<PatchWindow>,
+    windows: &[PatchWindow],
     into: &mut Vec<BodyPoint>,
 ) {
     let in_body: Vec<DVec3> = corners.iter().map(|c| uncertain.nominal(&BodyPoint::rigid(*c)).p).collect();
@@ -206,18 +209,20 @@ fn inside(
     };
     let body_from_image = image.image_from_body.transpose();
     let at = |pixel: DVec2| image.sensor.ray_at(pixel.x, pixel.y).and_then(|ray| meet(body_from_image * ray));
-    if let Some(window) = window {
-        let is_row = image.size().1 == 1;
-        for (seen, beyond) in window.border() {
+    let is_row = image.size().1 == 1;
+    // As many places around few windows as around many.
+    let parts = if windows.len() > 1 { 2 } else { PARTS };
+    for window in windows {
+        for (seen, beyond) in window.border(parts) {
             // Outlines cross a row between any two of their points.
             let beyond = if is_row { DVec2::new(beyond.x, seen.y) } else { beyond };
             into.extend(at(beyond).or_else(|| if is_row { last_of(seen, beyond, at) } else { at(seen) }));
         }
     }
     if matches!(image.kind, Kind::Beams(_) | Kind::Scanner) {
-        let shown = |axis: &DVec3| match (window, image.project(body_from_image * *axis)) {
-            (Some(w), Some(at)) => (w.low.y..=w.high.y).contains(&at[1]),
-            _ => true,
+        let shown = |axis: &DVec3| match image.project(body_from_image * *axis) {
+            Some(at) => windows.is_empty() || windows.iter().any(|w| (w.low.y..=w.high.y).contains(&at[1])),
+            None => true,
         };
         let axes = [DVec3::Z, DVec3::NEG_Z].into_iter().filter(shown);
         into.extend(axes.filter_map(|axis| meet(body_from_image * axis)));
@@ -248,41 +253,29 @@ struct PatchWindow {
 }
 
 impl PatchWindow {
-    /// Around samples, by a step of the grid that was laid over the patch's image: so far off may the next one be, and not seen.
-    fn of(image: &Image<'_>, uncertain: &FeatureErrorModel, corners: &[DVec3], visible: &VisibleInterval) -> Self {
+    /// Around what is seen at pixels, by one of them: the next is not seen.
+    fn of(image: &Image<'_>, seen: [DVec2; 2]) -> Self {
         let (w, h) = image.size();
         let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
-        let (mut low, mut high) = (most, DVec2::splat(-0.5));
-        for corner in corners {
-            match image.project(uncertain.nominal(&BodyPoint::rigid(*corner)).p).map(DVec2::from) {
-                Some(at) if matches!(image.kind, Kind::Pinhole(_)) => {
-                    (low, high) = (low.min(at).max(DVec2::splat(-0.5)), high.max(at).min(most));
-                }
-                // Behind the camera, or an image whose outline bulges: all of it at most.
-                _ => (low, high) = (DVec2::splat(-0.5), most),
-            }
-        }
-        let size = (high - low).max(DVec2::ZERO);
-        let step = (size.x * size.y / MAX_PATCH_SAMPLES as f64).sqrt().max(STEP);
-        let (mut low, mut high) = (visible.pixels[0] - step, visible.pixels[1] + step);
+        let (mut low, mut high) = (seen[0] - 1.0, seen[1] + 1.0);
         // Beyond the border nothing is seen; around a turn there is none at the sides.
         let turn = image.turn();
         (low.y, high.y) = (low.y.max(-0.5), high.y.min(most.y));
         if turn.is_none() {
             (low.x, high.x) = (low.x.max(-0.5), high.x.min(most.x));
         }
-        Self { low, high, seen: visible.pixels, turn }
+        Self { low, high, seen, turn }
     }
 
     /// Places around what is seen, each with the one beside it where the window ends.
-    fn border(&self) -> impl Iterator<Item = (DVec2, DVec2)> {
+    fn border(&self, parts: usize) -> impl Iterator<Item = (DVec2, DVec2)> {
         let around = |low: DVec2, high: DVec2, share: f64| {
             let at = low + share * (high - low);
             [(at.x, low.y), (at.x, high.y), (low.x, at.y), (high.x, at.y)].map(DVec2::from)
         };
         let ([low, high], beyond) = (self.seen, [self.low, self.high]);
-        (0..=PARTS).flat_map(move |i| {
-            let share = i as f64 / PARTS as f64;
+        (0..=parts).flat_map(move |i| {
+            let share = i as f64 / parts as f64;
             around(low, high, share).into_iter().zip(around(beyond[0], beyond[1], share))
         })
     }

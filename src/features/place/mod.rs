@@ -28,10 +28,12 @@ use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Objec
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose, plane_of_polygon};
 use crate::index::{QueryResult, Region};
+use crate::threads::parallel;
 use crate::world::World;
 use glam::DVec3;
 use local::Local;
 pub(super) use plane::clip;
+use rayon::prelude::*;
 
 /// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
 /// tolerance cannot tell.
@@ -85,15 +87,17 @@ enum Support {
 /// feature that is somewhere off its polygons by more than the layer's tolerance, with the distance.
 pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
     let mut finder = SupportFinder::new(world, layer)?;
-    layer.features.iter().map(|feature| finder.place(feature).map_err(|e| e.at(name_of(feature)))).collect()
+    let lying = finder.lie_all(layer)?;
+    let both = layer.features.iter().zip(lying);
+    both.map(|(feature, lying)| finder.place(feature, lying).map_err(|e| e.at(name_of(feature)))).collect()
 }
 
 /// As [`place`], but leaves out features that cannot be placed, and returns their numbers as the second value.
 pub(crate) fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
     let mut finder = SupportFinder::new(world, layer)?;
     let (mut placed, mut off) = (Vec::with_capacity(layer.features.len()), Vec::new());
-    for feature in &layer.features {
-        match finder.lie(feature) {
+    for (feature, lying) in layer.features.iter().zip(finder.lie_all(layer)?) {
+        match lying.and_then(|lying| finder.with_surface(feature, lying)) {
             Ok((frame, Support::On(slots))) => placed.push(frame.placed(feature, slots)),
             Err(e) if finder.contours.is_full() => return Err(e.at(name_of(feature))),
             // How far off it is takes a search of its own.
@@ -109,6 +113,9 @@ fn name_of(feature: &Feature) -> String {
         None => format!("feature {}", feature.id),
     }
 }
+
+/// A feature's frame, and what it lies on.
+type Lying<'a> = (FeatureFrame<'a>, Support);
 
 struct SupportFinder<'a> {
     world: &'a World,
@@ -170,15 +177,40 @@ impl<'a> SupportFinder<'a> {
         Ok(Self { world, environment, tolerance: layer.tolerance, found: QueryResult::default(), contours })
     }
 
-    fn place(&mut self, feature: &Feature) -> Result<PlacedFeature> {
-        match self.lie(feature)? {
+    fn place(&mut self, feature: &Feature, lying: Result<Lying<'a>>) -> Result<PlacedFeature> {
+        match self.with_surface(feature, lying?)? {
             (frame, Support::On(slots)) => Ok(frame.placed(feature, slots)),
             (frame, Support::Off(at)) => Err(self.off(&frame, at, feature)),
         }
     }
 
-    /// The frame of a feature, and what it lies on.
-    fn lie(&mut self, feature: &Feature) -> Result<(FeatureFrame<'a>, Support)> {
+    /// What each feature of a layer lies on, of contours their anchors, in order.
+    fn lie_all(&self, layer: &'a FeatureLayer) -> Result<Vec<Result<Lying<'a>>>> {
+        /// Features that a worker takes at a time, at least.
+        const BATCH: usize = 256;
+        let features = layer.features.par_iter().with_min_len(BATCH);
+        parallel(|| features.map_init(|| self.another(), |finder, feature| finder.lie(feature)).collect())
+    }
+
+    /// One that knows nothing of contours yet.
+    fn another(&self) -> Self {
+        let contours = ContourFinder::new(self.environment, "");
+        Self { found: QueryResult::default(), contours, ..*self }
+    }
+
+    /// A contour's surface in place of what its anchor lies on.
+    fn with_surface(&mut self, feature: &Feature, (frame, lying): Lying<'a>) -> Result<Lying<'a>> {
+        match (&feature.shape, lying) {
+            (FeatureShape::Contour { crease_deg, .. }, Support::On(slots)) => {
+                let surface = self.surface(frame.object.map(|(_, index)| index), slots, *crease_deg)?;
+                Ok((frame, surface))
+            }
+            (_, lying) => Ok((frame, lying)),
+        }
+    }
+
+    /// The frame of a feature, and what it lies on, or a contour's anchor.
+    fn lie(&mut self, feature: &Feature) -> Result<Lying<'a>> {
         let environment = self.environment;
         let object = match &feature.object {
             Some(path) => Some(environment.index_of(path)?),
@@ -189,18 +221,13 @@ impl<'a> SupportFinder<'a> {
         let boxes = boxes_around(&frame, &feature.shape);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
         let tolerance = self.tolerance;
-        let mut within = |tolerance: f64| lie(&self.near(&frame, &boxes, tolerance), &about, &|_| Ok(()));
+        let slots = self.slots_near(&boxes);
+        let within = |tolerance: f64| lie(&self.locals(&frame, &slots, tolerance), &about, &|_| Ok(()));
         let lie = match within(tolerance.min(ROUNDING))? {
             Support::Off(_) if tolerance > ROUNDING => within(tolerance)?,
             lie => lie,
         };
-        match (&feature.shape, lie) {
-            (FeatureShape::Contour { crease_deg, .. }, Support::On(slots)) => {
-                let surface = self.surface(object, slots, *crease_deg)?;
-                Ok((frame, surface))
-            }
-            (_, lie) => Ok((frame, lie)),
-        }
+        Ok((frame, lie))
     }
 
     /// The surface of a contour whose anchor lies on polygons: of its object, in the world of the object that came first.
@@ -215,8 +242,8 @@ impl<'a> SupportFinder<'a> {
         Ok(if surface.is_empty() { Support::Off(DVec3::ZERO) } else { Support::On(surface) })
     }
 
-    /// The polygons that may come within a tolerance of the boxes (world).
-    fn near(&mut self, frame: &FeatureFrame<'_>, boxes: &[Aabb], tolerance: f64) -> Vec<Local> {
+    /// Slots of the polygons that may come within the layer's tolerance of the boxes (world).
+    fn slots_near(&mut self, boxes: &[Aabb]) -> Vec<u32> {
         self.found.clear();
         for b in boxes {
             let reach = b.min.abs().max(b.max.abs()).max_element();
@@ -227,7 +254,11 @@ impl<'a> SupportFinder<'a> {
         let mut slots: Vec<u32> = self.found.all().collect();
         slots.sort_unstable();
         slots.dedup();
-        slots.into_iter().filter_map(|slot| self.local(frame, slot, tolerance)).collect()
+        slots
+    }
+
+    fn locals(&self, frame: &FeatureFrame<'_>, slots: &[u32], tolerance: f64) -> Vec<Local> {
+        slots.iter().filter_map(|slot| self.local(frame, *slot, tolerance)).collect()
     }
 
     fn local(&self, frame: &FeatureFrame<'_>, slot: u32, tolerance: f64) -> Option<Local> {
@@ -283,7 +314,8 @@ impl<'a> SupportFinder<'a> {
         let mut half = 4.0 * self.tolerance;
         loop {
             let b = Aabb { min: p_in_world - half, max: p_in_world + half };
-            let nearest = self.near(frame, &[b], self.tolerance).iter().map(|l| l.distance(at)).reduce(f64::min);
+            let slots = self.slots_near(&[b]);
+            let nearest = self.locals(frame, &slots, self.tolerance).iter().map(|l| l.distance(at)).reduce(f64::min);
             match nearest {
                 // Nothing outside of the box can be nearer.
                 Some(d) if d <= half || half > enough => return Some(d),

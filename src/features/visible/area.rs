@@ -14,6 +14,7 @@ use super::spans::{self, Span};
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::undecided::UndecidedSample;
+use super::windows::Windows;
 use crate::features::sample::PatchCone;
 use crate::features::{FeatureStats, MAX_PATCH_SAMPLES, Reason, STEP};
 use crate::sensor::{LineAxis, PixelGrid};
@@ -63,6 +64,10 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
         tally: Tally::default(),
         stats: FeatureStats { features: 1, ..FeatureStats::default() },
     };
+    if query.frame.options.regions {
+        let ends = spans.iter().flat_map(|span| [(span, span.samples.start), (span, span.samples.end - 1)]);
+        pixels.tally.windows = Some(Windows::new(ends.map(|(span, sample)| pixels.pixel_at(span, sample))));
+    }
     for span in &spans {
         pixels.decide_span(span);
         if pixels.waiting.len() >= WAITING {
@@ -219,9 +224,8 @@ impl PatchPixels<'_> {
             SampleState::Hidden(..) => {}
             SampleState::Seen => {
                 self.stats.visible += count;
-                for sample in [run.start, run.end - 1] {
-                    self.tally.reach(self.pixel_at(span, sample));
-                }
+                let [from, to] = [run.start, run.end - 1].map(|sample| self.pixel_at(span, sample));
+                self.tally.reach_between(from, to);
                 for sample in self.nearest_of(span.line, run.clone()) {
                     self.tally.see_at(self.place(span.line, sample));
                 }

@@ -75,7 +75,7 @@ impl Worker<'_> {
             piece.slots.clear();
             piece.slots.extend_from_slice(slots);
             let in_image = frame.in_image(&piece);
-            let mut own = FeatureSurface::new(frame, &mut workspace.polygons, &piece, &in_image);
+            let mut own = FeatureSurface::new(frame, &mut workspace.polygons, (&piece, &piece.slots[..]), &in_image);
             // A silhouette is no place on a surface that is seen too flat: it is where the surface ends.
             own.forget_normals();
             let query =

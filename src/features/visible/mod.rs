@@ -31,12 +31,14 @@ mod rays;
 mod runs;
 mod samples;
 mod select;
+mod sheet;
 mod spans;
 mod strategy;
 mod surface;
 mod tally;
 mod tiles;
 mod undecided;
+mod windows;
 mod worker;
 
 use super::contour::ContourSet;
@@ -87,6 +89,8 @@ pub struct FeatureSettings {
     /// The images gave something up for a deadline: where they are NaN with id 0, they say nothing. Large patches, which the
     /// images decide about, are [`crate::features::Reason::NotPredicted`] there; all else is found in space, as always.
     pub is_partial: bool,
+    /// Regions of interest will be asked for: of patches that are seen in part it is noted where.
+    pub regions: bool,
 }
 
 impl Default for FeatureSettings {
@@ -99,6 +103,7 @@ impl Default for FeatureSettings {
             visibility: Visibility::default(),
             step: STEP,
             is_partial: false,
+            regions: false,
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::undecided::{Line, UndecidedSample, hide_along};
+use super::windows::Windows;
 use super::{Visibility, rays};
 use crate::environment::FeatureShape;
 use crate::features::sample::Piece;
@@ -100,6 +101,10 @@ impl Samples {
         }
         stats.hidden_in_space -= stats.hidden_by_neighbours;
         let mut tally = Tally::default();
+        if query.frame.options.regions && query.shape.is_area() {
+            let place = |piece: &Piece| if let Piece::Inside(sample) = piece { Some(sample.pixel) } else { None };
+            tally.windows = Some(Windows::new(self.pieces.iter().filter_map(place)));
+        }
         for (piece, state) in self.pieces.iter().zip(&self.states) {
             tally.take(query.frame, piece, *state);
         }

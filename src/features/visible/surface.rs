@@ -21,16 +21,16 @@ pub(super) struct FeatureSurface<'a> {
 }
 
 impl<'a> FeatureSurface<'a> {
-    /// Of a feature with its points in the image frame, and how far they may be off by rounding.
+    /// Of a feature, and what does not hide it, with its points in the image frame, and how far they may be off by rounding.
     pub fn new(
         frame: &VisibilityContext<'_>,
         polygons: &mut PolygonCache,
-        placed: &'a PlacedFeature,
+        (placed, slots): (&PlacedFeature, &'a [u32]),
         (points, image_from_object, rounding): &(Vec<DVec3>, DMat3, f64),
     ) -> Self {
         let class = &frame.sensor.spec().class;
         let (mut normals, mut there, mut away) = (Vec::new(), 0, 0);
-        for slot in &placed.slots {
+        for slot in slots {
             let Some((object, polygon)) = frame.environment.locate(*slot) else { continue };
             let material = frame.environment.objects()[object as usize].mesh.material(polygon);
             if frame.environment.materials()[usize::from(material)].appearance(class) == Appearance::Invisible {
@@ -55,13 +55,13 @@ impl<'a> FeatureSurface<'a> {
         if normals.is_empty() && !(there > 0 && there == away) {
             normals.extend(given.or(of_outline));
         }
-        let reason = match (placed.slots.len(), there) {
+        let reason = match (slots.len(), there) {
             (0, _) => None,
             (_, 0) => Some(Reason::Material),
             _ if there == away => Some(Reason::FacingAway),
             _ => None,
         };
-        FeatureSurface { slots: &placed.slots, normals, front, reason, rounding: *rounding }
+        FeatureSurface { slots, normals, front, reason, rounding: *rounding }
     }
 
     /// Only what is in between decides.

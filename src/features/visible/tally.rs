@@ -1,6 +1,7 @@
 //! Intervals and shares of one feature, from the verdicts on its samples.
 
 use super::VisibilityContext;
+use super::windows::Windows;
 use crate::features::sample::{Piece, Sample};
 use crate::features::{HiddenInterval, Reason, VisibleInterval};
 use glam::{DVec2, DVec3};
@@ -26,6 +27,8 @@ pub(super) struct Tally {
     /// The nearest sample seen: its range squared, and its place.
     pub nearest: Option<(f64, DVec3)>,
     pub pixels: Vec<u32>,
+    /// Where a patch is seen, if that is asked for.
+    pub windows: Option<Windows>,
 }
 
 impl Tally {
@@ -140,8 +143,17 @@ impl Tally {
         }
     }
 
+    /// Pixels between which it is seen.
+    pub fn reach_between(&mut self, from: DVec2, to: DVec2) {
+        self.reach(from);
+        self.reach(to);
+        if let Some(windows) = &mut self.windows {
+            windows.reach(from, to);
+        }
+    }
+
     /// A pixel in which it is seen.
-    pub fn reach(&mut self, pixel: DVec2) {
+    fn reach(&mut self, pixel: DVec2) {
         let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
         self.bounds = Some([low.min(pixel), high.max(pixel)]);
     }
@@ -157,7 +169,7 @@ impl Tally {
     fn see(&mut self, frame: &VisibilityContext<'_>, sample: &Sample) {
         self.see_at(sample.at);
         let pixel = sample.pixel;
-        self.reach(pixel);
+        self.reach_between(pixel, pixel);
         if frame.options.feature_id {
             self.mark(frame, pixel);
         }

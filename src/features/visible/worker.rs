@@ -3,9 +3,12 @@
 use super::strategy::{Decision, FeatureQuery, Workspace, decide};
 use super::surface::FeatureSurface;
 use super::tally::share;
-use super::{QuerySamples, Visibility, VisibilityContext, area, samples::Samples};
+use super::windows::Windows;
+use super::{QuerySamples, Visibility, VisibilityContext, area, samples::Samples, sheet};
+use crate::environment::FeatureShape;
+use crate::features::sample::Piece;
 use crate::features::{FeatureStats, Hidden, HiddenInterval, PlacedFeature, SeenFeature};
-use glam::DVec3;
+use glam::{DMat3, DVec2, DVec3};
 
 pub(super) struct FeatureResult {
     /// `None` if nothing is seen, and only what is seen is asked for.
@@ -31,8 +34,9 @@ impl<'a> Worker<'a> {
             return Vec::new();
         }
         let (frame, workspace) = (self.frame, &mut self.workspace);
-        let in_image = frame.in_image(placed);
-        let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &in_image);
+        let mut in_image = frame.in_image(placed);
+        let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
+        let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
         let query = FeatureQuery { frame, shape: &placed.feature.shape, points: &in_image.0, own: &own, hints: None };
         if frame.options.visibility == Visibility::Image && area::pixels_of(&query).is_some() {
             return Vec::new();
@@ -47,11 +51,17 @@ impl<'a> Worker<'a> {
     pub fn feature(&mut self, placed: &PlacedFeature, hints: Option<&[Option<u32>]>) -> FeatureResult {
         let (frame, workspace) = (self.frame, &mut self.workspace);
         let shape = &placed.feature.shape;
-        let in_image = frame.in_image(placed);
-        let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &in_image);
+        let mut in_image = frame.in_image(placed);
+        let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
+        let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
         let query = FeatureQuery { frame, shape, points: &in_image.0, own: &own, hints };
         let Decision { mut tally, mut stats } = decide(&query, workspace);
         let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        // What is outside the image is no hidden part.
+        let is_inside = |p: &DVec3| matches!(frame.sampler.point(*p), Piece::Inside(_));
+        let is_whole = || hidden.is_empty() && in_image.0.iter().all(is_inside);
+        let windows = tally.windows.take().filter(|_| !visible.is_empty() && !is_whole());
+        let windows = windows.map(|windows| seen_in(windows, &query, workspace)).unwrap_or_default();
         stats.asked = 1;
         match frame.options.hidden {
             Hidden::Count if visible.is_empty() => return FeatureResult { seen: None, stats, pixels: Vec::new() },
@@ -81,7 +91,37 @@ impl<'a> Worker<'a> {
             roi: None,
             roi_flag: None,
             image_covariance: None,
+            windows,
         };
         FeatureResult { seen: Some(seen), stats, pixels: tally.pixels }
     }
+}
+
+/// The windows of a patch, with what is seen along its sides: between samples a patch is seen as far as its outline is.
+fn seen_in(mut windows: Windows, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Vec<[DVec2; 2]> {
+    /// Pieces of what is seen of a side whose image is curved.
+    const PIECES: u32 = 8;
+    let (frame, middle) = (query.frame, windows.middle());
+    let place = |p: DVec3| {
+        let mut at = frame.sensor.project(p).map(DVec2::from)?;
+        if let Some(turn) = frame.sampler.turn() {
+            at.x += turn * ((middle.x - at.x) / turn).round();
+        }
+        Some(at)
+    };
+    for (k, a) in query.points.iter().enumerate() {
+        let ends = [*a, query.points[(k + 1) % query.points.len()]];
+        let side = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+        let Decision { tally, .. } =
+            decide(&FeatureQuery { shape: &side, points: &ends, hints: None, ..*query }, workspace);
+        for part in tally.visible.iter().map(|v| v.t) {
+            let at = |i: u32| ends[0].lerp(ends[1], part[0] + (part[1] - part[0]) * f64::from(i) / f64::from(PIECES));
+            for i in 0..PIECES {
+                if let Some((from, to)) = place(at(i)).zip(place(at(i + 1))) {
+                    windows.reach(from, to);
+                }
+            }
+        }
+    }
+    windows.into_seen()
 }

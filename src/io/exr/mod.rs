@@ -8,7 +8,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::memory;
-use crate::plan::{IdScheme, Images, Output, Outputs, SampleKind, Samples, SamplesMut};
+use crate::plan::{IdScheme, Images, Output, Outputs, Raster, SampleKind, Samples, SamplesMut};
 use crate::printable::quoted;
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::meta::attribute::{AttributeValue, LineOrder, SampleType, Text};
@@ -38,6 +38,8 @@ pub struct Attributes {
     pub ids: Option<IdScheme>,
     /// What was given up for a deadline: pixels that are NaN with id 0 then may be such, or have no ray.
     pub given_up: Option<Degradation>,
+    /// What rasterized, if a GPU drew the images.
+    pub raster: Option<Raster>,
     /// Object names by `object_id`.
     pub objects: BTreeMap<u32, String>,
 }
@@ -132,6 +134,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     texts.extend(attributes.scene.clone().map(|t| ("scene", t)));
     texts.extend(attributes.scene_blake3.clone().map(|t| ("scene_blake3", t)));
     texts.extend(attributes.ids.map(|ids| ("ids", if ids == IdScheme::Model { "model" } else { "source" }.into())));
+    texts.extend(attributes.raster.map(|raster| ("raster", raster.name().into())));
     texts.extend(attributes.given_up.iter().flat_map(serde_json::to_string).map(|text| ("given_up", text)));
     // A map of numbers to texts cannot fail to be JSON.
     texts.push(("objects", serde_json::to_string(&attributes.objects).unwrap_or_default()));
@@ -327,6 +330,11 @@ impl Attributes {
                     "source" => IdScheme::Source,
                     _ => return Err(Error::invalid(format!("is {}", quoted(text)), "write model or source")),
                 });
+            }
+            "raster" => {
+                let known = [Raster::Compute, Raster::Render].into_iter().find(|raster| raster.name() == text);
+                let wrong = || Error::invalid(format!("is {}", quoted(text)), "write compute or render");
+                self.raster = Some(known.ok_or_else(wrong)?);
             }
             "given_up" => {
                 let wrong = |e| Error::invalid(format!("says not what was given up: {e}"), "predict again");

@@ -37,6 +37,7 @@ fn attributes() -> Attributes {
         scene: Some("räume/hall.glb".into()),
         scene_blake3: Some("00ff".into()),
         ids: Some(IdScheme::Source),
+        raster: Some(Raster::Render),
         given_up: Some(Degradation {
             complete_to: 3.25,
             samples: 7,

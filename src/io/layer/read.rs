@@ -40,8 +40,12 @@ pub fn read(path: &Path) -> Result<LayerFile> {
 /// As [`read`], without the file.
 pub fn parse(text: &str) -> Result<LayerFile> {
     check_json_memory(text)?;
-    check_format(text)?;
-    let Keyed(fields) = from_json::<Keyed<LayerFields>>(text)?;
+    let fields = match from_json::<Keyed<LayerFields>>(text) {
+        Ok(Keyed(fields)) => fields,
+        // A newer file may have keys that this build cannot know: that is said first.
+        Err(e) => return Err(format_of(text).and_then(check_format).err().unwrap_or(e)),
+    };
+    check_format(Some(fields.format))?;
     let mut layer = FeatureLayer {
         class: fields.class,
         tolerance: fields.tolerance.unwrap_or(DEFAULT_TOLERANCE),
@@ -91,13 +95,17 @@ fn from_json<T: DeserializeOwned>(text: &str) -> Result<T> {
     })
 }
 
-/// Checks the format before anything else, because a newer file may have keys that this build cannot know.
-fn check_format(text: &str) -> Result<()> {
+/// What a file says of its format, whatever else is in it.
+fn format_of(text: &str) -> Result<Option<u32>> {
     #[derive(Deserialize)]
     struct Header {
         format: Option<Whole>,
     }
-    match from_json::<Keyed<Header>>(text)?.0.format.map(|Whole(format)| format) {
+    Ok(from_json::<Keyed<Header>>(text)?.0.format.map(|Whole(format)| format))
+}
+
+fn check_format(format: Option<u32>) -> Result<()> {
+    match format {
         Some(FORMAT | FORMAT_WITHOUT_CONTOURS) => Ok(()),
         Some(newer) if newer > FORMAT => Err(Error::new(
             ErrorKind::Unsupported,

@@ -317,6 +317,7 @@ mod tests {
             roi: None,
             roi_flag: None,
             image_covariance: None,
+            windows: Vec::new(),
         }
     }
 

@@ -4,6 +4,7 @@ use presight_testkit as common;
 mod bodies;
 mod boxes;
 mod layers;
+mod picture;
 mod plant;
 mod truth;
 

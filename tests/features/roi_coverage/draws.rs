@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// L with L L^T the covariance, zero where it is singular.
-fn cholesky(covariance: &Covariance) -> Covariance {
+pub fn cholesky(covariance: &Covariance) -> Covariance {
     let mut l = [[0.0; 6]; 6];
     for j in 0..6 {
         let rest = covariance[j][j] - (0..j).map(|k| l[j][k] * l[j][k]).sum::<f64>();
@@ -26,9 +26,13 @@ fn cholesky(covariance: &Covariance) -> Covariance {
 }
 
 /// Standard normal numbers, by Box and Muller.
-struct Normal(Random, Option<f64>);
+pub struct Normal(Random, Option<f64>);
 
 impl Normal {
+    pub fn new(seed: u64) -> Self {
+        Self(Random(seed), None)
+    }
+
     pub fn next(&mut self) -> f64 {
         if let Some(kept) = self.1.take() {
             return kept;
@@ -50,7 +54,7 @@ impl Normal {
     }
 }
 
-fn ends_covariance(shape: &FeatureShape) -> Covariance {
+pub fn ends_covariance(shape: &FeatureShape) -> Covariance {
     let mut all = [[0.0; 6]; 6];
     let mut put = |row: usize, column: usize, m: &DMat3| {
         for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {

@@ -7,6 +7,7 @@
 
 use presight_testkit as common;
 mod draws;
+mod study;
 
 use common::{Random, env_number, scenes};
 use draws::{Best, Case};
@@ -330,7 +331,7 @@ fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let feature = Feature { id: 1, name: None, object: None, shape: case.shape.clone(), existence, properties };
     let placed = [PlacedFeature { feature, object: None, slots: Vec::new() }];
     let images = common::reference(&common::plan(world, &case.sensor, &case.pose));
-    let options = FeatureSettings::default();
+    let options = FeatureSettings { regions: true, ..FeatureSettings::default() };
     let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();
     let options = BoxOptions::default().with_sensor(case.covariance).with_confidence(confidence);
     add_boxes(

@@ -10,8 +10,10 @@ use presight::features::{Hidden, SeenFeature, Visibility, place};
 use presight::{NewObject, Pose, Sensor, World};
 use std::sync::Arc;
 
+type Polygons<'a> = &'a [&'a [[f32; 3]]];
+
 /// A world of polygons, each an object.
-fn world(polygons: &[&[[f32; 3]]]) -> World {
+fn world(polygons: Polygons<'_>) -> World {
     let mut environment = scenes::empty();
     for (i, polygon) in polygons.iter().enumerate() {
         let mesh = scenes::mesh(&[polygon.iter().map(|p| Vec3::from(*p)).collect()]);
@@ -92,6 +94,36 @@ fn a_sheet_hides_what_touches_it_from_behind() {
             assert_eq!(front.hidden[0].by.map(|by| by.object), Some(0), "{name}, {thickness}");
             let turned = Pose::from_xyz_rpy(DVec3::new(5.0, 0.0, 0.3), 0.0, 0.0, std::f64::consts::PI);
             assert_eq!(see(&world, &sensor, &turned, edge()).visible_fraction, 1.0, "{name}, {thickness}");
+        }
+    }
+}
+
+/// The same wall without any thickness: one polygon, or one that is stored twice. A shelf that goes through it is seen from both sides, and so
+/// is a line on the wall.
+#[test]
+fn a_sheet_without_thickness_hides_what_touches_it_from_behind() {
+    let face = [[3.0, -2.0, -2.0], [3.0, 2.0, -2.0], [3.0, 2.0, 2.0], [3.0, -2.0, 2.0]];
+    let board = |from: f32, to: f32| [[from, -0.5, 0.0], [from, 0.5, 0.0], [to, 0.5, 0.0], [to, -0.5, 0.0]];
+    let behind: &[[f32; 3]] = &board(3.0, 3.5);
+    let through: &[[f32; 3]] = &board(2.5, 3.5);
+    let before: &[[f32; 3]] = &board(3.0, 2.5);
+    let scenes: [(Polygons<'_>, [f64; 2]); 5] = [
+        (&[&face, behind], [0.0, 1.0]),
+        (&[&face, &face, behind], [0.0, 1.0]),
+        (&[&face, before], [1.0, 0.0]),
+        (&[&face, through], [1.0, 1.0]),
+        (&[&face, &face], [1.0, 1.0]),
+    ];
+    for (k, (polygons, fractions)) in scenes.into_iter().enumerate() {
+        let world = world(polygons);
+        for sensor in both() {
+            for (turn, expected) in [0.0, std::f64::consts::PI].into_iter().zip(fractions) {
+                let pose = Pose::from_xyz_rpy(DVec3::new(3.0 - 3.0 * turn.cos(), 0.0, 0.3), 0.0, 0.0, turn);
+                let seen = see(&world, &sensor, &pose, segment([[3.0, -0.5, 0.0], [3.0, 0.5, 0.0]]));
+                let name = &sensor.spec().name;
+                assert_eq!(seen.visible_fraction, expected, "{name}, {k}, {turn}");
+                assert!(expected == 1.0 || seen.hidden[0].by.map(|by| by.object) == Some(0), "{name}, {k}: {seen:?}");
+            }
         }
     }
 }

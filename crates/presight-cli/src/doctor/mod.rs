@@ -6,6 +6,8 @@ mod advice;
 use super::{CommandOutcome, features, print};
 #[cfg(feature = "gpu")]
 use advice::{AdapterState, AdapterTrial, Machine};
+#[cfg(feature = "gpu")]
+use presight::Raster;
 use presight::Result;
 use presight::Threads;
 use presight::engine::{Engine, EngineKind};
@@ -39,16 +41,16 @@ pub fn run(_: &Args) -> Result<CommandOutcome> {
     let mut text = format!("presight {}, built with {features}\n", env!("CARGO_PKG_VERSION"));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
-    let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?);
+    let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?, &SensorKind::ALL);
     sound &= gpus(&probe, &mut text);
     print::lines(text.lines())?;
     Ok(if sound { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
 /// One line a task; true if none shows a fault.
-fn check(probe: &Probe, text: &mut String, engine: &mut dyn Engine) -> bool {
+fn check(probe: &Probe, text: &mut String, engine: &mut dyn Engine, tasks: &[SensorKind]) -> bool {
     let mut sound = true;
-    for task in SensorKind::ALL {
+    for &task in tasks {
         let drawn = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()));
         let verdict = match drawn {
             Ok(report) if report.fault == 0 => {
@@ -81,8 +83,8 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
     for (i, adapter) in adapters().iter().enumerate() {
         let kind = if adapter.hardware { "a GPU" } else { "a program that plays a GPU on the CPU" };
         let _ = writeln!(text, "\n{adapter}: {kind}");
-        let open = |without_int64| {
-            let options = DeviceOptions { adapter: Some(i), without_int64, ..DeviceOptions::default() };
+        let open = |without_int64, raster| {
+            let options = DeviceOptions { adapter: Some(i), without_int64, raster, ..DeviceOptions::default() };
             testing::open(options, testing::Setup::ALL_ON_DEVICE)
         };
         tried.push(AdapterTrial { hardware: adapter.hardware, state: device(probe, text, open) });
@@ -96,12 +98,12 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
     machine.is_sound()
 }
 
-/// The paths of one device: with 64-bit atomics, if it has them, and without.
+/// The paths of one device: with 64-bit atomics, if it has them, and without, each by compute spans and by the hardware rasterizer.
 #[cfg(feature = "gpu")]
-fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::GpuEngine>) -> AdapterState {
+fn device(probe: &Probe, text: &mut String, open: impl Fn(bool, Raster) -> Result<gpu::GpuEngine>) -> AdapterState {
     let mut sound = true;
     for without_int64 in [false, true] {
-        let mut engine = match open(without_int64) {
+        let mut engine = match open(without_int64, Raster::Compute) {
             Ok(engine) => engine,
             Err(e) => {
                 let _ = writeln!(text, "  not usable: {e}");
@@ -112,15 +114,27 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool) -> Result<gpu::G
         if !without_int64 {
             let _ = writeln!(
                 text,
-                "  64-bit atomics {}, time stamps {}, buffers up to {} MiB",
+                "  64-bit atomics {}, time stamps {}, buffers up to {} MiB, rasterizes by {}{}",
                 yes(can.int64_atomics),
                 yes(can.timestamps),
-                can.largest_binding >> 20
+                can.largest_binding >> 20,
+                Raster::default(),
+                if can.render { ", with --raster render by hardware" } else { " only" }
             );
         }
         let passes = if can.int64_atomics { "by 64-bit atomics" } else { "in two passes of 32 bits" };
         let _ = writeln!(text, "  nearest surface {passes}:");
-        sound &= check(probe, text, &mut engine);
+        sound &= check(probe, text, &mut engine, &SensorKind::ALL);
+        if can.render {
+            let _ = writeln!(text, "  with the hardware rasterizer:");
+            match open(without_int64, Raster::Render) {
+                Ok(mut engine) => sound &= check(probe, text, &mut engine, &[SensorKind::Camera]),
+                Err(e) => {
+                    let _ = writeln!(text, "  not usable: {e}");
+                    sound = false;
+                }
+            }
+        }
         if !without_int64 {
             let _ = writeln!(text, "  features:");
             sound &= features_of(probe, text, &mut engine);
@@ -200,7 +214,7 @@ mod tests {
         let told = |spoil: fn(&mut Images) -> Result<()>| {
             let mut text = String::new();
             let engine = EngineKind::Cpu.open(&1.into()).unwrap();
-            (check(&probe, &mut text, &mut Faulty(engine, spoil)), text)
+            (check(&probe, &mut text, &mut Faulty(engine, spoil), &SensorKind::ALL), text)
         };
         let (sound, text) = told(|_| Ok(()));
         assert!(sound && text.matches("right: ").count() == 4, "{text}");

@@ -1,9 +1,10 @@
 //! Input that cannot be used: one line that names the file, the place and the remedy, and no output.
 
-use super::{Place, VIEW, WALL, WALL_INDICES, bad, check, predict, wall};
+use super::{Place, VIEW, WALL, WALL_INDICES, bad, camera, check, predict, wall};
 use assert_cmd::Command;
 use serde_json::{Value, json};
 use std::fs;
+use std::path::Path;
 
 /// Scenes that are broken, each with what its message must name besides the file.
 fn broken_scenes() -> Vec<(&'static str, Vec<u8>, Vec<&'static str>)> {
@@ -58,12 +59,6 @@ fn bad_scenes() {
     );
     cases.push(bad(predict("nobin.gltf"), 1, &["gone.bin", "; "]));
     check(&place, cases);
-}
-
-fn camera(width: u32, height: u32) -> String {
-    format!(
-        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
-    )
 }
 
 #[test]

@@ -23,7 +23,7 @@ use assert_cmd::Command;
 use presight::io::exr;
 use serde_json::{Value, json};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use tempfile::TempDir;
 
 /// A folder with a scene in it: a wall of 2 m x 2 m at x = 2 m, y from -1 to 1, z from 0 to 2, as two triangles.
@@ -368,6 +368,12 @@ fn check(place: &Place, cases: Vec<Bad>) {
         }
         assert_eq!(place.names(), before, "{}", case.line);
     }
+}
+
+fn camera(width: u32, height: u32) -> String {
+    format!(
+        "format = 1\nkind = \"camera\"\nwidth = {width}\nheight = {height}\nfx = 100.0\nfy = 100.0\ncx = 1.0\ncy = 1.0\n"
+    )
 }
 
 fn predict(scene: &str) -> String {

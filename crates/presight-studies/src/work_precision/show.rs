@@ -116,8 +116,8 @@ fn about(findings: &Findings, machine: &Machine) -> Section {
     let mut rows = machine.lines();
     rows.push(vec!["adapter and driver".into(), findings.adapter.clone()]);
     let head = ["what", "value"].map(String::from).to_vec();
-    let missing = "Not in the product, and so not here: the GPU's render pipeline for cameras (measured in \
-                   benches/render_pipeline), planar images resampled to curved ones (benches/resampling). A request names \
+    let missing = "Not here: the GPU's hardware rasterizer for cameras (measured in benches/raster). Not in the product, and so not here: \
+                   planar images resampled to curved ones (benches/resampling). A request names \
                    no region of the image: a smaller sensor does, as the roi of a ROS camera_info file; it is measured \
                    as \"middle part\". Features are sampled every half pixel unless it is said otherwise. Where the adapter is a program that plays a \
                    GPU, the GPU engine leaves regions of interest to the CPU.";

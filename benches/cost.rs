@@ -1,0 +1,211 @@
+//! What the parts of a prediction cost on one thread of the CPU engine, beside what memory would allow: `cargo bench --bench cost
+//! [-- SCENE...]`, on a quiet machine.
+//!
+//! Stages are timed and their parts counted at free poses of each scene with each sensor, of five runs the fastest counts; the cost of
+//! each part is the one that explains the times of its stage best (least squares of relative errors, none negative). A part's bytes
+//! are those that it reads or writes for the first time.
+
+#![allow(missing_docs, reason = "a bench has no interface")]
+#![allow(clippy::print_stdout, reason = "the table is what it is for")]
+
+#[path = "common/scenes.rs"]
+mod scenes;
+
+use presight::cpu::CpuEngine;
+use presight::plan::{CountName, StageName};
+use presight::{FramePlan, Images, Request, Stats, World, preset};
+use std::hint::black_box;
+use std::time::Instant;
+
+const SCENES: [&str; 4] = ["hospital", "factory_hall", "scenes/factory.rhai", scenes::OPEN_HALL];
+const SENSORS: [&str; 5] =
+    ["microwave-radar-image", "video-camera", "laser-range-camera", "microwave-radar-scan", "vlp-16"];
+
+/// A part of a stage: its name, the bytes it moves, and how many a frame has.
+struct Part {
+    name: &'static str,
+    bytes: f64,
+    count: fn(&Frame) -> f64,
+}
+
+/// Milliseconds by stage, and counts.
+struct Frame {
+    selection: f64,
+    stats: Stats,
+    pixels: f64,
+}
+
+impl Frame {
+    fn count(&self, name: CountName) -> f64 {
+        self.stats.count_of(name).unwrap_or(0) as f64
+    }
+
+    fn ms(&self, stage: StageName) -> f64 {
+        self.stats.stage_ms(stage).unwrap_or(0.0)
+    }
+}
+
+/// A stage, what it takes, and its parts.
+type Stage = (&'static str, fn(&Frame) -> f64, Vec<Part>);
+
+fn stages() -> [Stage; 4] {
+    let part = |name, bytes, count| Part { name, bytes, count };
+    [
+        (
+            "selection",
+            |f| f.selection,
+            vec![
+                part("frame", 0.0, |_| 1.0),
+                // Its box, and the run that is made of it.
+                part("cluster selected", 80.0, |f| f.count(CountName::RunsSelected)),
+            ],
+        ),
+        (
+            "hidden",
+            |f| f.ms(StageName::Hidden),
+            vec![part("cluster compared with the depth drawn", 80.0, |f| f.count(CountName::RunsSelected))],
+        ),
+        (
+            "setup",
+            |f| f.ms(StageName::Setup),
+            vec![
+                part("frame", 0.0, |_| 1.0),
+                // Record, three corners, three vertices.
+                part("polygon bounded", 60.0, |f| f.count(CountName::PolygonsBounded)),
+                // Plane read; planes, edges, bounds and what images show of it written.
+                part("polygon set up", 190.0, |f| {
+                    let left_out = f.count(CountName::PolygonsHidden) + f.count(CountName::PolygonsBetweenSamples);
+                    f.count(CountName::PolygonsSetUp) + left_out
+                }),
+            ],
+        ),
+        (
+            "rasterization",
+            |f| f.ms(StageName::Rasterization),
+            vec![
+                part("span", 0.0, |f| f.count(CountName::Spans)),
+                // Depth and winner stay in the cache of a core.
+                part("sample drawn", 0.0, |f| f.count(CountName::SamplesTested)),
+                // Of each further wave.
+                part("sample whose depth is looked at again", 0.0, |f| f.pixels * (f.count(CountName::Waves) - 1.0)),
+                // Depth and winner written and read, four images written and fetched before.
+                part("pixel cleared and resolved", 64.0, |f| f.pixels),
+            ],
+        ),
+    ]
+}
+
+fn measure(scene: &str) -> Vec<Frame> {
+    let world = World::new(scenes::environment(scene));
+    let poses = scenes::poses(scene, &world, 10);
+    let mut engine = CpuEngine::new(1).expect("a thread");
+    let (mut images, mut frames, request) = (Images::default(), Vec::new(), Request::default());
+    for name in SENSORS {
+        let sensor = preset(name).expect("a preset");
+        let mut plan = FramePlan::new(&world, &sensor, &poses[0], &request).expect("a sound pose");
+        for pose in &poses {
+            let mut one = || {
+                let start = Instant::now();
+                plan.renew(&world, &sensor, pose, &request).expect("a sound pose");
+                let selection = start.elapsed().as_secs_f64() * 1e3;
+                let mut stats = Stats::default();
+                engine.render(&plan, &mut images, &mut stats).expect("the engine renders");
+                let pixels = f64::from(sensor.width()) * f64::from(sensor.height());
+                Frame { selection, stats, pixels }
+            };
+            let total = |f: &Frame| f.selection + f.stats.stages_ms.iter().map(|(_, ms)| ms).sum::<f64>();
+            one();
+            let runs = (0..5).map(|_| one());
+            frames.extend(runs.min_by(|a, b| total(a).total_cmp(&total(b))));
+        }
+    }
+    frames
+}
+
+/// The solution of a small positive definite system.
+fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
+    let n = b.len();
+    for k in 0..n {
+        for i in k + 1..n {
+            let factor = a[i][k] / a[k][k];
+            for j in k..n {
+                a[i][j] -= factor * a[k][j];
+            }
+            b[i] -= factor * b[k];
+        }
+    }
+    for k in (0..n).rev() {
+        let known: f64 = (k + 1..n).map(|j| a[k][j] * b[j]).sum();
+        b[k] = (b[k] - known) / a[k][k];
+    }
+    b
+}
+
+/// The cost of each part, milliseconds; a part that would be negative costs nothing.
+fn fit(rows: &[(Vec<f64>, f64)]) -> Vec<f64> {
+    let mut used: Vec<usize> = (0..rows[0].0.len()).collect();
+    loop {
+        let entry = |i: usize, j: usize| rows.iter().map(|(x, y)| x[i] * x[j] / (y * y)).sum::<f64>();
+        let a = used.iter().map(|&i| used.iter().map(|&j| entry(i, j)).collect()).collect();
+        let b = used.iter().map(|&i| rows.iter().map(|(x, y)| x[i] / y).sum()).collect();
+        let cost = solve(a, b);
+        let least = cost.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map(|(i, cost)| (i, *cost));
+        match least {
+            Some((i, cost)) if cost < 0.0 => drop(used.remove(i)),
+            _ => {
+                let mut all = vec![0.0; rows[0].0.len()];
+                used.iter().zip(cost).for_each(|(&i, cost)| all[i] = cost);
+                return all;
+            }
+        }
+    }
+}
+
+/// Nanoseconds a byte of memory read and of memory written, one thread.
+fn memory() -> [f64; 2] {
+    let mut large = vec![1u64; 32 << 20];
+    let mut ns = [f64::INFINITY; 2];
+    for _ in 0..5 {
+        let start = Instant::now();
+        black_box(large.iter().fold(0u64, |sum, x| sum.wrapping_add(*x)));
+        ns[0] = ns[0].min(start.elapsed().as_secs_f64() * 1e9 / (8.0 * large.len() as f64));
+        let start = Instant::now();
+        large.fill(black_box(2));
+        ns[1] = ns[1].min(start.elapsed().as_secs_f64() * 1e9 / (8.0 * large.len() as f64));
+    }
+    ns
+}
+
+fn main() {
+    let named: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let scenes = if named.is_empty() { SCENES.map(str::to_owned).to_vec() } else { named };
+    let frames: Vec<Frame> = scenes.iter().flat_map(|scene| measure(scene)).collect();
+    let [read, written] = memory();
+    println!("{} frames; memory: {:.1} GB/s read, {:.1} GB/s written\n", frames.len(), 1.0 / read, 1.0 / written);
+    println!(
+        "| stage, share of the time | part | ns | bytes | ns by memory | share of the stage |\n|---|---|---|---|---|---|"
+    );
+    let total: f64 = stages().iter().map(|(_, ms, _)| frames.iter().map(ms).sum::<f64>()).sum();
+    for (name, ms, parts) in stages() {
+        let row = |f: &Frame| (parts.iter().map(|part| (part.count)(f)).collect::<Vec<f64>>(), ms(f));
+        let rows: Vec<_> = frames.iter().map(row).filter(|(_, ms)| *ms > 1e-3).collect();
+        let cost = fit(&rows);
+        let stage: f64 = rows.iter().map(|(_, ms)| ms).sum();
+        let told = |x: &[f64]| x.iter().zip(&cost).map(|(x, c)| x * c).sum::<f64>();
+        let mut errors: Vec<f64> = rows.iter().map(|(x, ms)| (told(x) / ms - 1.0).abs()).collect();
+        errors.sort_by(f64::total_cmp);
+        for (i, (part, cost)) in parts.iter().zip(&cost).enumerate() {
+            let own: f64 = rows.iter().map(|(x, _)| x[i] * cost).sum();
+            let limit = if part.bytes > 0.0 { format!("{:.1}", part.bytes * read.max(written)) } else { String::new() };
+            let bytes = if part.bytes > 0.0 { format!("{:.0}", part.bytes) } else { String::new() };
+            let share = format!("{:.0} %", 100.0 * own / stage);
+            println!(
+                "| {name} {:.0} % | {} | {:.2} | {bytes} | {limit} | {share} |",
+                100.0 * stage / total,
+                part.name,
+                cost * 1e6
+            );
+        }
+        println!("| {name} | median error of the sum | {:.0} % | | | |", 100.0 * errors[errors.len() / 2]);
+    }
+}

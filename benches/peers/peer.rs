@@ -1,0 +1,163 @@
+//! presight's side of benches/peers: `peer SCENE FOLDER POSES THREADS BACKEND` (cpu, gpu; parry for its tracer) opens a scene, writes what Embree needs into a folder,
+//! and then predicts at what it is told on its standard input.
+//!
+//! The first line of its output tells, as JSON, the triangles (a `.glb`), the poses (rows of `world_from_body`, 3 x 4) and the
+//! sensors, whose unit rays (body axes, f64, row by row, NaN for none) are in `SENSOR.f64`. Each line `SENSOR POSE REPEAT` of its input, both
+//! numbers from 0, is answered by the milliseconds of so many predictions; the range image (f32) is then in `range.f32`.
+
+#![allow(missing_docs, reason = "a bench has no interface")]
+#![allow(clippy::print_stdout, reason = "it speaks through its output")]
+
+#[path = "../common/cameras.rs"]
+mod cameras;
+#[path = "../common/scenes.rs"]
+mod scenes;
+
+use glam::DVec3;
+use parry3d_f64::math::Vector;
+use parry3d_f64::query::Ray;
+use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
+use presight::io::gltf::write_glb;
+use presight::sensor::PixelGrid;
+use presight::{Backend, Environment, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
+use rayon::prelude::*;
+use serde_json::{Value, json};
+use std::io::BufRead;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const PRESETS: [&str; 4] = ["microwave-radar-image", "video-camera", "laser-range-camera", "microwave-radar-scan"];
+
+/// Those of [`cameras::sensors`] that are compared.
+const CAMERAS: [&str; 6] = ["pinhole", "plumb-bob", "rational", "fisheye 60", "fisheye 120", "fisheye 200"];
+
+fn sensors() -> Vec<Sensor> {
+    let cameras = cameras::sensors().into_iter().filter(|sensor| CAMERAS.contains(&sensor.spec().name.as_str()));
+    cameras.chain(PRESETS.iter().map(|name| preset(name).expect("a preset"))).collect()
+}
+
+fn write<'a>(path: &Path, values: impl Iterator<Item = &'a [u8]>) {
+    std::fs::write(path, values.flatten().copied().collect::<Vec<u8>>())
+        .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+}
+
+/// Writes the rays of a sensor.
+fn describe(sensor: &Sensor, folder: &Path) -> Value {
+    let (width, height) = (sensor.width(), sensor.height());
+    let ray =
+        |column, row| sensor.ray(column, row).map_or(DVec3::NAN, |ray| sensor.body_from_image() * ray.normalize());
+    let rays = (0..height).flat_map(|row| (0..width).map(move |column| ray(column, row)));
+    let bytes: Vec<[u8; 8]> = rays.flat_map(|ray| ray.to_array()).map(f64::to_le_bytes).collect();
+    let name = &sensor.spec().name;
+    write(&folder.join(name).with_extension("f64"), bytes.iter().map(<[u8; 8]>::as_slice));
+    let tables = match sensor.grid() {
+        PixelGrid::Rays(grid) => grid.bytes(),
+        PixelGrid::Lines(_) => 0,
+    };
+    json!({ "name": name, "size": [width, height], "range_max": sensor.spec().range_max.min(f64::MAX), "table_bytes": tables })
+}
+
+/// Unit, in the world; NaN for none.
+fn world_rays(sensor: &Sensor, pose: &Pose) -> Vec<DVec3> {
+    let turn = pose.rotation_matrix() * sensor.body_from_image();
+    let ray = |column, row| sensor.ray(column, row).map_or(DVec3::NAN, |ray| turn * ray.normalize());
+    (0..sensor.height()).flat_map(|row| (0..sensor.width()).map(move |column| ray(column, row))).collect()
+}
+
+/// Another tracer that is not presight: parry's BVH in f64, rays shared out to as many threads.
+struct Parry {
+    mesh: TriMesh,
+    pool: rayon::ThreadPool,
+}
+
+impl Parry {
+    fn new(environment: &Environment, threads: usize) -> Self {
+        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+        for object in environment.objects() {
+            let world_from_mesh = object.world_from_mesh();
+            for polygon in 0..object.mesh.polygon_count() as u32 {
+                let first = vertices.len() as u32;
+                let corners = object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p));
+                vertices.extend(corners.map(|p| Vector::new(p.x, p.y, p.z)));
+                triangles.extend((first + 2..vertices.len() as u32).map(|k| [first, k - 1, k]));
+            }
+        }
+        let mesh = TriMesh::new(vertices, triangles).expect("triangles");
+        Self { mesh, pool: rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads") }
+    }
+
+    /// Ranges, metres; infinite where nothing is met, NaN where there is no ray.
+    fn trace(&self, from: DVec3, rays: &[DVec3]) -> Vec<f64> {
+        let vector = |v: &DVec3| Vector::new(v.x, v.y, v.z);
+        let cast = |ray: &DVec3| {
+            let hit =
+                CompositeShapeRef(&self.mesh).cast_local_ray(&Ray::new(vector(&from), vector(ray)), f64::MAX, false);
+            hit.map_or(f64::INFINITY, |(_, range)| range)
+        };
+        self.pool.install(|| rays.par_iter().map(|ray| if ray.is_nan() { f64::NAN } else { cast(ray) }).collect())
+    }
+}
+
+fn rows(pose: &Pose) -> [[f64; 4]; 3] {
+    let (r, t) = (pose.rotation_matrix(), pose.translation);
+    std::array::from_fn(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]])
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let [scene, folder, count, threads, backend] = arguments.as_slice() else {
+        panic!("peer SCENE FOLDER POSES THREADS BACKEND")
+    };
+    let number = |text: &str| text.parse::<usize>().unwrap_or_else(|e| panic!("{text}: {e}"));
+    let (folder, environment) = (PathBuf::from(folder), scenes::environment(scene));
+    let glb = scenes::glb_of(scene).unwrap_or_else(|| {
+        let path = folder.join("scene.glb");
+        write_glb(&path, &environment).unwrap_or_else(|e| panic!("{e}"));
+        path
+    });
+    let world = World::new(environment);
+    let polygons: usize = world.environment().objects().iter().map(|o| o.mesh.polygon_count()).sum();
+    let poses = scenes::poses(scene, &world, number(count));
+    let sensors = sensors();
+    let options =
+        Options::new(if backend == "gpu" { Backend::Gpu } else { Backend::Cpu }).with_threads(number(threads));
+    let parry = (backend == "parry").then(|| Parry::new(world.environment(), number(threads)));
+    let mut predictor = Predictor::new(options).unwrap_or_else(|e| panic!("{e}"));
+    let told: Vec<Value> = sensors.iter().map(|sensor| describe(sensor, &folder)).collect();
+    let poses_told: Vec<_> = poses.iter().map(rows).collect();
+    let engine = if parry.is_some() { "parry".to_owned() } else { predictor.engine_name() };
+    println!("{}", json!({ "glb": glb, "polygons": polygons, "engine": engine, "poses": poses_told, "sensors": told }));
+    let all = Request::default();
+    let range = Request::of(Outputs::of(&[Output::Range]));
+    for line in std::io::stdin().lock().lines() {
+        let line = line.expect("text");
+        let numbers: Vec<usize> = line.split_whitespace().map(number).collect();
+        let [sensor, pose, repeat] = numbers[..] else { panic!("{line}: not SENSOR POSE REPEAT") };
+        let (sensor, pose) = (&sensors[sensor], &poses[pose]);
+        let tell = |range: &[f32]| {
+            let bytes: Vec<[u8; 4]> = range.iter().map(|range| range.to_le_bytes()).collect();
+            write(&folder.join("range.f32"), bytes.iter().map(<[u8; 4]>::as_slice));
+        };
+        if let Some(parry) = &parry {
+            let rays = world_rays(sensor, pose);
+            let trace = || {
+                let start = Instant::now();
+                let ranges = parry.trace(pose.translation, &rays);
+                (start.elapsed().as_secs_f64() * 1e3, ranges)
+            };
+            let far = |range: f64| if range > sensor.spec().range_max { f32::INFINITY } else { range as f32 };
+            tell(&trace().1.into_iter().map(far).collect::<Vec<f32>>());
+            println!("{}", json!((0..repeat).map(|_| trace().0).collect::<Vec<f64>>()));
+            continue;
+        }
+        let mut predict = |request: &Request| {
+            let start = Instant::now();
+            let prediction = predictor.predict(&world, sensor, pose, request).unwrap_or_else(|e| panic!("{e}"));
+            (start.elapsed().as_secs_f64() * 1e3, prediction)
+        };
+        tell(&predict(&range).1.images.range);
+        predict(&all);
+        let ms: Vec<f64> = (0..repeat).map(|_| predict(&all).0).collect();
+        println!("{}", json!(ms));
+    }
+}
