@@ -35,6 +35,7 @@
 //! ```
 
 mod answer;
+mod descent;
 mod findings;
 mod fit;
 mod image;

@@ -25,6 +25,8 @@ const TUKEY: f64 = 4.685;
 const PROBES: i32 = 6;
 /// Points of one task.
 const CHUNK: usize = 512;
+/// The match of a point that has none.
+const NOWHERE: u32 = u32::MAX;
 
 /// A range image and what was expected of it.
 pub struct RangeSource<'a> {
@@ -154,7 +156,7 @@ impl<'a> RangeSource<'a> {
             return None;
         }
         let (mut cu, mut cv) = (u as i32, v as i32);
-        let mut best: Option<(usize, f32)> = None;
+        let mut best = (0, f32::INFINITY);
         let (mut hu, mut hv) = half;
         loop {
             let (su, sv) = ((hu + PROBES - 1) / PROBES, (hv + PROBES - 1) / PROBES);
@@ -173,17 +175,22 @@ impl<'a> RangeSource<'a> {
                     }
                     let at = (row * w + column) as usize;
                     let pixel = &e.pixels[at];
+                    let apart = pixel.point.distance_squared(q);
+                    // Most pixels are too far off whatever their normals; those without a point are, too.
+                    if !(apart < best.1) {
+                        continue;
+                    }
                     let agree = pixel.normal.dot(m);
                     let agree = if pixel.offset > 0.0 { -agree } else { agree };
-                    let apart = pixel.point.distance_squared(q) + lambda2 * (1.0 - agree);
-                    if best.is_none_or(|(_, b)| apart < b) && apart.is_finite() {
-                        best = Some((at, apart));
+                    let apart = apart + lambda2 * (1.0 - agree);
+                    if apart < best.1 {
+                        best = (at, apart);
                         (bu, bv) = (column, row);
                     }
                 }
             }
             if su == 1 && sv == 1 {
-                return best;
+                return (best.1 < f32::INFINITY).then_some(best);
             }
             (cu, cv) = (bu, bv);
             (hu, hv) = ((su - 1).max(0), (sv - 1).max(0));
@@ -205,29 +212,40 @@ impl<'a> RangeSource<'a> {
         self.expected.sensor.project(q.as_dvec3()).map(|(u, v)| (u as f32, v as f32))
     }
 
-    fn add_point(&self, sum: &mut Sum, p: MeasuredPoint, moved: &FramePoses, gate: &Gate) {
-        let (p, m) = (p.point, p.normal);
-        let q = moved.expected_from_now.transform_point3(p.as_dvec3());
-        let range = f64::from(p.length());
+    /// The expected pixel that a point is compared with; [`NOWHERE`] without one.
+    fn matched(&self, p: &MeasuredPoint, moved: &FramePoses, gate: &Gate) -> u32 {
+        let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
+        let m = moved.expected_from_now.transform_vector3(p.normal.as_dvec3());
+        let range = f64::from(p.point.length());
         let reach = gate.translation + gate.rotation * range;
-        let flat = if self.expected.sensor.is_camera() { 1.0 } else { (p.truncate().length() / p.length()).max(0.1) };
+        let flat = if self.expected.sensor.is_camera() {
+            1.0
+        } else {
+            f64::from((p.point.truncate().length() / p.point.length()).max(0.1))
+        };
         let half = |spacing: f64, slant: f64| ((reach / (range * spacing * slant)).ceil() as i32).clamp(1, 1 << 12);
         let (su, sv) = self.expected.spacing;
-        let half = (half(su, f64::from(flat)), half(sv, 1.0));
+        let lambda = reach as f32;
+        let found = self.nearest(q.as_vec3(), m.as_vec3(), lambda * lambda, (half(su, flat), half(sv, 1.0)));
+        found.map_or(NOWHERE, |(at, _)| at as u32)
+    }
+
+    /// Adds what a point says that is compared with the pixel `at`.
+    fn add_point(&self, sum: &mut Sum, p: &MeasuredPoint, at: u32, moved: &FramePoses, gate: &Gate) {
+        let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
+        let range = f64::from(p.point.length());
+        let reach = gate.translation + gate.rotation * range;
+        let (su, sv) = self.expected.spacing;
         let constant = gate.kernel.most();
-        let lambda = (reach) as f32;
-        let m = moved.expected_from_now.transform_vector3(m.as_dvec3()).as_vec3();
-        let found = self.nearest(q.as_vec3(), m, lambda * lambda, half);
-        let object = found.map(|(at, _)| self.expected.pixels[at].object);
-        if self.only.is_some_and(|only| object != Some(only)) {
+        let found = self.expected.pixels.get(at as usize);
+        if self.only.is_some_and(|only| found.map(|pixel| pixel.object) != Some(only)) {
             sum.others += 1;
             return;
         }
-        let Some((at, _)) = found else {
+        let Some(pixel) = found else {
             sum.cost += constant;
             return;
         };
-        let pixel = &self.expected.pixels[at];
         let apart = pixel.point.distance_squared(q.as_vec3());
         let normal = pixel.normal.as_dvec3();
         let sight = q - moved.centre;
@@ -298,6 +316,14 @@ struct FramePoses {
 
 impl Residuals for RangeSource<'_> {
     fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
+        self.linearize_keeping(world_from_robot, gate, &mut Vec::new())
+    }
+}
+
+impl RangeSource<'_> {
+    /// [`Residuals::linearize`] with the pixels that the points were compared with before, in the order of the points that are
+    /// looked at; they are looked for if there are none.
+    pub(super) fn linearize_keeping(&self, world_from_robot: &Pose, gate: &Gate, matches: &mut Vec<u32>) -> Normal {
         let expected_from_world = self.expected.world_from_image.inverse();
         let now = expected_from_world * *world_from_robot * self.robot_from_image;
         let asked = self.expected.errors.iter().filter(|_| gate.finally);
@@ -308,20 +334,29 @@ impl Residuals for RangeSource<'_> {
             robot: expected_from_world.transform_point(world_from_robot.translation),
         };
         let step = self.points.len().div_ceil(gate.points).max(1);
-        let sums: Vec<Sum> = self
-            .points
-            .par_chunks(CHUNK * step)
-            .map(|chunk| {
-                let mut sum = Sum::default();
-                chunk.iter().step_by(step).for_each(|p| self.add_point(&mut sum, *p, &moved, gate));
-                sum
-            })
-            .collect();
-        self.put_together(sums, self.points.len().div_ceil(step))
+        let count = self.points.len().div_ceil(step);
+        let unmatched = matches.len() != count;
+        matches.resize(count, NOWHERE);
+        let one = |(points, matches): (&[MeasuredPoint], &mut [u32])| {
+            let mut sum = Sum::default();
+            for (p, at) in points.iter().step_by(step).zip(matches) {
+                if unmatched {
+                    *at = self.matched(p, &moved, gate);
+                }
+                self.add_point(&mut sum, p, *at, &moved, gate);
+            }
+            sum
+        };
+        let chunks = self.points.par_chunks(CHUNK * step).zip(matches.par_chunks_mut(CHUNK));
+        let sums: Vec<Sum> = chunks.map(one).collect();
+        self.put_together(sums, count)
     }
-}
 
-impl RangeSource<'_> {
+    /// Radians between neighbouring pixels.
+    pub(super) fn pitch(&self) -> f64 {
+        self.expected.spacing.0.min(self.expected.spacing.1)
+    }
+
     /// Adds up in a fixed order and turns into world axes.
     fn put_together(&self, sums: Vec<Sum>, measured: usize) -> Normal {
         let mut total = Normal { measured, ..Normal::default() };

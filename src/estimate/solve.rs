@@ -1,22 +1,23 @@
 //! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
 
+use super::Prior;
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
+use super::descent::{LOOK, SEARCH, SETTLE, Schedule, descend, serves};
 use super::findings::find_at;
-use super::image::ImageSource;
 use super::normal::{CommonError, Freedom, Normal};
-use super::range::{MeasuredPoint, RangeSource, measured_points};
-use super::{Gate, Kernel, Prior, Residuals};
+use super::range::{MeasuredPoint, measured_points};
 use crate::error::{Error, Result};
 use crate::extract::{Findings, MeasuredRanges};
 use crate::features::{FeatureOptions, PlacedFeatures};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::matrix::{Matrix, add_to, apply, eigen, inverse, restricted, scaled};
+use crate::matrix::{Matrix, add_to, eigen, inverse, restricted, scaled};
 use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
 use crate::world::World;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// How an [`Estimator`] works.
@@ -80,17 +81,9 @@ pub struct Estimator {
 
 /// Prior standard deviations that the first gate is wide.
 const GATE: f64 = 1.75;
-/// Points that the wide search looks at.
-const SEARCH_POINTS: usize = 2000;
 /// Starts that are drawn from the prior in one go.
 const DRAWS: usize = 16;
 
-/// Points that the first steps after a prediction look at: they need not be exact.
-const APPROACH_POINTS: usize = 5000;
-/// Steps that are smaller change nothing any more, metres and radians.
-const AT_REST: f64 = 2e-6;
-/// Points that a search from a far end looks at.
-const FAR_POINTS: usize = 500;
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
 const LOOSE: (f64, f64) = (0.05, 0.05);
 /// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
@@ -103,29 +96,29 @@ const LEAST_MATCHED: f64 = 0.5;
 const LEAD: f64 = 0.05;
 
 /// A frame of ranges as the iteration needs it.
-struct FrameMeasurement<'a> {
-    frame: &'a Frame,
-    points: Vec<MeasuredPoint>,
-    noise: RangeNoise,
+pub(super) struct FrameMeasurement<'a> {
+    pub(super) frame: &'a Frame,
+    pub(super) points: Vec<MeasuredPoint>,
+    pub(super) noise: RangeNoise,
 }
 
 /// What one prediction expects of the frames.
 #[derive(Default)]
-struct Expectation {
+pub(super) struct Expectation {
     /// Of each frame of ranges.
-    images: Vec<ExpectedImage>,
+    pub(super) images: Vec<ExpectedImage>,
     /// What each grey image shows of the features that were predicted.
-    findings: Vec<Findings>,
+    pub(super) findings: Vec<Findings>,
 }
 
 /// Where an iteration came to rest.
 #[derive(Clone)]
-struct Minimum {
-    pose: Pose,
+pub(super) struct Minimum {
+    pub(super) pose: Pose,
     /// What was expected in the prediction that it was found with.
-    expected: Arc<Expectation>,
-    normal: Normal,
-    spread: f64,
+    pub(super) expected: Arc<Expectation>,
+    pub(super) normal: Normal,
+    pub(super) spread: f64,
 }
 
 impl Run<'_> {
@@ -148,37 +141,31 @@ impl Minimum {
 }
 
 /// One estimate under way.
-struct Run<'a> {
+pub(super) struct Run<'a> {
     world: &'a World,
-    measured: Vec<FrameMeasurement<'a>>,
+    pub(super) measured: Vec<FrameMeasurement<'a>>,
     /// Frames that are grey images.
-    greys: Vec<&'a Frame>,
-    model_sigma: f64,
-    prior: Prior,
-    prior_information: Matrix,
+    pub(super) greys: Vec<&'a Frame>,
+    pub(super) model_sigma: f64,
+    pub(super) prior: Prior,
+    pub(super) prior_information: Matrix,
     /// Metres and radians that the pose may be off.
-    extent: (f64, f64),
+    pub(super) extent: (f64, f64),
     /// The object whose surfaces count.
-    only: Option<u32>,
+    pub(super) only: Option<u32>,
+    /// How far away points are measured, root of the mean square, metres.
+    pub(super) reach: f64,
     predictions: usize,
 }
 
-/// How the gate narrows over the steps from one prediction.
-struct Schedule {
-    first: f64,
-    shrink: f64,
-    least: f64,
-    steps: usize,
-    /// From this step on the kernel redescends.
-    settle: usize,
-    /// Most points that steps before that look at, and those from there on.
-    points: (usize, usize),
+impl Run<'_> {
+    /// True if two minima differ by no more than an estimate errs.
+    fn is_same(&self, a: &Pose, b: &Pose, offset_sigma: f64) -> bool {
+        let off = motion_between(a, b);
+        let (metres, radians) = (length(&off[..3]), length(&off[3..]));
+        metres < 0.1 * self.extent.0 + 3.0 * offset_sigma && radians < 0.1 * self.extent.1
+    }
 }
-
-const SEARCH: Schedule =
-    Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
-const SETTLE: Schedule =
-    Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
 
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
@@ -242,9 +229,11 @@ impl Estimator {
         let axes = self.options.freedom.axes();
         let sigma =
             |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+        let measured: Vec<FrameMeasurement<'a>> = measured.collect();
         Ok(Run {
             world,
-            measured: measured.collect(),
+            reach: reach_of(&measured, std::iter::empty()),
+            measured,
             greys,
             model_sigma: self.options.model_sigma,
             prior: *prior,
@@ -261,12 +250,15 @@ impl Estimator {
         if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
             return Ok(Vec::new());
         }
+        let (freedom, offset_sigma) = (self.options.freedom, self.offset_sigma);
+        let starts = far_ends(run, best, freedom);
+        let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
+        let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
+        let ends: Vec<Minimum> = self.predictor.on_threads(|| starts.par_iter().map(look).collect())?;
         let mut others: Vec<Minimum> = Vec::new();
-        for start in far_ends(run, best, self.options.freedom) {
-            let search = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
-            let there = self.descend(run, &best.expected, start, &search);
+        for there in ends {
             // Not worth a prediction unless it is elsewhere and explains something.
-            let near = |m: &Minimum| self.is_same(run, m, &there);
+            let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
             if near(best)
                 || others.iter().any(near)
                 || there.normal.explained_share() < 0.5 * best.normal.explained_share()
@@ -275,18 +267,12 @@ impl Estimator {
             }
             let there = self.settle(run, &there)?;
             let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD;
-            if as_good && !self.is_same(run, best, &there) && !others.iter().any(|m| self.is_same(run, m, &there)) {
+            let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
+            if as_good && !near(best) && !others.iter().any(near) {
                 others.push(there);
             }
         }
         Ok(others)
-    }
-
-    /// True if two minima differ by no more than an estimate errs.
-    fn is_same(&self, run: &Run<'_>, a: &Minimum, b: &Minimum) -> bool {
-        let off = motion_between(&a.pose, &b.pose);
-        let (metres, radians) = (length(&off[..3]), length(&off[3..]));
-        metres < 0.1 * run.extent.0 + 3.0 * self.offset_sigma && radians < 0.1 * run.extent.1
     }
 
     /// Predicts all sensors at a pose that is known as well as the covariance says.
@@ -303,15 +289,19 @@ impl Estimator {
         Ok(Arc::new(Expectation { images, findings }))
     }
 
-    /// Predicts anew where a search ended, and settles there.
+    /// Settles where a search ended, in a new prediction unless the one before serves.
     fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
-        let mut information = found.normal.information;
-        add_to(&mut information, &run.prior_information);
-        // Regions of interest get narrower with what was learnt, but it may be wrong.
-        let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
-        // What the model is off by moves features, too.
-        (0..3).for_each(|i| known[i][i] += self.offset_sigma.powi(2) + run.model_sigma.powi(2));
-        let expected = self.expected(run, &found.pose, &known)?;
+        let expected = if serves(run, &found.expected, &found.pose) {
+            found.expected.clone()
+        } else {
+            let mut information = found.normal.information;
+            add_to(&mut information, &run.prior_information);
+            // Regions of interest get narrower with what was learnt, but it may be wrong.
+            let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
+            // What the model is off by moves features, too.
+            (0..3).for_each(|i| known[i][i] += self.offset_sigma.powi(2) + run.model_sigma.powi(2));
+            self.expected(run, &found.pose, &known)?
+        };
         Ok(self.descend(run, &expected, found.pose, &SETTLE))
     }
 
@@ -339,10 +329,9 @@ impl Estimator {
 
     /// Steps from a start to rest, without a new prediction.
     fn descend(&mut self, run: &Run<'_>, expected: &Arc<Expectation>, start: Pose, schedule: &Schedule) -> Minimum {
-        let at_once = || descend(run, expected, start, schedule, self.options.freedom);
-        self.predictor
-            .on_threads(at_once)
-            .unwrap_or_else(|_| descend(run, expected, start, schedule, self.options.freedom))
+        let freedom = self.options.freedom;
+        let at_once = || descend(run, expected, start, schedule, freedom, |_| false);
+        self.predictor.on_threads(at_once).unwrap_or_else(|_| at_once())
     }
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
@@ -358,7 +347,8 @@ impl Estimator {
                 m
             }
         };
-        let reach = reach_of(run, &best);
+        let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
+        let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));
         let prior = Some(&run.prior_information);
         let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
         let mut information = best.normal.information;
@@ -478,61 +468,8 @@ fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
     axes.flat_map(|v| [1.0, -1.0].map(|s| moved(&best.pose, &v.map(|x| s * x)))).collect()
 }
 
-fn length(v: &[f64]) -> f64 {
+pub(super) fn length(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-fn descend(run: &Run<'_>, expected: &Arc<Expectation>, start: Pose, schedule: &Schedule, freedom: Freedom) -> Minimum {
-    let mut sources = Vec::with_capacity(run.measured.len());
-    for (e, m) in expected.images.iter().zip(&run.measured) {
-        let source = RangeSource::new(e, &m.points, m.noise).with_model_sigma(run.model_sigma);
-        sources.push(match run.only {
-            Some(object) => source.only(object),
-            None => source,
-        });
-    }
-    let seen = expected.findings.iter().zip(&run.greys);
-    let images: Vec<ImageSource<'_>> =
-        seen.map(|(found, grey)| ImageSource::of_findings(grey.sensor(), found)).collect();
-    let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
-    let (mut factor, mut rests) = (schedule.first, false);
-    for k in 0..schedule.steps {
-        let settled = k >= schedule.settle;
-        let last = k + 1 == schedule.steps || rests;
-        let kernel = if settled { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
-        let gate = Gate {
-            translation: factor * run.extent.0,
-            rotation: factor * run.extent.1,
-            kernel,
-            points: if settled { schedule.points.1 } else { schedule.points.0 },
-            finally: last && schedule.settle < schedule.steps,
-        };
-        let mut normal = Normal::default();
-        sources.iter().for_each(|s| normal.add(&s.linearize(&end.pose, &gate)));
-        images.iter().for_each(|s| normal.add(&s.linearize(&end.pose, &gate)));
-        end.spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
-        end.normal = normal;
-        if last {
-            break;
-        }
-        let step = step(&end.normal, run, &end.pose, freedom);
-        end.pose = moved(&end.pose, &step);
-        // With the least gate every further step is like this one.
-        rests = settled && factor <= schedule.least && step.iter().all(|x| x.abs() < AT_REST);
-        factor = (factor * schedule.shrink).max(schedule.least);
-    }
-    end
-}
-
-/// The step of Gauss and Newton, the prior's residual included.
-fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector {
-    let axes = freedom.axes();
-    let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
-    let off = motion_between(&run.prior.pose, pose);
-    add_to(&mut h, &run.prior_information);
-    let pull = apply(&run.prior_information, &off);
-    (0..6).for_each(|i| g[i] += pull[i]);
-    apply(&inverse(&h, axes), &g).map(|x| -x)
 }
 
 fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
@@ -569,11 +506,8 @@ pub(crate) fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) ->
 }
 
 /// How far away points are measured or matched, root of the mean square, metres.
-fn reach_of(run: &Run<'_>, best: &Minimum) -> f64 {
-    let robot = best.pose.translation;
-    let measured = run.measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
-    let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
-    let squares = measured.chain(matched.map(|p| p.distance_squared(robot)));
-    let (sum, count) = squares.fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
+fn reach_of(measured: &[FrameMeasurement<'_>], matched: impl Iterator<Item = f64>) -> f64 {
+    let points = measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
+    let (sum, count) = points.chain(matched).fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
     (sum / f64::max(count, 1.0)).sqrt().max(1e-3)
 }

@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::estimate::{Estimate, EstimateState, Freedom, Prior};
 use crate::frame::{Frame, Motion};
 use crate::matrix::add_to;
+use crate::row::is_level;
 use crate::world::World;
 
 /// One Gaussian takes over again where the map explains so much more than what hypotheses are for.
@@ -16,8 +17,9 @@ impl Localizer {
     /// True if one Gaussian should not decide on a level scanner's frame.
     pub(super) fn is_doubtful(&self, frame: &Frame, estimate: &Estimate) -> bool {
         let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
-        let weighable =
-            self.estimator.options.freedom == Freedom::Planar && frame.sensor().spec().range_max.is_finite();
+        let spec = frame.sensor().spec();
+        let level = is_level(&spec.mount) && !frame.sensor().is_camera();
+        let weighable = self.estimator.options.freedom == Freedom::Planar && level && spec.range_max.is_finite();
         let coarse = self.estimator.options.model_sigma >= COARSE;
         let little = coarse || estimate.explained < self.options.little || !estimate.is_determined();
         followed && weighable && estimate.predictions > 0 && little

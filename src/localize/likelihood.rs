@@ -2,18 +2,25 @@
 
 use crate::batch::{BatchRequest, PoseCell, RangeLikelihood};
 use crate::error::Result;
-use crate::frame::{Frame, RangeNoise};
+use crate::frame::{Frame, Measurement, RangeNoise};
 use crate::geometry::Pose;
 use crate::predict::Predictor;
 use crate::sensor::Sensor;
 use crate::world::World;
 use glam::{DQuat, DVec3};
 
-/// A level scanner with the noise of its ranges and of the model together.
+/// A sensor with the noise of its ranges and of the model together.
 #[derive(Clone, Debug)]
 pub(super) struct PoseLikelihood {
     scanner: Sensor,
+    /// Columns and rows of a frame that are left out between two that count.
+    stride: u32,
+    /// A level scanner, whose poses are turned upright.
+    level: bool,
 }
+
+/// Pixels along the longer side of an image that is weighed: more only cost time, as neighbours err together.
+const SIDE: u32 = 24;
 
 impl PoseLikelihood {
     /// `beam_dependence` is for a sensor that states none.
@@ -23,7 +30,22 @@ impl PoseLikelihood {
         if spec.noise.mixture.beam_dependence == 1.0 {
             spec.noise.mixture.beam_dependence = beam_dependence;
         }
-        Ok(Self { scanner: Sensor::new(spec)? })
+        Ok(Self { scanner: Sensor::new(spec)?, stride: 1, level: true })
+    }
+
+    /// Of a sensor of any shape that may lean: a few of its pixels count. `reach` bounds the ranges of one that states no bound.
+    pub fn of_image(sensor: &Sensor, model_sigma: f64, beam_dependence: f64, reach: f64) -> Result<Self> {
+        let stride = (sensor.width().max(sensor.height()) / SIDE).max(1);
+        let nothing = vec![f32::NAN; sensor.width() as usize * sensor.height() as usize];
+        let thin = Frame::new(0.0, sensor.clone(), Measurement::Range(nothing))?.thinned(stride)?;
+        let mut spec = thin.sensor().spec().clone();
+        spec.range_max = spec.range_max.min(reach);
+        Ok(Self { stride, level: false, ..Self::new(&Sensor::new(spec)?, model_sigma, beam_dependence)? })
+    }
+
+    /// The pixels of a frame that count.
+    pub fn thinned(&self, frame: &Frame) -> Result<Frame> {
+        if self.stride > 1 { frame.thinned(self.stride) } else { Ok(frame.clone()) }
     }
 
     /// The scanner that frames are weighed with.
@@ -39,7 +61,7 @@ impl PoseLikelihood {
             z if z < spec.range_min => f32::NEG_INFINITY,
             _ => *r,
         };
-        let ranges: Vec<f32> = frame.ranges().iter().map(reading).collect();
+        let ranges: Vec<f32> = self.thinned(frame)?.ranges().iter().map(reading).collect();
         if ranges.iter().all(|r| !r.is_finite()) {
             return Ok(None);
         }
@@ -55,7 +77,8 @@ impl PoseLikelihood {
         poses: impl Iterator<Item = Pose>,
     ) -> Result<Vec<f64>> {
         let mount = self.scanner.spec().mount;
-        let mut poses: Vec<Pose> = poses.map(|pose| upright(&(pose * mount))).collect();
+        let of_sensor = |pose: Pose| if self.level { upright(&(pose * mount)) } else { pose * mount };
+        let mut poses: Vec<Pose> = poses.map(of_sensor).collect();
         // One cut of the world serves them all, if rounding leaves them at one height.
         let height = poses.first().map_or(0.0, |pose| pose.translation.z);
         let same = |pose: &&mut Pose| (pose.translation.z - height).abs() < 1e-9;

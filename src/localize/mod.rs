@@ -48,6 +48,7 @@ mod cusum;
 mod doubt;
 mod hypotheses;
 mod likelihood;
+mod round;
 mod search;
 mod unknown;
 

@@ -9,6 +9,7 @@ use crate::predict::Predictor;
 use crate::sensor::{Geometry, Sensor, body_from_optical_rotation};
 use crate::world::World;
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 /// A pixel of a prediction. All of it is told in the image frame of the predicted pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +27,9 @@ pub struct ExpectedPixel {
     /// See [`super::Surface::group`].
     pub group: u32,
 }
+
+/// Fewest pixels of one task.
+const TASK: usize = 512;
 
 const NOTHING: ExpectedPixel = ExpectedPixel {
     point: Vec3::NAN,
@@ -76,29 +80,27 @@ impl ExpectedImage {
         let world_from_image = *world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
-        let mut pixels = Vec::with_capacity(width * height);
-        for row in 0..height {
-            for column in 0..width {
-                let i = row * width + column;
-                let (range, id) = (images.range[i], images.polygon_id[i]);
-                let surface = id.checked_sub(1).and_then(|slot| surfaces.of(world, slot));
-                let ray = sensor.ray(column as u32, row as u32);
-                let (Some(surface), Some(ray), true) = (surface, ray, range.is_finite()) else {
-                    pixels.push(ExpectedPixel { range, ..NOTHING });
-                    continue;
-                };
-                let normal = image_from_world.rotation * surface.plane.normal;
-                let offset = surface.plane.offset - surface.plane.normal.dot(world_from_image.translation);
-                pixels.push(ExpectedPixel {
-                    point: (f64::from(range) * ray).as_vec3(),
-                    range,
-                    normal: normal.as_vec3(),
-                    offset: offset as f32,
-                    object: surface.object,
-                    group: surface.group,
-                });
+        images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));
+        let pixel = |i: usize| {
+            let range = images.range[i];
+            let surface = images.polygon_id[i].checked_sub(1).and_then(|slot| surfaces.seen(slot));
+            let ray = sensor.ray((i % width) as u32, (i / width) as u32);
+            let (Some(surface), Some(ray), true) = (surface, ray, range.is_finite()) else {
+                return ExpectedPixel { range, ..NOTHING };
+            };
+            let normal = image_from_world.rotation * surface.plane.normal;
+            let offset = surface.plane.offset - surface.plane.normal.dot(world_from_image.translation);
+            ExpectedPixel {
+                point: (f64::from(range) * ray).as_vec3(),
+                range,
+                normal: normal.as_vec3(),
+                offset: offset as f32,
+                object: surface.object,
+                group: surface.group,
             }
-        }
+        };
+        let pixels = (0..width * height).into_par_iter().with_min_len(TASK);
+        let pixels: Vec<ExpectedPixel> = predictor.on_threads(|| pixels.map(pixel).collect())?;
         Ok(Self { sensor: sensor.clone(), world_from_image, width, height, pixels, spacing: spacing(sensor), errors })
     }
 

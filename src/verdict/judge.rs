@@ -128,7 +128,7 @@ pub fn judge(
             "predict for the frame's own sensor",
         ));
     }
-    let judge = PixelJudge::new(expected, sensor.spec().mount, world_from_robot, known);
+    let judge = parallel_or_here(|| PixelJudge::new(expected, sensor.spec().mount, world_from_robot, known));
     let limits = (sensor.spec().range_min, sensor.spec().range_max);
     let one = |i: usize| {
         let z = f64::from(frame.ranges()[i]);
@@ -194,7 +194,7 @@ impl<'a> PixelJudge<'a> {
             expected,
             known,
             expected_from_now,
-            off: expected.pixels.iter().map(off).collect(),
+            off: expected.pixels.par_iter().with_min_len(TASK).map(off).collect(),
             translation: largest(0),
             rotation: largest(3),
         }

@@ -83,6 +83,20 @@ impl Surfaces {
         errors
     }
 
+    /// Works out the surface of an id, the number of its slot plus 1, unless it is known; 0 is no polygon's.
+    pub(crate) fn see(&mut self, world: &World, id: u32) {
+        if let Some(slot) = id.checked_sub(1)
+            && self.seen(slot).is_none()
+        {
+            self.of(world, slot);
+        }
+    }
+
+    /// The surface of a slot, if it was worked out.
+    pub(crate) fn seen(&self, slot: u32) -> Option<&Surface> {
+        self.of_slot.get(slot as usize)?.as_ref()
+    }
+
     /// The surface of a slot; `None` if nothing has it, or if its polygon has no plane.
     pub fn of(&mut self, world: &World, slot: u32) -> Option<Surface> {
         if let Some(known) = *self.of_slot.get(slot as usize)? {

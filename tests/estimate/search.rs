@@ -102,17 +102,82 @@ fn what_cannot_be_searched_is_told() {
         assert!(e.kind() == ErrorKind::Usage && !e.remedy().is_empty(), "{e}");
         e.to_string()
     };
-    assert!(refused(&world, &camera(0.01), options()).contains("no scanner"));
     assert!(refused(&World::new(Environment::new()), &row_scanner(), options()).contains("without a polygon"));
     assert!(refused(&world, &row_scanner(), SearchOptions { cell: f64::NAN, ..options() }).contains("cell"));
     assert!(refused(&world, &row_scanner(), SearchOptions { cell: 1e-4, ..options() }).contains("places"));
     // Above the ceiling.
     assert!(refused(&world, &row_scanner(), SearchOptions { floor: 5.0, ..options() }).contains("no free place"));
-    let mut leaning = row_scanner().spec().clone();
-    leaning.mount = Pose::from_xyz_rpy(DVec3::ZERO, 0.2, 0.0, 0.0);
-    assert!(refused(&world, &Sensor::new(leaning).unwrap(), options()).contains("leans"));
+    let heights = SearchOptions { floor_to: 1e9, ..options() };
+    assert!(refused(&world, &camera(0.01), heights).contains("heights"));
     let six = Search::new(&mut estimator(EstimateOptions::default()), &world, &row_scanner(), options());
     assert_eq!(six.expect_err("six numbers").kind(), ErrorKind::Usage);
+}
+
+/// A camera of 40 x 30 pixels, 1.2 m above the robot's frame, that looks down a little.
+fn leaning_camera() -> Sensor {
+    let camera = Camera::pinhole(40, 30, 30.0, 30.0, 19.5, 14.5);
+    let mut spec = SensorSpec::new("range camera", "laser", Geometry::Camera(camera));
+    spec.noise.range_sigma = 0.01;
+    spec.mount = Pose::from_xyz_rpy(DVec3::new(0.1, 0.0, 1.2), 0.0, 0.2, 0.0);
+    Sensor::new(spec).unwrap()
+}
+
+/// The room as a mirror shows it.
+fn mirrored_room() -> World {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("paint")).unwrap();
+    for (name, least, most) in [
+        ("room", [0.0, 0.0, 0.0], [6.0, 4.0, 2.6]),
+        ("table", [2.0, 2.4, 0.0], [3.2, 3.2, 0.75]),
+        ("shelf", [4.6, 0.0, 0.0], [5.9, 0.6, 1.9]),
+        ("pillar", [3.6, 1.2, 0.0], [3.9, 1.5, 2.6]),
+        ("crate", [5.2, 3.3, 0.0], [6.0, 4.0, 0.6]),
+    ] {
+        add_box(&mut environment, name, Vec3::from(least), Vec3::from(most));
+    }
+    World::new(environment)
+}
+
+/// A camera that looks down is found in its room, and nowhere in the room's mirror image.
+#[test]
+fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
+    let (real, sensor) = (room(Vec3::ZERO), leaning_camera());
+    for (map, is_right) in [(room(Vec3::ZERO), true), (mirrored_room(), false)] {
+        let search = Search::new(&mut estimator(EstimateOptions::default()), &map, &sensor, options()).unwrap();
+        let mut robot = Localizer::unknown(estimator(EstimateOptions::default()), search, LocalizeOptions::default());
+        let (mut random, mut found) = (Random(24), None);
+        for k in 0..9 {
+            let truth = start() * Pose::from_xyz_rpy(DVec3::new(0.1 * k as f64, 0.0, 0.0), 0.0, 0.0, 0.08 * k as f64);
+            let seen = sense(&real, &sensor, &(truth * sensor.spec().mount), &mut random);
+            let mut frame = Frame::new(k as f64, sensor.clone(), seen.sensed().clone()).unwrap();
+            let step = Pose::from_xyz_rpy(DVec3::new(0.1, 0.0, 0.0), 0.0, 0.0, 0.08);
+            frame.motion = Some(Motion::of_odometry(step, &OdometryNoise::default()));
+            let step = robot.step(&map, &frame).unwrap();
+            if step.phase == Phase::Tracking {
+                let (metres, degrees) = apart(&step.pose, &truth);
+                assert!(is_right && metres < 0.03 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
+                found.get_or_insert(k);
+            }
+        }
+        assert!(found.is_some() == is_right, "right map {is_right}: found at {found:?}");
+    }
+}
+
+/// The way a robot leans is told from outside: roll and pitch of the robot, and a height that is known within half a metre.
+#[test]
+fn a_camera_that_is_held_in_the_hand_is_found() {
+    let world = room(Vec3::ZERO);
+    let mut spec = leaning_camera().spec().clone();
+    spec.mount = Pose::IDENTITY;
+    let sensor = Sensor::new(spec).unwrap();
+    let truth = Pose::from_xyz_rpy(DVec3::new(1.5, 2.6, 1.35), 0.1, 0.25, 0.4);
+    let heights = SearchOptions { floor: 1.0, floor_to: 1.6, lean: [0.1, 0.25], ..options() };
+    let mut found = estimator(EstimateOptions::default());
+    let search = Search::new(&mut found, &world, &sensor, heights).unwrap();
+    let seen = sense(&world, &sensor, &truth, &mut Random(25));
+    let best = &search.candidates(&mut found, &world, &seen).unwrap()[0];
+    let (metres, degrees) = apart(&best.pose, &truth);
+    assert!(metres < 0.02 && degrees < 0.5, "{metres} m {degrees} deg of {} places", search.places().len());
 }
 
 /// Blind frames say nothing; the search begins at the first that measures.

@@ -23,6 +23,7 @@ const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
   presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
   presight localize scans.json --map corridor.glb --init unknown --out run.tum
+  presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --init unknown --floor 0.5 --floor-to 1 --lean 0,15 --out run.tum
   presight localize street_1.ply --map street_map.glb --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
@@ -54,7 +55,7 @@ pub struct Drive {
     pub map: PathBuf,
 
     /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's own first pose, or
-    /// `unknown`: a level scanner is then looked for in the whole map
+    /// `unknown`: the robot is then looked for in the whole map, at the height and leaning as --floor and --lean say
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
     init: String,
 
@@ -94,6 +95,21 @@ pub struct Drive {
     /// Height of the robot's frame where it is looked for in the whole map, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
     floor: f64,
+
+    /// Up to so high, metres, where that height is not known
+    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    floor_to: Option<f64>,
+
+    /// Roll and pitch of a robot that is looked for in the whole map, degrees
+    #[arg(
+        long,
+        value_name = "ROLL,PITCH",
+        value_delimiter = ',',
+        num_args = 1,
+        default_value = "0,0",
+        allow_hyphen_values = true
+    )]
+    lean: Vec<f64>,
 
     /// Start at the first frame at or after this time, seconds
     #[arg(long, value_name = "TIME")]
@@ -204,7 +220,7 @@ impl Drive {
             let beside: Vec<&Frame> = grey.iter().collect();
             let mut step = localizer.step_together(&scene.world, &frame, &beside)?;
             if may_search && step.phase == Phase::Lost {
-                localizer.search_everywhere(&scene.world, frame.sensor(), self.search())?;
+                localizer.search_everywhere(&scene.world, frame.sensor(), self.search()?)?;
                 may_search = false;
             }
             visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
@@ -269,15 +285,20 @@ impl Drive {
     ) -> Result<Localizer> {
         let options = LocalizeOptions::default();
         let Some(start) = start else {
-            let search = Search::new(&mut estimator, &scene.world, sensor, self.search());
+            let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
         let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
         Ok(Localizer::new(estimator, prior, options))
     }
 
-    fn search(&self) -> SearchOptions {
-        SearchOptions { floor: self.floor, ..SearchOptions::default() }
+    fn search(&self) -> Result<SearchOptions> {
+        let [roll, pitch] = self.lean[..] else {
+            return Err(Error::usage("--lean", "give roll and pitch in degrees, as in --lean 0,20"));
+        };
+        let lean = [roll.to_radians(), pitch.to_radians()];
+        let floor_to = self.floor_to.unwrap_or(self.floor);
+        Ok(SearchOptions { floor: self.floor, floor_to, lean, ..SearchOptions::default() })
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {

@@ -1,0 +1,277 @@
+//! Simulated drives through the factory hall: how often a robot that is where it should be is called lost, how far off it is, and what
+//! sensor models of growing fidelity bring.
+
+use super::{map, predictor};
+use cpu_time::ThreadTime;
+use glam::DVec3;
+use presight::estimate::{EstimateOptions, Estimator, Prior, motion_between, nees};
+use presight::frame::{Frame, Measurement};
+use presight::free_poses::free_poses;
+use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::simulate::{Disturbances, Simulator};
+use presight::{Backend, Camera, Distortion, Geometry, Options, Pose, Predictor, Sensor, World, preset};
+use presight_testkit::data;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Frames of one drive.
+const FRAMES: usize = 200;
+
+pub fn hall() -> Option<World> {
+    Some(map(&data::file("env/factory_hall.glb")?))
+}
+
+fn single() -> Predictor {
+    Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("one thread")
+}
+
+pub fn laser() -> Sensor {
+    with_sigma("laser-range-camera", 0.01)
+}
+
+fn with_sigma(name: &str, range_sigma: f64) -> Sensor {
+    let mut spec = preset(name).expect("a preset").spec().clone();
+    spec.noise.range_sigma = range_sigma;
+    Sensor::new(spec).expect("a sensor")
+}
+
+/// Level poses, a round of a quarter of a metre from a place.
+fn on_the_way(place: &Pose, k: usize) -> Pose {
+    let (yaw, a) = (place.rotation.to_euler(glam::EulerRot::ZYX).0, 0.05 * k as f64);
+    let aside = DVec3::new(0.25 * a.cos() - 0.25, 0.25 * a.sin(), 0.0);
+    Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
+}
+
+/// The most events a frame that so many events in so many frames leave possible, one-sided, 95 %: the mean of a Poisson
+/// distribution that gives so few with a probability of 5 %.
+fn upper_bound(events: u64, frames: u64) -> f64 {
+    let at_most = |mean: f64| {
+        let mut term = (-mean).exp();
+        let mut sum = term;
+        for k in 1..=events {
+            term *= mean / k as f64;
+            sum += term;
+        }
+        sum
+    };
+    let (mut low, mut high) = (0.0, 10.0 + 4.0 * events as f64);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if at_most(middle) > 0.05 { low = middle } else { high = middle }
+    }
+    high / frames as f64
+}
+
+/// Drives of 361 beams and their odometry from many places, until there are so many frames. Counted is each time that the robot is
+/// called lost.
+pub fn alarms(least: u64) {
+    let Some(world) = hall() else { return };
+    let scanner = with_sigma("laser-scanner", 0.02);
+    let count = least.div_ceil(FRAMES as u64) as usize;
+    let places = free_poses(&world, count, 17).expect("free poses");
+    let (frames, lost, next) = (AtomicU64::new(0), AtomicU64::new(0), AtomicU64::new(0));
+    let drive = |seed: u64, place: &Pose| {
+        let mut simulator =
+            Simulator::new(single(), scanner.clone(), Disturbances::default(), seed).expect("a simulator");
+        let planar = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
+        let prior = Prior::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
+        let mut robot = Localizer::new(Estimator::new(single(), planar), prior, LocalizeOptions::default());
+        for k in 0..FRAMES {
+            let frame = simulator.frame(&world, k as f64, &on_the_way(place, k)).expect("a frame");
+            let step = robot.step(&world, &frame).expect("a step");
+            frames.fetch_add(1, Ordering::Relaxed);
+            if step.phase == Phase::Lost {
+                lost.fetch_add(1, Ordering::Relaxed);
+                println!("place {seed}, frame {k}: {}", step.reason);
+                return;
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let work = || {
+            while let i = next.fetch_add(1, Ordering::Relaxed)
+                && let Some(place) = places.get(i as usize)
+            {
+                drive(i, place);
+            }
+        };
+        (0..2).for_each(|_| drop(scope.spawn(work)));
+    });
+    let (frames, lost) = (frames.into_inner(), lost.into_inner());
+    println!(
+        "{lost} false alarms in {frames} frames of {count} drives: at most 1 in {:.0} frames (95 %; aim: 1 in 30000)",
+        1.0 / upper_bound(lost, frames)
+    );
+}
+
+/// What was found over a drive.
+#[derive(Default)]
+struct Errors {
+    squares: [f64; 2],
+    nees: Vec<(f64, usize)>,
+    cpu_ms: f64,
+}
+
+impl Errors {
+    fn add(&mut self, found: &Pose, covariance: &[[f64; 6]; 6], truth: &Pose) {
+        let off = motion_between(found, truth);
+        self.squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
+        self.squares[1] += off[5].to_degrees().powi(2);
+        self.nees.push(nees(found, covariance, truth));
+    }
+
+    fn row(&self, name: &str) {
+        let n = self.nees.len() as f64;
+        let [metres, degrees] = self.squares.map(|s| (s / n).sqrt());
+        let (sum, numbers) = self.nees.iter().fold((0.0, 0), |(s, k), (e, m)| (s + e, k + m));
+        // A sum of squares of so many standard normal numbers, about Gaussian.
+        let half = 1.96 * (2.0 / numbers as f64).sqrt();
+        let worst = self.nees.iter().map(|(e, m)| e / *m as f64).fold(0.0, f64::max);
+        println!(
+            "| {name} | {:.2} | {:.4} | {:.2} ({:.2} to {:.2}) | {worst:.1} | {:.2} |",
+            1e3 * metres,
+            degrees,
+            sum / numbers as f64,
+            1.0 - half,
+            1.0 + half,
+            self.cpu_ms / n
+        );
+    }
+}
+
+const HEAD: &str = "| | position RMS mm | heading RMS deg | NEES a number (95 % bounds) | worst frame | CPU ms a frame |\n|---|---|---|---|---|---|";
+
+/// Frames of one drive by radar scan, laser range camera, and both together, each from a prior that odometry carried on.
+pub fn accuracy(frames: usize) {
+    let Some(world) = hall() else { return };
+    let place = free_poses(&world, 6, 11).expect("free poses")[2];
+    let radar = with_sigma("microwave-radar-scan", 0.03);
+    println!("{frames} frames in the factory hall, exact map\n{HEAD}");
+    for (name, sensors) in [
+        ("radar scan", vec![radar.clone()]),
+        ("laser range camera", vec![laser()]),
+        ("both together", vec![radar, laser()]),
+    ] {
+        let planar = name == "radar scan";
+        let simulator =
+            |s: &Sensor| Simulator::new(predictor(), s.clone(), Disturbances::default(), 3).expect("a simulator");
+        let mut simulators: Vec<Simulator> = sensors.iter().map(simulator).collect();
+        let options = if planar {
+            EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() }
+        } else {
+            EstimateOptions::default()
+        };
+        let mut estimator = Estimator::new(single(), options);
+        let (mut believed, mut errors) = (on_the_way(&place, 0), Errors::default());
+        for k in 0..frames {
+            let truth = on_the_way(&place, k);
+            let seen: Vec<Frame> =
+                simulators.iter_mut().map(|s| s.frame(&world, k as f64, &truth).expect("a frame")).collect();
+            if let Some(motion) = &seen[0].motion {
+                believed = believed * motion.previous_from_current;
+            }
+            let start = ThreadTime::now();
+            let all: Vec<&Frame> = seen.iter().collect();
+            let found = estimator.estimate(&world, &all, &Prior::of_sigmas(believed, 0.02, 0.01)).expect("an estimate");
+            errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
+            errors.add(&found.pose, &found.covariance, &truth);
+            believed = found.pose;
+        }
+        errors.row(name);
+    }
+}
+
+/// What a model of the sensor is worth: frames of a camera with lens distortion, noise that grows with the range and noise of
+/// directions, estimated with models that know of ever more of it. The 1995 paper's Fig. 15 in our terms.
+pub fn fidelity(frames: usize) {
+    let Some(world) = hall() else { return };
+    let place = free_poses(&world, 6, 11).expect("free poses")[2];
+    let distorted = Distortion::PlumbBob([-0.12, 0.03, 0.0, 0.0, 0.0]);
+    let camera = Camera { distortion: distorted, ..Camera::pinhole(160, 120, 130.0, 130.0, 79.5, 59.5) };
+    let mut real = presight::SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
+    real.range_max = 10.0;
+    (real.noise.range_sigma, real.noise.range_sigma_quadratic, real.noise.angle_sigma) = (0.004, 0.002, 0.002);
+    let simulated = Sensor::new(real.clone()).expect("a camera");
+    let (mut pinhole, mut flat, mut growing) = (real.clone(), real.clone(), real.clone());
+    for spec in [&mut pinhole, &mut flat] {
+        (spec.noise.range_sigma, spec.noise.range_sigma_quadratic) = (0.01, 0.0);
+    }
+    for spec in [&mut pinhole, &mut flat, &mut growing] {
+        spec.noise.angle_sigma = 0.0;
+    }
+    if let Geometry::Camera(camera) = &mut pinhole.geometry {
+        camera.distortion = Distortion::None;
+    }
+    println!("{frames} frames of a depth camera in the factory hall, by what its model knows\n{HEAD}");
+    for (name, spec) in [
+        ("a pinhole, 1 cm at any range", pinhole),
+        ("and the lens", flat),
+        ("and noise that grows with the range", growing),
+        ("and noise of directions: all of it", real),
+    ] {
+        let model = Sensor::new(spec).expect("a model");
+        let mut simulator =
+            Simulator::new(predictor(), simulated.clone(), Disturbances::default(), 5).expect("a simulator");
+        let mut estimator = Estimator::new(single(), EstimateOptions::default());
+        let mut errors = Errors::default();
+        for k in 0..frames {
+            let truth = on_the_way(&place, k);
+            let seen = simulator.frame(&world, k as f64, &truth).expect("a frame");
+            let frame = Frame::new(k as f64, model.clone(), Measurement::Range(seen.ranges().to_vec()));
+            let start = ThreadTime::now();
+            let before = on_the_way(&place, k.saturating_sub(1));
+            let found = estimator
+                .estimate(&world, &[&frame.expect("a frame")], &Prior::of_sigmas(before, 0.03, 0.03))
+                .expect("an estimate");
+            errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
+            errors.add(&found.pose, &found.covariance, &truth);
+        }
+        errors.row(name);
+    }
+}
+
+/// From many places the robot is carried four metres away, its odometry at rest: frames until it says so, and until it is found.
+pub fn kidnapped() {
+    let Some(world) = hall() else { return };
+    let scanner = with_sigma("laser-scanner", 0.02);
+    let places = free_poses(&world, 200, 23).expect("free poses");
+    // Level scanners are looked for at one height.
+    let level: Vec<&Pose> = places.iter().step_by(2).collect();
+    let options = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
+    let (mut lost, mut found, mut drives) = (0, 0, 0);
+    for pair in level.chunks_exact(2).take(10) {
+        let height = pair[0].translation.z;
+        let search = presight::localize::SearchOptions { floor: height, cell: 0.5, ..Default::default() };
+        let mut robot = Localizer::new(
+            Estimator::new(predictor(), options),
+            Prior::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),
+            LocalizeOptions::default(),
+        );
+        if robot.search_everywhere(&world, &scanner, search).is_err() {
+            continue;
+        }
+        drives += 1;
+        let there = Pose { translation: pair[1].translation.with_z(height), ..*pair[1] };
+        let mut simulator =
+            Simulator::new(predictor(), scanner.clone(), Disturbances::default(), drives).expect("a simulator");
+        let (mut lost_at, mut found_at) = (None, None);
+        for k in 0..35 {
+            let truth = if k < 15 { on_the_way(pair[0], k) } else { on_the_way(&there, k) };
+            let mut frame = simulator.frame(&world, k as f64, &truth).expect("a frame");
+            if let Some(motion) = frame.motion.as_mut().filter(|_| k == 15) {
+                motion.previous_from_current = Pose::IDENTITY;
+            }
+            let step = robot.step(&world, &frame).expect("a step");
+            if k >= 15 && step.phase == Phase::Lost {
+                lost_at.get_or_insert(k - 14);
+            }
+            let near = (step.pose.translation - truth.translation).length() < 0.1;
+            if lost_at.is_some() && step.phase == Phase::Tracking && near {
+                found_at.get_or_insert(k - 14);
+            }
+        }
+        println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}");
+        lost += usize::from(lost_at.is_some_and(|k| k <= 5));
+        found += usize::from(lost_at.zip(found_at).is_some_and(|(l, f)| f - l <= 10));
+    }
+    println!("carried away: {lost} of {drives} lost within 5 frames, {found} found within 10 more");
+}

@@ -1,0 +1,167 @@
+//! What one update costs, prediction and verdicts included: `cargo bench --bench localize`. Medians and 95th percentiles on
+//! two threads, from where the frame before was. Sets of ../shared/data (or $PRESIGHT_DATA) that are not there are left out.
+//! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `kidnapped`) simulates drives, see `drives.rs`;
+//! `-- frames DIR` also writes the frames and what was found there, for `benches/peers/localize.sh`.
+
+#![allow(clippy::print_stdout, reason = "a bench prints its figures")]
+
+mod drives;
+
+use cpu_time::ProcessTime;
+use glam::DVec3;
+use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior, measured_points};
+use presight::frame::Frame;
+use presight::io::gltf::import;
+use presight::io::log::{Frames, Observation};
+use presight::simulate::{Disturbances, Simulator};
+use presight::{Backend, Options, Pose, Predictor, World};
+use presight_testkit::data;
+use std::path::Path;
+use std::time::Instant;
+
+fn predictor() -> Predictor {
+    Predictor::new(Options::new(Backend::Cpu).with_threads(2)).expect("two threads")
+}
+
+fn map(path: &Path) -> World {
+    World::new(import(path, &Default::default()).expect("the map imports").environment)
+}
+
+/// A frame, what is known before it, and where the robot was.
+struct Known {
+    frame: Frame,
+    prior: Prior,
+    truth: Pose,
+}
+
+/// Frames in a map, and how they are estimated.
+struct Case {
+    name: &'static str,
+    aim: &'static str,
+    map: std::path::PathBuf,
+    options: EstimateOptions,
+    frames: Vec<Known>,
+}
+
+impl Case {
+    /// Updates each frame from its prior and prints the times. The first frames warm up. CPU time holds on a busy machine, too.
+    fn measure(&self, out: Option<&Path>) {
+        let world = map(&self.map);
+        let mut estimator = Estimator::new(predictor(), self.options);
+        let (mut wall, mut cpu, mut found) = (Vec::new(), Vec::new(), Vec::new());
+        let warm = 3.min(self.frames.len());
+        for (k, known) in self.frames.iter().take(warm).chain(&self.frames).enumerate() {
+            let (start, cpu_start) = (Instant::now(), ProcessTime::now());
+            let estimate = estimator.estimate(&world, &[&known.frame], &known.prior).expect("an estimate");
+            if k >= warm {
+                cpu.push(1e3 * cpu_start.elapsed().as_secs_f64());
+                wall.push(1e3 * start.elapsed().as_secs_f64());
+                found.push(estimate.pose);
+            }
+        }
+        if let Some(out) = out {
+            self.write(out, &found, &wall);
+        }
+        let at = |ms: &[f64], share: f64| {
+            let mut ms = ms.to_vec();
+            ms.sort_by(f64::total_cmp);
+            ms[((ms.len() - 1) as f64 * share).round() as usize]
+        };
+        println!(
+            "{}: p50 {:.2} ms, p95 {:.2} ms; CPU p50 {:.2} ms, p95 {:.2} ms; {} updates (aim: {})",
+            self.name,
+            at(&wall, 0.5),
+            at(&wall, 0.95),
+            at(&cpu, 0.5),
+            at(&cpu, 0.95),
+            wall.len(),
+            self.aim
+        );
+    }
+
+    /// NAME.json, and beside it NAME.points: x y z of all measured points in the robot's frame, f32, frame by frame.
+    fn write(&self, out: &Path, found: &[Pose], wall: &[f64]) {
+        let numbers = |pose: &Pose| [pose.translation.to_array().to_vec(), pose.rotation.to_array().to_vec()].concat();
+        let (mut points, mut frames) = (Vec::new(), Vec::new());
+        for ((known, found), ms) in self.frames.iter().zip(found).zip(wall) {
+            let sensor = known.frame.sensor();
+            let (mount, body) = (sensor.spec().mount, sensor.body_from_image());
+            let measured = measured_points(&known.frame);
+            for p in &measured {
+                let q = mount.transform_point(body * p.point.as_dvec3()).as_vec3();
+                q.to_array().iter().for_each(|x| points.extend(x.to_le_bytes()));
+            }
+            frames.push(serde_json::json!({
+                "points": measured.len(), "origin": mount.translation.to_array(), "ms": ms,
+                "prior": numbers(&known.prior.pose), "truth": numbers(&known.truth), "found": numbers(found),
+            }));
+        }
+        let planar = self.options.freedom == Freedom::Planar;
+        let all = serde_json::json!({ "name": self.name, "map": self.map, "planar": planar, "frames": frames });
+        let stem: String = self.name.chars().take_while(|c| c.is_alphanumeric()).collect();
+        std::fs::create_dir_all(out).expect("the folder");
+        std::fs::write(out.join(format!("{stem}.points")), points).expect("points are written");
+        std::fs::write(out.join(format!("{stem}.json")), all.to_string()).expect("frames are written");
+    }
+}
+
+fn livingroom() -> Option<Case> {
+    let (log, map) = (data::file("rgbd/livingroom")?, data::file("rgbd/livingroom/livingroom_map.glb")?);
+    let frames = Frames::open(&log, None, &Default::default()).expect("a log").take(60);
+    let frames: Vec<Observation> = frames.map(|o| o.expect("a frame")).collect();
+    // Each frame with the reference of the one before as its prior.
+    let known = |pair: &[Observation]| {
+        let prior = Prior::of_sigmas(pair[0].reference?, 0.03, 0.02);
+        Some(Known { frame: pair[1].frame.thinned(4).expect("a stride"), prior, truth: pair[1].reference? })
+    };
+    let frames = frames.windows(2).filter_map(known).collect();
+    let (name, aim) = ("livingroom, 640 x 480 at a stride of 4", "33 ms");
+    Some(Case { name, aim, map, options: EstimateOptions::default(), frames })
+}
+
+fn malaga() -> Option<Case> {
+    let log = data::file("lidar2d/malaga_corridor_run_scans.json")?;
+    let map = data::file("lidar2d/malaga_corridor_map.glb")?;
+    // Scans lie far apart: each from a little beside its own place.
+    let known = |o: Observation| {
+        let truth = o.reference?;
+        let beside = truth * Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.015);
+        Some(Known { frame: o.frame, prior: Prior::of_sigmas(beside, 0.03, 0.02), truth })
+    };
+    let frames = Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan"));
+    let frames = frames.filter_map(known).collect();
+    let (name, aim) = ("malaga, 361 beams", "1 ms");
+    Some(Case { name, aim, map, options: EstimateOptions::planar(), frames })
+}
+
+fn hall() -> Option<Case> {
+    let path = data::file("env/factory_hall.glb")?;
+    let world = map(&path);
+    let mut simulator = Simulator::new(predictor(), drives::laser(), Disturbances::default(), 1).expect("a simulator");
+    let places = presight::free_poses::free_poses(&world, 20, 11).expect("free poses");
+    let known = |(k, place): (usize, &Pose)| {
+        let off = Pose { translation: place.translation + DVec3::new(0.01, -0.01, 0.0), ..*place };
+        let frame = simulator.frame(&world, k as f64, place).expect("a frame");
+        Known { frame, prior: Prior::of_sigmas(off, 0.02, 0.01), truth: *place }
+    };
+    let frames = places.iter().enumerate().map(known).collect();
+    let (name, aim) = ("hall, laser range camera", "8 ms p95");
+    Some(Case { name, aim, map: path, options: EstimateOptions::default(), frames })
+}
+
+fn main() {
+    // Cargo says --bench.
+    let words: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let number = |default| words.get(1).map_or(default, |n| n.parse().expect("a number of frames"));
+    match words.first().map(String::as_str) {
+        None | Some("frames") => {
+            let out = words.get(1).map(Path::new);
+            [livingroom(), malaga(), hall()].into_iter().flatten().for_each(|case| case.measure(out));
+        }
+        Some("alarms") => drives::alarms(number(30_000) as u64),
+        Some("accuracy") => drives::accuracy(number(200)),
+        Some("fidelity") => drives::fidelity(number(40)),
+        Some("kidnapped") => drives::kidnapped(),
+        Some(other) => panic!("{other}: give frames DIR, alarms, accuracy, fidelity or kidnapped, or nothing"),
+    }
+}
