@@ -6,7 +6,7 @@
 use super::image::{Image, Kind};
 use super::outermost;
 use crate::environment::FeatureShape;
-use crate::features::SeenFeature;
+use crate::features::{MAX_PATCH_SAMPLES, SeenFeature};
 use crate::features::roi::{BodyPoint, FeatureErrorModel, Projection, Viewpoint};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
@@ -253,11 +253,16 @@ struct PatchWindow {
 }
 
 impl PatchWindow {
-    /// Around what is seen at pixels, by one of them: the next is not seen.
+    /// Around what is seen at pixels, by one of them: the next is not seen. Where images bulge, samples of a sliver may be
+    /// farther apart: by a step of the coarsest grid that is laid over an image.
     fn of(image: &Image<'_>, seen: [DVec2; 2]) -> Self {
         let (w, h) = image.size();
         let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
-        let (mut low, mut high) = (seen[0] - 1.0, seen[1] + 1.0);
+        let step = match image.kind {
+            Kind::Pinhole(_) => 1.0,
+            _ => (f64::from(w) * f64::from(h) / MAX_PATCH_SAMPLES as f64).sqrt().max(1.0),
+        };
+        let (mut low, mut high) = (seen[0] - step, seen[1] + step);
         // Beyond the border nothing is seen; around a turn there is none at the sides.
         let turn = image.turn();
         (low.y, high.y) = (low.y.max(-0.5), high.y.min(most.y));
