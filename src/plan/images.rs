@@ -227,6 +227,7 @@ impl Images {
 
     /// Leaves every sample open that something beyond `complete_to` metres may hide, by the range image, and returns how many those
     /// are. What is nearer than `range_min` is nearer than anything beyond it.
+    #[cfg(feature = "gpu")]
     pub(crate) fn leave_open(&mut self, complete_to: f64, range_min: f64) -> u64 {
         let is_final = |range: f32| match range {
             f32::NEG_INFINITY => range_min <= complete_to,
