@@ -6,8 +6,8 @@
 use super::image::{Image, Kind};
 use super::outermost;
 use crate::environment::FeatureShape;
-use crate::features::{MAX_PATCH_SAMPLES, SeenFeature};
 use crate::features::roi::{BodyPoint, FeatureErrorModel, Projection, Viewpoint};
+use crate::features::{MAX_PATCH_SAMPLES, SeenFeature};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
 
