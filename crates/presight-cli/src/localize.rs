@@ -125,6 +125,7 @@ pub struct Drive {
 }
 
 /// What was sensed at one time.
+#[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show what was sensed"))]
 pub struct Sensed<'a> {
     /// What the log is of.
     pub frame: &'a Frame,
@@ -132,6 +133,7 @@ pub struct Sensed<'a> {
     pub grey: Option<&'a Frame>,
 }
 
+#[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show what was sensed"))]
 impl Sensed<'_> {
     /// The frame that is a grey image, whether beside ranges or instead of them.
     pub fn grey(&self) -> Option<&Frame> {
