@@ -125,7 +125,6 @@ pub struct Drive {
 }
 
 /// What was sensed at one time.
-#[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show what was sensed"))]
 pub struct Sensed<'a> {
     /// What the log is of.
     pub frame: &'a Frame,
