@@ -117,8 +117,22 @@ fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided:
     inside && normal.dot(direction) * distance > 0.0 && (!one_sided || distance < 0.0)
 }
 
+/// How far below a point the nearest polygon is, metres; `None` if there is none within `reach`.
+pub(crate) fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
+    let (environment, down) = (world.environment(), DVec3::NEG_Z);
+    found.clear();
+    world.index().query(environment, &Region::ray(at, down, reach), found);
+    let below = found.all().filter_map(|slot| environment.locate(slot)).filter_map(|(object, polygon)| {
+        let object = &environment.objects()[object as usize];
+        let corners = corners_from(object, polygon, at);
+        let normal = normal_of(&corners);
+        is_hit(object, polygon, at, down, false).then(|| normal.dot(corners[0]) / normal.dot(down))
+    });
+    below.reduce(f64::min)
+}
+
 /// True if no polygon is nearer than [`FREE_DISTANCE`].
-fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
+pub(crate) fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
     let environment = world.environment();
     found.clear();
     world.index().query(environment, &Region::ball(at, FREE_DISTANCE), found);

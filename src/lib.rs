@@ -127,6 +127,7 @@ pub mod verdict;
 pub mod verify;
 pub mod virtual_sensors;
 mod world;
+pub mod worth;
 
 pub use change::Change;
 pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};

@@ -33,18 +33,9 @@ pub(crate) fn choose(
     if seen.len() <= most {
         return 0;
     }
-    let image = Image::of(sensor);
-    let object_of = |i: usize| placed[given_at(&prediction.given, i)].object;
-    let turn = |object: u32| world.environment().objects()[object as usize].world_from_object.rotation_matrix();
-    let informations: Vec<(u32, Matrix)> = seen
-        .iter()
-        .map(|i| {
-            let feature = &prediction.features[*i];
-            let world_from_frame = object_of(*i).map_or(DMat3::IDENTITY, turn);
-            let weight = feature.existence * feature.feature.properties.contrast.unwrap_or(1.0);
-            (feature.feature.id, information(&image, feature, world_from_sensor, world_from_frame, weight))
-        })
-        .collect();
+    let informations = informations(prediction, placed, (world, sensor, world_from_sensor));
+    let informations: Vec<(u32, Matrix)> =
+        informations.into_iter().map(|(i, told)| (prediction.features[i].feature.id, told)).collect();
     let mut keep: Vec<bool> = prediction.features.iter().map(|f| f.visible.is_empty()).collect();
     for chosen in greedy(&prior(known), &informations, most) {
         keep[seen[chosen]] = true;
@@ -54,6 +45,24 @@ pub(crate) fn choose(
     let mut kept = keep.iter();
     prediction.features.retain(|_| *kept.next().unwrap_or(&false));
     seen.len() - most
+}
+
+/// What each feature that is seen tells of the pose, by its number in the prediction: translation along the world's axes, rotation about
+/// them, weighted by existence and contrast (1 where unknown).
+pub(crate) fn informations(
+    prediction: &FeaturePrediction,
+    placed: &[PlacedFeature],
+    (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
+) -> Vec<(usize, Matrix)> {
+    let image = Image::of(sensor);
+    let turn = |object: u32| world.environment().objects()[object as usize].world_from_object.rotation_matrix();
+    let seen = prediction.features.iter().enumerate().filter(|(_, feature)| !feature.visible.is_empty());
+    seen.map(|(i, feature)| {
+        let world_from_frame = placed[given_at(&prediction.given, i)].object.map_or(DMat3::IDENTITY, turn);
+        let weight = feature.existence * feature.feature.properties.contrast.unwrap_or(1.0);
+        (i, information(&image, feature, world_from_sensor, world_from_frame, weight))
+    })
+    .collect()
 }
 
 /// Numbers of the chosen, in order.

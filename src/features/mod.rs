@@ -21,7 +21,7 @@ pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 #[doc(hidden)]
 pub use boxes::{BoxQuery, add_boxes};
-pub(crate) use choose::choose;
+pub(crate) use choose::{choose, informations};
 pub(crate) use columns::turn;
 pub(crate) use contour::ContourSet;
 #[cfg(all(feature = "gpu", test))]

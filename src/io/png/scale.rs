@@ -21,7 +21,12 @@ impl Scale {
     /// Of the finite values of an output; 0..1 for what has no metres.
     pub fn of(images: &Images, output: Output) -> Self {
         let values = images.floats(output).filter(|_| output.is_distance()).unwrap_or(&[]);
-        let mut finite: Vec<f32> = values.iter().copied().filter(|v| v.is_finite() && *v > 0.0).collect();
+        Self::of_values(values.iter().copied())
+    }
+
+    /// Of the finite values above 0.
+    pub fn of_values(values: impl Iterator<Item = f32>) -> Self {
+        let mut finite: Vec<f32> = values.filter(|v| v.is_finite() && *v > 0.0).collect();
         if finite.is_empty() {
             return Self { low: 0.0, high: 1.0, logarithmic: false };
         }

@@ -204,7 +204,7 @@ pub fn footer(canvas: &mut Canvas, top: u32, output: Output, palette: &Palette, 
     }
 }
 
-fn bar(canvas: &mut Canvas, top: u32, width: u32, scale: &Scale, unit: &str, color: fn(f64) -> Rgb) {
+pub fn bar(canvas: &mut Canvas, top: u32, width: u32, scale: &Scale, unit: &str, color: fn(f64) -> Rgb) {
     for x in 0..width {
         canvas.fill(MARGIN + x, top, 1, BAR, color(f64::from(x) / f64::from(width.max(2) - 1)));
     }

@@ -2,6 +2,7 @@
 
 mod near;
 mod pick;
+mod worth;
 
 use super::frame_args::FrameArgs;
 use super::open_scene;
@@ -22,6 +23,9 @@ const EXAMPLES: &str = "Examples:
 
   Only longer creases and borders, for a radar:
     presight features hall.glb --class radar --kinds crease,border --min-length 0.5
+
+  Where the layer fixes a camera's pose, and a layer of as few features as it takes:
+    presight features hall.glb --worth --sensor camera.toml --csv worth.csv --png worth.png --thin --out few.layer.json
 
   What is at a pixel, with an entry to paste into a layer:
     presight features pick hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --pixel 320,240
@@ -44,7 +48,7 @@ pub struct Args {
     scene: Option<PathBuf>,
 
     /// The sensor class the features are for
-    #[arg(long, value_name = "CLASS", required = true, value_parser = NonEmptyStringValueParser::new())]
+    #[arg(long, value_name = "CLASS", required_unless_present = "worth", conflicts_with = "worth", value_parser = NonEmptyStringValueParser::new())]
     class: Option<String>,
 
     /// Write the layer
@@ -56,6 +60,9 @@ pub struct Args {
 
     #[command(flatten)]
     options: OptionArgs,
+
+    #[command(flatten)]
+    worth: worth::WorthArgs,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -115,21 +122,35 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         };
     }
     // Clap asks for both where there is no subcommand.
-    let missing = || Error::usage("a scene and --class are needed", "see presight features --help");
-    let (scene, class) = args.scene.as_ref().zip(args.class.as_ref()).ok_or_else(missing)?;
+    let missing = || Error::usage("a scene, and --class or --worth, are needed", "see presight features --help");
+    let sensor = args.worth.sensor()?;
+    let class = sensor.as_ref().map(|s| s.spec().class.clone()).or_else(|| args.class.clone());
+    let (scene, class) = args.scene.as_ref().zip(class).ok_or_else(missing)?;
     let options = args.options.options();
     options.check()?;
     let mut files = OutputFiles::new();
     files.add("--out", args.out.as_deref(), &["json"])?;
+    args.worth.name_files(&mut files)?;
     files.check_named([scene.as_path()])?;
-    let scene = open_scene(scene, &args.frame.options()?, Scheme::None)?;
+    let scheme = if sensor.is_some() { Scheme::default() } else { Scheme::None };
+    let scene = open_scene(scene, &args.frame.options()?, scheme)?;
     let start = Instant::now();
-    let generated = generated(scene.world.environment(), class, &options)?;
+    let (mut layer, mut lines) = match args.worth.given(&class)? {
+        Some(layer) => (layer, Vec::new()),
+        None => {
+            let generated = generated(scene.world.environment(), &class, &options)?;
+            let lines = in_words(&generated, &options, start.elapsed().as_secs_f64());
+            (generated.layer, lines)
+        }
+    };
     files.check_read()?;
-    if let Some(path) = &args.out {
-        layer::write(path, &generated.layer)?;
+    if let Some(sensor) = &sensor {
+        lines.extend(args.worth.tell(&scene, sensor, &mut layer)?);
     }
-    print::lines(in_words(&generated, &options, start.elapsed().as_secs_f64()))?;
+    if let Some(path) = &args.out {
+        layer::write(path, &layer)?;
+    }
+    print::lines(lines)?;
     Ok(CommandOutcome::Done)
 }
 

@@ -245,3 +245,58 @@ fn picking_proposes_what_is_seen() {
     // Nothing is within a centimetre of the middle: the point itself.
     assert_eq!(entry(&pick("256,256 --reach 0.01"))["kind"], "point");
 }
+
+/// The room's layer fixes a camera's pose at most places, and far fewer of its features do so nearly as well.
+#[test]
+fn worth_is_told_place_by_place_and_layers_are_thinned() {
+    let place = Place::new();
+    fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb"), place.path("room.glb")).unwrap();
+    let camera = r#"
+format = 1
+kind = "camera"
+name = "eye"
+class = "video"
+width = 160
+height = 120
+fx = 120
+fy = 120
+cx = 79.5
+cy = 59.5
+[mount]
+xyz = [0.0, 0.0, 1.2]
+[noise]
+pixel_sigma = 0.5
+"#;
+    place.write("eye.toml", camera.as_bytes());
+    let said = place.done(
+        "features room.glb --worth --sensor eye.toml --spacing 0.7 --csv w.csv --png w.png --thin --out few.layer.json",
+    );
+    let csv = fs::read_to_string(place.path("w.csv")).unwrap();
+    let rows: Vec<Vec<f64>> = csv.lines().skip(1).map(|l| l.split(',').map(|x| x.parse().unwrap()).collect()).collect();
+    assert!(rows.len() > 3 && rows.iter().all(|r| r[2] == 1.2 && r[4] > 0.0 && r[5] > 0.0), "{csv}");
+    assert!(rows.iter().any(|r| r[4] < 1.0 && r[5] < 20.0), "{csv}");
+    assert!(place.path("w.png").exists());
+    let line = said.lines().find(|l| l.starts_with("thinned")).unwrap();
+    let numbers: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();
+    let [kept, given, position, heading] = numbers[..] else { panic!("{line}") };
+    assert!(kept > 2.0 && kept < 0.7 * given && position <= 10.0 && heading <= 10.0, "{line}");
+    let few: Value = serde_json::from_slice(&fs::read(place.path("few.layer.json")).unwrap()).unwrap();
+    assert_eq!(few["features"].as_array().unwrap().len() as f64, kept);
+    // What is left is told to be worth as much: the same places, each hardly worse.
+    place.done("features room.glb --worth --sensor eye.toml --spacing 0.7 --layer few.layer.json --csv few.csv");
+    let after = fs::read_to_string(place.path("few.csv")).unwrap();
+    for (before, after) in rows.iter().zip(after.lines().skip(1)) {
+        let after: Vec<f64> = after.split(',').map(|x| x.parse().unwrap()).collect();
+        assert!((4..6).all(|k| before[k].is_infinite() || after[k] <= 1.1001 * before[k]), "{before:?} {after:?}");
+    }
+    for (line, said) in [
+        ("features room.glb --worth --csv a.csv", "--sensor"),
+        ("features room.glb --worth --sensor video-camera --csv a.csv", "pixel_sigma"),
+        ("features room.glb --worth --sensor eye.toml --spacing 0", "spacing above 0"),
+        ("features room.glb --worth --sensor eye.toml --floor 50", "is free"),
+        ("features room.glb --class video --csv a.csv", "--worth"),
+    ] {
+        let outcome = place.run(line);
+        assert!(outcome.status != Some(0) && outcome.stderr.contains(said), "{line}: {}", outcome.stderr);
+    }
+}
