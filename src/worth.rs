@@ -139,7 +139,13 @@ impl Worth {
     pub fn thinned(&self, growth: f64) -> Thinned {
         let mut of_feature: Vec<Vec<(u32, Planar)>> = vec![Vec::new(); self.given];
         for (number, view) in (0..).zip(&self.views) {
-            view.iter().for_each(|(feature, told)| of_feature[*feature as usize].push((number, *told)));
+            for (feature, told) in view {
+                // A contour is seen as several curves, which go together.
+                match of_feature[*feature as usize].last_mut().filter(|(before, _)| *before == number) {
+                    Some((_, sum)) => (0..6).for_each(|i| sum[i] += told[i]),
+                    None => of_feature[*feature as usize].push((number, *told)),
+                }
+            }
         }
         let mut sums: Vec<Planar> = self.views.iter().map(|view| sum(view.iter().map(|(_, told)| told))).collect();
         let before: Vec<[f64; 2]> = sums.iter().map(sigmas).collect();
@@ -320,6 +326,11 @@ mod tests {
         let few = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (3, ALONG_Y)];
         let thinned = worth(vec![told, few, vec![(9, ALONG_Y)]], 10).thinned(0.1);
         assert_eq!(thinned.keep, [true, true, true, true, false, true, true, true, true, false]);
+        // Two curves of one contour, of 9 that tell y: without both 7 are left, and sqrt(9 / 7) is over 1.1.
+        let mut curves = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (2, ALONG_Y)];
+        curves.extend((3..10).map(|_| (3, ALONG_Y)));
+        let thinned = worth(vec![curves], 4).thinned(0.1);
+        assert_eq!((thinned.keep, thinned.position_growth), (vec![true; 4], 0.0));
         // Nothing may grow: everything that tells stays.
         assert_eq!(worth(vec![vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y)]], 3).thinned(0.0).keep, [true; 3]);
     }
