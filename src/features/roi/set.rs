@@ -133,10 +133,17 @@ impl<P: Projection> Set<'_, P> {
         }
         let motion = self.uncertain.motion(&xi);
         let mut reach = [f64::NEG_INFINITY; 4];
+        let mut before = None;
         for rough in self.rough {
             let p = motion.place(&rough.point);
             if !(self.projection.clearance(p) > GRAZING * rough.clearance) {
                 return None;
+            }
+            // Near a pole a segment may be highest anywhere between points of it.
+            let before = before.replace(p).filter(|_| rough.point.shares[1] > 0.0);
+            let highest = before.and_then(|before| self.projection.culmination(before, p));
+            if let Some([_, row]) = highest.and_then(|p| self.projection.project(p)) {
+                (reach[2], reach[3]) = (reach[2].max(row), reach[3].max(-row));
             }
             let Some(at) = self.projection.project(p) else { continue };
             let at = [unwrapped(self.projection, at[0], rough.at[0]), at[1]];
