@@ -298,6 +298,8 @@ impl Trial {
             let image = self.image_from_object(&robot, &pose(normal.pair(&roots[1]), &Pose::IDENTITY));
             let ends = normal.pair(&roots[2]);
             let mut reach = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+            // All of it lies within half a turn, wherever that is.
+            let mut near = near;
             for (p, shares) in &points {
                 let Some((mut u, v)) = case.sensor.project(image(*p + ends[0] * shares[0] + ends[1] * shares[1]))
                 else {
@@ -310,6 +312,7 @@ impl Trial {
                 }
                 let v = if case.sensor.height() == 1 { 0.0 } else { v };
                 u -= turn.map_or(0.0, |turn| turn * ((u - near) / turn).round());
+                near = u;
                 reach = [reach[0].min(u), reach[1].min(v), reach[2].max(u), reach[3].max(v)];
             }
             Some(reach)
