@@ -456,7 +456,6 @@ fn check(features: usize, draws: usize) {
 }
 
 #[test]
-#[ignore = "no run of all conditions has been looked at yet"]
 fn coverage_by_condition() {
     check(20, env_number("PRESIGHT_DRAWS", 20_000) as usize);
 }
