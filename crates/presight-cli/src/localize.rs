@@ -100,6 +100,15 @@ pub struct Drive {
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     floor_to: Option<f64>,
 
+    /// How far beyond the bounds of the map the robot may be, metres: a map of surfaces that were seen need not reach to where they were
+    /// seen from
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    margin: f64,
+
+    /// Share of all directions in which a robot that is looked for in the whole map has to be surrounded by it
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
+    surrounded: f64,
+
     /// Roll and pitch of a robot that is looked for in the whole map, degrees
     #[arg(
         long,
@@ -299,7 +308,8 @@ impl Drive {
         };
         let lean = [roll.to_radians(), pitch.to_radians()];
         let floor_to = self.floor_to.unwrap_or(self.floor);
-        Ok(SearchOptions { floor: self.floor, floor_to, lean, ..SearchOptions::default() })
+        let (floor, margin, surrounded) = (self.floor, self.margin, self.surrounded);
+        Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {
