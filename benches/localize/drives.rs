@@ -34,11 +34,11 @@ fn with_sigma(name: &str, range_sigma: f64) -> Sensor {
     Sensor::new(spec).expect("a sensor")
 }
 
-/// Level poses, a round of a quarter of a metre from a place.
+/// Level poses, a round of an eighth of a metre beside a place: never farther from it than it is free.
 fn on_the_way(place: &Pose, k: usize) -> Pose {
-    let (yaw, a) = (place.rotation.to_euler(glam::EulerRot::ZYX).0, 0.05 * k as f64);
-    let aside = DVec3::new(0.25 * a.cos() - 0.25, 0.25 * a.sin(), 0.0);
-    Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
+    let (yaw, a) = (place.rotation.to_euler(glam::EulerRot::ZYX).0, 0.1 * k as f64);
+    let aside = DVec3::new(0.125 * a.cos() - 0.125, 0.125 * a.sin(), 0.0);
+    Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin())
 }
 
 /// The most events a frame that so many events in so many frames leave possible, one-sided, 95 %: the mean of a Poisson
