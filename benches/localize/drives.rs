@@ -279,7 +279,7 @@ pub fn kidnapped() {
         let there = Pose { translation: pair[1].translation.with_z(height), ..*pair[1] };
         let mut simulator =
             Simulator::new(predictor(), scanner.clone(), Disturbances::default(), drives).expect("a simulator");
-        let (mut lost_at, mut found_at) = (None, None);
+        let (mut lost_at, mut found_at, mut reason) = (None, None, String::new());
         for k in 0..35 {
             let truth = if k < 15 { on_the_way(pair[0], k) } else { on_the_way(&there, k) };
             let mut frame = simulator.frame(&world, k as f64, &truth).expect("a frame");
@@ -294,8 +294,9 @@ pub fn kidnapped() {
             if lost_at.is_some() && step.phase == Phase::Tracking && near {
                 found_at.get_or_insert(k - 14);
             }
+            reason = format!("{}: {}", step.phase.name(), step.reason);
         }
-        println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}");
+        println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}; at last {reason}");
         lost += usize::from(lost_at.is_some_and(|k| k <= 5));
         found += usize::from(lost_at.zip(found_at).is_some_and(|(l, f)| f - l <= 10));
     }
