@@ -17,6 +17,8 @@ mod clairvoyant;
 mod drive;
 #[path = "deadline/figures.rs"]
 mod figures;
+#[path = "deadline/steadiness.rs"]
+mod steadiness;
 
 use presight::deadline::{Clock, SystemClock};
 use presight::io::gltf::{ImportOptions, import};

@@ -21,12 +21,13 @@ fn number(name: &str, default: usize) -> usize {
 fn main() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
-    println!(
-        "| scene | compute, ms: median of poses' medians | render, ms | render over compute: median (least, most)"
-    );
-    println!(
-        "| the same of CPU time | the same from submission to answer | polygons set up | of these rendered | pixels that differ |"
-    );
+    let times = ["time", "CPU time", "submission to answer"].map(|time| {
+        format!(
+            "{time}: compute, ms: median of poses' medians | render, ms | render over compute: median (least, most)"
+        )
+    });
+    println!("| scene | {} | polygons set up | of these rendered | pixels that differ |", times.join(" | "));
+    println!("|{}", "---|".repeat(13));
     for name in ["hospital", "factory_hall"] {
         let path = data.join("env").join(name).with_extension("glb");
         if path.is_file() {
@@ -60,7 +61,7 @@ fn measure(scene: &str, world: &World) {
     let sensor = preset("video-camera").expect("a preset");
     let poses = free_poses(world, number("PRESIGHT_POSES", 10), 1).expect("free poses");
     let mut engines = [Raster::Compute, Raster::Render].map(open);
-    println!("{scene}, {} x {}, on {}", sensor.width(), sensor.height(), engines[0].adapter());
+    eprintln!("{scene}, {} x {}, on {}", sensor.width(), sensor.height(), engines[0].adapter());
     let found: Vec<_> = poses.iter().map(|pose| at_pose(world, &sensor, pose, &mut engines)).collect();
     println!(
         "| {scene} | {} | {} | {} | {} | {} | {} of {} |",

@@ -1,6 +1,6 @@
 //! How many deadlines are kept, how far estimates are off, what is given up, and what a generous deadline costs.
 
-use super::{Bench, Outcome, Setting, quantile};
+use super::{Bench, Outcome, Setting, quantile, steadiness};
 use presight::free_poses::free_poses;
 use presight::{ErrorKind, Pose};
 
@@ -22,6 +22,9 @@ fn random(state: &mut u64) -> f64 {
 pub fn print(args: &[String], setting: &Setting) -> Outcome {
     let mut bench = Bench::new(&args[0], args.get(1), setting)?;
     let frames: usize = args.get(2).map_or(Ok(2000), |n| n.parse())?;
+    if !setting.by_cpu_time {
+        steadiness::print(std::thread::available_parallelism()?.get());
+    }
     estimates(&mut bench)?;
     let poses = free_poses(&bench.world, POSES, 7)?;
     let full = free(&mut bench, &poses);

@@ -145,13 +145,15 @@ const HEAD: &str = "| | position RMS mm | heading RMS deg | NEES a number (95 % 
 
 /// The halls that drives go through, each with a level place at a robot's height.
 fn halls() -> Vec<(&'static str, World, Pose)> {
-    let mut worlds: Vec<(&str, World)> = hall().map(|world| ("factory_hall", world)).into_iter().collect();
     #[cfg(feature = "script")]
-    {
+    let factory = {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
         let loaded = presight::io::script::load(path, &Default::default(), &mut |_| {}).expect("the scene loads");
-        worlds.push(("scenes/factory.rhai", World::new(loaded.environment)));
-    }
+        Some(("scenes/factory.rhai", World::new(loaded.environment)))
+    };
+    #[cfg(not(feature = "script"))]
+    let factory = None;
+    let worlds = hall().map(|world| ("factory_hall", world)).into_iter().chain(factory);
     let with_place = |(name, world): (&'static str, World)| {
         let places = free_poses(&world, 60, 11).expect("free poses");
         let floor = world.environment().bounds().min.z;

@@ -19,7 +19,10 @@ use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
 use presight::io::gltf::write_glb;
 use presight::sensor::PixelGrid;
-use presight::{Backend, Environment, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
+use presight::{
+    Backend, Environment, Material, NewObject, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World,
+    preset,
+};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::io::BufRead;
@@ -98,6 +101,22 @@ impl Parry {
     }
 }
 
+/// The same objects of materials that every class sees from both sides: to a peer all triangles are so.
+fn opaque(environment: &Environment) -> Environment {
+    let mut all = Environment::new();
+    for material in environment.materials() {
+        all.add_material(Material::named(&material.name)).unwrap_or_else(|e| panic!("{e}"));
+    }
+    for object in environment.objects() {
+        let new = NewObject {
+            object_from_mesh: object.object_from_mesh,
+            ..NewObject::new(&object.name, object.world_from_object, object.mesh.clone())
+        };
+        all.insert(new).unwrap_or_else(|e| panic!("{e}"));
+    }
+    all
+}
+
 fn rows(pose: &Pose) -> [[f64; 4]; 3] {
     let (r, t) = (pose.rotation_matrix(), pose.translation);
     std::array::from_fn(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]])
@@ -109,7 +128,7 @@ fn main() {
         panic!("peer SCENE FOLDER POSES THREADS BACKEND")
     };
     let number = |text: &str| text.parse::<usize>().unwrap_or_else(|e| panic!("{text}: {e}"));
-    let (folder, environment) = (PathBuf::from(folder), scenes::environment(scene));
+    let (folder, environment) = (PathBuf::from(folder), opaque(&scenes::environment(scene)));
     let glb = scenes::glb_of(scene).unwrap_or_else(|| {
         let path = folder.join("scene.glb");
         write_glb(&path, &environment).unwrap_or_else(|e| panic!("{e}"));

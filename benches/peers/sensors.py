@@ -22,7 +22,7 @@ def camera(width, height, fx, fy, cx, cy):
 # name: (unit rays in body axes with shape (rows, columns, 3), range_max in metres)
 SENSORS = {
     "microwave-radar-image": lambda: (scanner(-180.0, 0.28125, 1280, 25.0, -25.0, 200), 75.0),
-    "video-camera": lambda: (camera(512, 512, 523.636, 698.182, 255.5, 255.5), np.inf),
+    "video-camera": lambda: (camera(512, 512, 9.0 / 8.8 * 512, 9.0 / 6.6 * 512, 255.5, 255.5), np.inf),
     "laser-range-camera": lambda: (scanner(-30.0, 60.0 / 320.0, 321, 5.0, -55.0, 41), 10.0),
     "microwave-radar-scan": lambda: (scanner(-180.0, 0.1, 3600, 0.0, 0.0, 1), 75.0),
 }

@@ -65,8 +65,8 @@ pub(super) fn resolve(
     complete_to: f32,
 ) -> u64 {
     let spec = plan.sensor.spec();
-    let (range_min, range_max, complete_to) = (spec.range_min, spec.range_max, f64::from(complete_to));
-    let mut painter = Painter { shades, range_min, range_max, complete_to, given_up: 0, target };
+    let (range_min, range_max, least_inverse) = (spec.range_min, spec.range_max, least_inverse(complete_to.into()));
+    let mut painter = Painter { shades, range_min, range_max, least_inverse, given_up: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -78,6 +78,21 @@ pub(super) fn resolve(
         }
     }
     painter.given_up
+}
+
+/// The least x with `1 / x <= range`, so that samples are compared without a division each; 0 for an infinite range.
+fn least_inverse(range: f64) -> f64 {
+    if range == f64::INFINITY {
+        return 0.0;
+    }
+    let mut least = 1.0 / range;
+    while 1.0 / least > range {
+        least = least.next_up();
+    }
+    while least > 0.0 && 1.0 / least.next_down() <= range {
+        least = least.next_down();
+    }
+    least
 }
 
 /// A scanner's lines are the columns of its image: turned octet by octet, in which the buffer is ordered.
@@ -207,8 +222,8 @@ struct Painter<'t, 'a> {
     shades: &'t [Shade],
     range_min: f64,
     range_max: f64,
-    /// Metres: infinite where all is drawn.
-    complete_to: f64,
+    /// Of samples that are final: 0 where all is drawn.
+    least_inverse: f64,
     given_up: u64,
     target: &'t mut Target<'a>,
 }
@@ -222,7 +237,7 @@ impl Painter<'_, '_> {
         for i in 0..TOGETHER {
             inverse[i] = pixels.inverse[i] * pixels.per_length[i];
         }
-        if self.complete_to < f64::INFINITY && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
+        if self.least_inverse > 0.0 && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
             return;
         }
         let mut distance = [0.0; TOGETHER];
@@ -270,7 +285,7 @@ impl Painter<'_, '_> {
         store(&mut self.target.range, row, &part, &range);
         store(&mut self.target.polygon_id, row, &part, &polygon_id);
         store(&mut self.target.object_id, row, &part, &object_id);
-        if self.complete_to < f64::INFINITY {
+        if self.least_inverse > 0.0 {
             self.give_up(&inverse[..part.len()], row, part);
         }
     }
@@ -280,7 +295,7 @@ impl Painter<'_, '_> {
     #[inline(never)]
     fn leave_all_open(&mut self, inverse: &[f64], row: usize, part: Range<usize>) -> bool {
         // Where there is no ray the inverse is NaN, and images show the same.
-        if inverse.iter().any(|inverse| 1.0 / inverse <= self.complete_to) {
+        if inverse.iter().fold(false, |any, inverse| any | (*inverse >= self.least_inverse)) {
             return false;
         }
         self.given_up += inverse.iter().filter(|inverse| !inverse.is_nan()).count() as u64;
@@ -301,7 +316,7 @@ impl Painter<'_, '_> {
         let mut open = [false; TOGETHER];
         for (open, inverse) in open.iter_mut().zip(inverse) {
             // Where there is no ray the inverse is NaN.
-            *open = 1.0 / inverse > self.complete_to;
+            *open = *inverse < self.least_inverse;
         }
         let open = &open[..inverse.len()];
         let count = open.iter().filter(|open| **open).count();
@@ -339,4 +354,27 @@ fn metres(value: f64, range: f64, range_min: f64, range_max: f64) -> f32 {
     // A miss too: its value is infinity times the z of the ray, which a lens may have at or behind the image plane.
     let shown = if range > range_max || range == f64::INFINITY { f32::INFINITY } else { shown };
     if range.is_nan() { f32::NAN } else { shown }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn everything_is_final_where_all_is_drawn_and_nothing_where_nothing_is() {
+        assert_eq!(least_inverse(f64::INFINITY), 0.0);
+        assert_eq!(least_inverse(0.0), f64::INFINITY);
+        assert_eq!(least_inverse(4.0), 0.25f64);
+    }
+
+    proptest! {
+        /// Beside the least inverse, where a bound that is off by one rounding would be found out.
+        #[test]
+        fn inverses_are_compared_as_ranges_are(range in 1e-6..1e6f32, off in -4i64..=4) {
+            let range = f64::from(range);
+            let inverse = f64::from_bits((1.0 / range).to_bits().wrapping_add_signed(off));
+            prop_assert_eq!(inverse >= least_inverse(range), 1.0 / inverse <= range);
+        }
+    }
 }

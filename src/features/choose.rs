@@ -18,6 +18,10 @@ use std::collections::BinaryHeap;
 
 type Matrix = [[f64; 6]; 6];
 
+/// How often it is asked what a feature adds: some seconds. Features that tell nearly the same are asked about again for each that is
+/// chosen; beyond this, what they added when last asked counts.
+const MOST_ASKED: usize = 1 << 24;
+
 /// Keeps `most` of the features that are seen, and all that are not; returns how many were dropped. Information is weighted by
 /// existence and contrast (1 where unknown); of features that add the same the lower id is kept. `known` is the pose's covariance
 /// before (1 m and 1 rad where it says nothing), along the world's axes.
@@ -37,7 +41,7 @@ pub(crate) fn choose(
     let informations: Vec<(u32, Matrix)> =
         informations.into_iter().map(|(i, told)| (prediction.features[i].feature.id, told)).collect();
     let mut keep: Vec<bool> = prediction.features.iter().map(|f| f.visible.is_empty()).collect();
-    for chosen in greedy(&prior(known), &informations, most) {
+    for chosen in greedy(&prior(known), &informations, most, MOST_ASKED) {
         keep[seen[chosen]] = true;
     }
     let numbers = (0..keep.len()).filter(|i| keep[*i]).map(|i| prediction.given_at(i) as u32).collect();
@@ -65,8 +69,8 @@ pub(crate) fn informations(
     .collect()
 }
 
-/// Numbers of the chosen, in order.
-fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize) -> Vec<usize> {
+/// Numbers of the chosen, in order; it is asked at most `asked` times, and once more for each, what a feature adds.
+fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked: usize) -> Vec<usize> {
     /// Comparable as the total order has it.
     #[derive(PartialEq)]
     struct Gain(f64);
@@ -91,10 +95,11 @@ fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize) -> Vec<us
             break;
         }
         // Numbered from 1, so that all are worked out once.
-        if known == chosen.len() + 1 {
+        if known == chosen.len() + 1 || known > 0 && asked == 0 {
             add(&mut sum, &informations[i].1);
             chosen.push(i);
         } else {
+            asked = asked.saturating_sub(1);
             let mut with = sum;
             add(&mut with, &informations[i].1);
             let gain = Gain(log_determinant(&with) - log_determinant(&sum));
@@ -231,11 +236,23 @@ mod tests {
                 add(&mut sum, &all[best.unwrap()].1);
                 expected.push(best.unwrap());
             }
-            assert_eq!(greedy(&prior(None), &all, 10), expected, "{seed}");
+            assert_eq!(greedy(&prior(None), &all, 10, usize::MAX), expected, "{seed}");
         }
         // Equal ones by id, whatever their order.
         let one = random(3, 1)[0].1;
-        assert_eq!(greedy(&prior(None), &[(9, one), (4, one), (7, one)], 2), [1, 2]);
+        assert_eq!(greedy(&prior(None), &[(9, one), (4, one), (7, one)], 2, usize::MAX), [1, 2]);
+    }
+
+    /// Of equal features all would be asked about again for each that is chosen. When no question is left each has been asked about once.
+    #[test]
+    fn equal_features_are_not_asked_about_for_ever() {
+        let one = random(3, 1)[0].1;
+        let twice = one.map(|row| row.map(|x| 2.0 * x));
+        let mut all: Vec<(u32, Matrix)> = (1..=1000).map(|id| (id, one)).collect();
+        all[700].1 = twice;
+        for asked in [0, 1000, 3000, usize::MAX] {
+            assert_eq!(greedy(&prior(None), &all, 3, asked), [700, 0, 1], "{asked}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Features: generated, seen, with regions of interest, reduced by virtual sensors, and followed from frame to frame.
 
 mod contours;
+mod crowds;
 mod feature_gpu;
 mod feature_reference;
 mod generate;

@@ -43,6 +43,19 @@ impl<'a> Image<'a> {
         };
         Self { sensor, image_from_body: sensor.body_from_image().transpose(), kind }
     }
+
+    /// The share of the way from one point to another (body frame) at which a scanner sees it highest or lowest, if that is not at an
+    /// end: z / rho is stationary there.
+    pub fn culmination_share(&self, from: DVec3, to: DVec3) -> Option<f64> {
+        if !matches!(self.kind, Kind::Beams(_) | Kind::Scanner) {
+            return None;
+        }
+        let [a, b] = [from, to].map(|p| self.image_from_body * p);
+        let d = b - a;
+        let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
+        let t = (d.z * aa - a.z * ad) / (a.z * dd - d.z * ad);
+        (t > 0.0 && t < 1.0).then_some(t)
+    }
 }
 
 /// Columns and rows a radian, where they are the same everywhere: measured, since lone beams have a height of their own.
@@ -100,6 +113,10 @@ impl Projection for Image<'_> {
             Kind::Beams(_) | Kind::Scanner => near(DVec3::Z).or_else(|| near(DVec3::NEG_Z)),
             _ => None,
         }
+    }
+
+    fn culmination(&self, from: DVec3, to: DVec3) -> Option<DVec3> {
+        self.culmination_share(from, to).map(|t| from.lerp(to, t))
     }
 
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {

@@ -101,7 +101,7 @@ fn line(
                 (1..POINTS - 1).for_each(|i| put(from + (to - from) * i as f64 / (POINTS - 1) as f64));
             } else if a.angle_between(b).powi(2) / 8.0 * rows.abs() > SAGITTA {
                 [0.25, 0.5, 0.75].into_iter().for_each(|s| put(from + s * (to - from)));
-                if let Some(t) = culmination(a, b) {
+                if let Some(t) = image.culmination_share(a, b) {
                     put(from + t * (to - from));
                 }
             }
@@ -109,14 +109,6 @@ fn line(
         _ => (1..POINTS - 1).for_each(|i| put(from + (to - from) * i as f64 / (POINTS - 1) as f64)),
     }
     put(to);
-}
-
-/// Where between two points the elevation is greatest or least, if that is not at an end: z / rho is stationary there.
-fn culmination(a: DVec3, b: DVec3) -> Option<f64> {
-    let d = b - a;
-    let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
-    let t = (d.z * aa - a.z * ad) / (a.z * dd - d.z * ad);
-    (t > 0.0 && t < 1.0).then_some(t)
 }
 
 fn patch(
@@ -145,13 +137,12 @@ fn patch(
     let straight = matches!(image.kind, Kind::Pinhole(_));
     let parts = if straight && whole { 1 } else { PARTS };
     // A straight edge is highest, or lowest, in a scanner's image where it passes nearest to the axis.
-    let rises = matches!(image.kind, Kind::Beams(_) | Kind::Scanner);
     let in_body = |p: &DVec3| uncertain.nominal(&BodyPoint::rigid(*p)).p;
     for (k, a) in corners.iter().enumerate() {
         let b = corners[(k + 1) % corners.len()];
         let mut before = (*a, holds(*a));
         let steps = (1..=parts).map(|i| i as f64 / parts as f64);
-        let highest = if rises { culmination(in_body(a), in_body(&b)) } else { None };
+        let highest = image.culmination_share(in_body(a), in_body(&b));
         let mut stops: Vec<f64> = steps.chain(highest).collect();
         stops.sort_unstable_by(f64::total_cmp);
         for t in stops {

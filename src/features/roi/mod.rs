@@ -157,6 +157,12 @@ pub trait Projection: Sync {
         None
     }
 
+    /// Where between two points of a straight line its row is greatest or least, if that is not at one of them. The default knows of
+    /// no such place.
+    fn culmination(&self, _from: DVec3, _to: DVec3) -> Option<DVec3> {
+        None
+    }
+
     /// Derivatives of column and row by the position of a point whose image is `at`. The default uses finite differences.
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
         differences(self, p_in_body, at)

@@ -133,13 +133,24 @@ impl<P: Projection> Set<'_, P> {
         }
         let motion = self.uncertain.motion(&xi);
         let mut reach = [f64::NEG_INFINITY; 4];
+        let (mut before, mut last) = (None, None);
         for rough in self.rough {
             let p = motion.place(&rough.point);
             if !(self.projection.clearance(p) > GRAZING * rough.clearance) {
                 return None;
             }
+            // Near a pole a segment may be highest anywhere between points of it, and may pass on the other side: it goes round by
+            // less than half a turn, all of its points together.
+            let is_next = rough.point.shares[1] > 0.0;
+            let before = before.replace(p).filter(|_| is_next);
+            let highest = before.and_then(|before| self.projection.culmination(before, p));
+            if let Some([_, row]) = highest.and_then(|p| self.projection.project(p)) {
+                (reach[2], reach[3]) = (reach[2].max(row), reach[3].max(-row));
+            }
             let Some(at) = self.projection.project(p) else { continue };
-            let at = [unwrapped(self.projection, at[0], rough.at[0]), at[1]];
+            let near = last.filter(|_| is_next).unwrap_or(rough.at[0]);
+            let at = [unwrapped(self.projection, at[0], near), at[1]];
+            last = Some(at[0]);
             for (reach, (c, sign)) in reach.iter_mut().zip(SIDES) {
                 *reach = reach.max(sign * at[c]);
             }

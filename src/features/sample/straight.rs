@@ -113,15 +113,33 @@ impl Sampler<'_> {
         self.clip(self.pinhole?, a, b)
     }
 
-    fn clip(&self, camera: &Camera, a: DVec3, b: DVec3) -> Option<Straight> {
-        // Positive inside the four sides of the image: linear along the segment. Together they put it in front.
-        let sides = |p: DVec3| {
-            let (x, y) = (camera.fx * p.x, camera.fy * p.y);
-            let (left, top) = (camera.cx + 0.5, camera.cy + 0.5);
-            [x + left * p.z, (self.size.x - left) * p.z - x, y + top * p.z, (self.size.y - top) * p.z - y, p.z]
+    /// Positive inside the four sides of the image, and in front: linear in space.
+    fn sides(&self, camera: &Camera, p: DVec3) -> [f64; 5] {
+        let (x, y) = (camera.fx * p.x, camera.fy * p.y);
+        let (left, top) = (camera.cx + 0.5, camera.cy + 0.5);
+        [x + left * p.z, (self.size.x - left) * p.z - x, y + top * p.z, (self.size.y - top) * p.z - y, p.z]
+    }
+
+    /// Why nothing of the convex hull of some points is in a pinhole camera's image, where one look tells: all of it is behind the
+    /// camera, or before it and beside one side of the image.
+    pub(crate) fn beside(&self, points: &[DVec3]) -> Option<Reason> {
+        /// What is beside a side by less may be in the image by rounding, relative to the distance.
+        const SLACK: f64 = 1e-9;
+        let camera = self.pinhole?;
+        if points.iter().all(|p| p.z <= 0.0) {
+            return Some(Reason::BehindSensor);
+        }
+        let all = |side: usize, far: f64| {
+            points.iter().all(|p| p.z > 0.0 && self.sides(camera, *p)[side] < -SLACK * far * p.length())
         };
+        let far = camera.fx.max(camera.fy) + self.size.x + self.size.y;
+        (0..4).any(|side| all(side, far)).then_some(Reason::OutsideImage)
+    }
+
+    fn clip(&self, camera: &Camera, a: DVec3, b: DVec3) -> Option<Straight> {
+        // Together the four sides put it in front.
         let (mut from, mut to) = (0.0f64, 1.0f64);
-        for (s, e) in sides(a).into_iter().zip(sides(b)) {
+        for (s, e) in self.sides(camera, a).into_iter().zip(self.sides(camera, b)) {
             match (s >= 0.0, e >= 0.0) {
                 (true, true) => {}
                 (false, false) => to = -1.0,

@@ -1,7 +1,7 @@
 //! Contours against silhouettes worked out by hand, and against what rays say of depth and normals.
 
 use presight_testkit as common;
-mod bodies;
+pub mod bodies;
 mod boxes;
 mod layers;
 mod picture;
