@@ -2,9 +2,9 @@
 //! sensor models of growing fidelity bring.
 
 use super::{map, predictor};
-use cpu_time::ThreadTime;
+use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight::estimate::{EstimateOptions, Estimator, Prior, motion_between, nees};
+use presight::estimate::{Estimate, EstimateOptions, Estimator, Prior, motion_between, nees};
 use presight::frame::{Frame, Measurement};
 use presight::free_poses::free_poses;
 use presight::localize::{LocalizeOptions, Localizer, Phase};
@@ -34,11 +34,11 @@ fn with_sigma(name: &str, range_sigma: f64) -> Sensor {
     Sensor::new(spec).expect("a sensor")
 }
 
-/// Level poses, a round of a quarter of a metre from a place.
+/// Level poses, a round of an eighth of a metre beside a place: never farther from it than it is free.
 fn on_the_way(place: &Pose, k: usize) -> Pose {
-    let (yaw, a) = (place.rotation.to_euler(glam::EulerRot::ZYX).0, 0.05 * k as f64);
-    let aside = DVec3::new(0.25 * a.cos() - 0.25, 0.25 * a.sin(), 0.0);
-    Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
+    let (yaw, a) = (place.rotation.to_euler(glam::EulerRot::ZYX).0, 0.1 * k as f64);
+    let aside = DVec3::new(0.125 * a.cos() - 0.125, 0.125 * a.sin(), 0.0);
+    Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin())
 }
 
 /// The most events a frame that so many events in so many frames leave possible, one-sided, 95 %: the mean of a Poisson
@@ -109,14 +109,16 @@ struct Errors {
     squares: [f64; 2],
     nees: Vec<(f64, usize)>,
     cpu_ms: f64,
+    undetermined: usize,
 }
 
 impl Errors {
-    fn add(&mut self, found: &Pose, covariance: &[[f64; 6]; 6], truth: &Pose) {
-        let off = motion_between(found, truth);
+    fn add(&mut self, found: &Estimate, truth: &Pose) {
+        let off = motion_between(&found.pose, truth);
+        self.undetermined += usize::from(!found.is_determined());
         self.squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
         self.squares[1] += off[5].to_degrees().powi(2);
-        self.nees.push(nees(found, covariance, truth));
+        self.nees.push(nees(&found.pose, &found.covariance, truth));
     }
 
     fn row(&self, name: &str) {
@@ -127,57 +129,83 @@ impl Errors {
         let half = 1.96 * (2.0 / numbers as f64).sqrt();
         let worst = self.nees.iter().map(|(e, m)| e / *m as f64).fold(0.0, f64::max);
         println!(
-            "| {name} | {:.2} | {:.4} | {:.2} ({:.2} to {:.2}) | {worst:.1} | {:.2} |",
+            "| {name} | {:.2} | {:.4} | {:.2} ({:.2} to {:.2}) | {worst:.1} | {} | {:.2} |",
             1e3 * metres,
             degrees,
             sum / numbers as f64,
             1.0 - half,
             1.0 + half,
+            self.undetermined,
             self.cpu_ms / n
         );
     }
 }
 
-const HEAD: &str = "| | position RMS mm | heading RMS deg | NEES a number (95 % bounds) | worst frame | CPU ms a frame |\n|---|---|---|---|---|---|";
+const HEAD: &str = "| | position RMS mm | heading RMS deg | NEES a number (95 % bounds) | worst frame | undetermined | CPU ms a frame |\n|---|---|---|---|---|---|---|";
+
+/// The halls that drives go through, each with a level place at a robot's height.
+fn halls() -> Vec<(&'static str, World, Pose)> {
+    #[cfg(feature = "script")]
+    let factory = {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
+        let loaded = presight::io::script::load(path, &Default::default(), &mut |_| {}).expect("the scene loads");
+        Some(("scenes/factory.rhai", World::new(loaded.environment)))
+    };
+    #[cfg(not(feature = "script"))]
+    let factory = None;
+    let worlds = hall().map(|world| ("factory_hall", world)).into_iter().chain(factory);
+    let with_place = |(name, world): (&'static str, World)| {
+        let places = free_poses(&world, 60, 11).expect("free poses");
+        let floor = world.environment().bounds().min.z;
+        let low = |place: &&Pose| (0.8..2.5).contains(&(place.translation.z - floor));
+        let place = *places.iter().step_by(2).find(low).expect("a place at a robot's height");
+        (name, world, place)
+    };
+    worlds.into_iter().map(with_place).collect()
+}
 
 /// Frames of one drive by radar scan, laser range camera, and both together, each from a prior that odometry carried on.
 pub fn accuracy(frames: usize) {
-    let Some(world) = hall() else { return };
-    let place = free_poses(&world, 6, 11).expect("free poses")[2];
-    let radar = with_sigma("microwave-radar-scan", 0.03);
-    println!("{frames} frames in the factory hall, exact map\n{HEAD}");
-    for (name, sensors) in [
-        ("radar scan", vec![radar.clone()]),
-        ("laser range camera", vec![laser()]),
-        ("both together", vec![radar, laser()]),
-    ] {
-        let planar = name == "radar scan";
-        let simulator =
-            |s: &Sensor| Simulator::new(predictor(), s.clone(), Disturbances::default(), 3).expect("a simulator");
-        let mut simulators: Vec<Simulator> = sensors.iter().map(simulator).collect();
-        let options = if planar {
-            EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() }
-        } else {
-            EstimateOptions::default()
-        };
-        let mut estimator = Estimator::new(single(), options);
-        let (mut believed, mut errors) = (on_the_way(&place, 0), Errors::default());
-        for k in 0..frames {
-            let truth = on_the_way(&place, k);
-            let seen: Vec<Frame> =
-                simulators.iter_mut().map(|s| s.frame(&world, k as f64, &truth).expect("a frame")).collect();
-            if let Some(motion) = &seen[0].motion {
-                believed = believed * motion.previous_from_current;
-            }
-            let start = ThreadTime::now();
-            let all: Vec<&Frame> = seen.iter().collect();
-            let found = estimator.estimate(&world, &all, &Prior::of_sigmas(believed, 0.02, 0.01)).expect("an estimate");
-            errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
-            errors.add(&found.pose, &found.covariance, &truth);
-            believed = found.pose;
+    for (hall, world, place) in halls() {
+        println!("{frames} frames in {hall}, exact map, around {:.1}\n{HEAD}", place.translation);
+        let radar = with_sigma("microwave-radar-scan", 0.03);
+        for (name, sensors) in [
+            ("radar scan", vec![radar.clone()]),
+            ("laser range camera", vec![laser()]),
+            ("both together", vec![radar, laser()]),
+        ] {
+            drive(&world, &place, sensors, frames).row(name);
         }
-        errors.row(name);
     }
+}
+
+fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Errors {
+    let is_row = sensors.iter().all(|s| s.height() == 1);
+    let simulator =
+        |s: &Sensor| Simulator::new(predictor(), s.clone(), Disturbances::default(), 3).expect("a simulator");
+    let mut simulators: Vec<Simulator> = sensors.iter().map(simulator).collect();
+    let options = if is_row {
+        EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() }
+    } else {
+        EstimateOptions::default()
+    };
+    let mut estimator = Estimator::new(single(), options);
+    let (mut believed, mut errors) = (on_the_way(place, 0), Errors::default());
+    for k in 0..frames {
+        let truth = on_the_way(place, k);
+        let seen: Vec<Frame> =
+            simulators.iter_mut().map(|s| s.frame(world, k as f64, &truth).expect("a frame")).collect();
+        if let Some(motion) = &seen[0].motion {
+            believed = believed * motion.previous_from_current;
+        }
+        let start = ProcessTime::now();
+        let all: Vec<&Frame> = seen.iter().collect();
+        let found = estimator.estimate(world, &all, &Prior::of_sigmas(believed, 0.02, 0.01)).expect("an estimate");
+        errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
+        errors.add(&found, &truth);
+        believed = found.pose;
+    }
+    errors
 }
 
 /// What a model of the sensor is worth: frames of a camera with lens distortion, noise that grows with the range and noise of
@@ -217,13 +245,13 @@ pub fn fidelity(frames: usize) {
             let truth = on_the_way(&place, k);
             let seen = simulator.frame(&world, k as f64, &truth).expect("a frame");
             let frame = Frame::new(k as f64, model.clone(), Measurement::Range(seen.ranges().to_vec()));
-            let start = ThreadTime::now();
+            let start = ProcessTime::now();
             let before = on_the_way(&place, k.saturating_sub(1));
             let found = estimator
                 .estimate(&world, &[&frame.expect("a frame")], &Prior::of_sigmas(before, 0.03, 0.03))
                 .expect("an estimate");
             errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
-            errors.add(&found.pose, &found.covariance, &truth);
+            errors.add(&found, &truth);
         }
         errors.row(name);
     }
@@ -253,7 +281,7 @@ pub fn kidnapped() {
         let there = Pose { translation: pair[1].translation.with_z(height), ..*pair[1] };
         let mut simulator =
             Simulator::new(predictor(), scanner.clone(), Disturbances::default(), drives).expect("a simulator");
-        let (mut lost_at, mut found_at) = (None, None);
+        let (mut lost_at, mut found_at, mut reason) = (None, None, String::new());
         for k in 0..35 {
             let truth = if k < 15 { on_the_way(pair[0], k) } else { on_the_way(&there, k) };
             let mut frame = simulator.frame(&world, k as f64, &truth).expect("a frame");
@@ -268,8 +296,9 @@ pub fn kidnapped() {
             if lost_at.is_some() && step.phase == Phase::Tracking && near {
                 found_at.get_or_insert(k - 14);
             }
+            reason = format!("{}: {}", step.phase.name(), step.reason);
         }
-        println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}");
+        println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}; at last {reason}");
         lost += usize::from(lost_at.is_some_and(|k| k <= 5));
         found += usize::from(lost_at.zip(found_at).is_some_and(|(l, f)| f - l <= 10));
     }

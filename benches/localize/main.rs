@@ -60,7 +60,7 @@ impl Case {
             }
         }
         if let Some(out) = out {
-            self.write(out, &found, &wall);
+            self.write(out, &found, [&wall, &cpu]);
         }
         let at = |ms: &[f64], share: f64| {
             let mut ms = ms.to_vec();
@@ -80,10 +80,10 @@ impl Case {
     }
 
     /// NAME.json, and beside it NAME.points: x y z of all measured points in the robot's frame, f32, frame by frame.
-    fn write(&self, out: &Path, found: &[Pose], wall: &[f64]) {
+    fn write(&self, out: &Path, found: &[Pose], [wall, cpu]: [&[f64]; 2]) {
         let numbers = |pose: &Pose| [pose.translation.to_array().to_vec(), pose.rotation.to_array().to_vec()].concat();
         let (mut points, mut frames) = (Vec::new(), Vec::new());
-        for ((known, found), ms) in self.frames.iter().zip(found).zip(wall) {
+        for ((known, found), (ms, cpu)) in self.frames.iter().zip(found).zip(wall.iter().zip(cpu)) {
             let sensor = known.frame.sensor();
             let (mount, body) = (sensor.spec().mount, sensor.body_from_image());
             let measured = measured_points(&known.frame);
@@ -92,7 +92,7 @@ impl Case {
                 q.to_array().iter().for_each(|x| points.extend(x.to_le_bytes()));
             }
             frames.push(serde_json::json!({
-                "points": measured.len(), "origin": mount.translation.to_array(), "ms": ms,
+                "points": measured.len(), "origin": mount.translation.to_array(), "ms": ms, "cpu_ms": cpu,
                 "prior": numbers(&known.prior.pose), "truth": numbers(&known.truth), "found": numbers(found),
             }));
         }

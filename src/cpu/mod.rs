@@ -16,7 +16,6 @@ mod batch;
 mod bounds;
 mod cull;
 mod lanes;
-mod nearest;
 mod progress;
 mod raster_lines;
 mod raster_rays;

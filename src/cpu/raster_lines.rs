@@ -3,7 +3,6 @@
 use super::Bands;
 use super::batch::{Batch, NOTHING, PolygonSetup};
 use super::cull::{self, TILE};
-use super::nearest::Nearest;
 use crate::error::Result;
 use crate::memory;
 use crate::sensor::{LineAxis, LineGrid, Octet};
@@ -280,6 +279,14 @@ fn bounds_of_lines(
     [least, greatest]
 }
 
+/// True if any lane is not zero.
+#[inline(always)]
+fn any_of<S: Simd>(_: S, lanes: S::u64s) -> bool {
+    let mut all = [0; EIGHT];
+    S::as_mut_simd_u64s(&mut all).0[0] = lanes;
+    all.iter().fold(0, |any, lane| any | lane) != 0
+}
+
 /// A polygon on some lines.
 struct Spans {
     number: u32,
@@ -308,7 +315,9 @@ impl Spans {
         let octets = grid.octets();
         let [least, greatest] = &self.bounds;
         let samples = grid.samples_around(simd, least, greatest);
-        let (mut nearest, slope) = (Nearest::new(simd, self.number), simd.splat_f64s(self.slope));
+        let (number, slope) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(self.slope));
+        let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
+        let mut ties = none;
         for l in 0..self.count {
             let (from, to) = (samples[0][l] as usize, samples[1][l] as usize);
             if from >= to {
@@ -326,15 +335,21 @@ impl Spans {
                 let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
                 let (w0, w1) = (S::as_simd_f64s(&octet.w0).0, S::as_simd_f64s(&octet.w1).0);
                 let t = S::as_simd_f64s(&octet.t).0;
+                // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
                 for i in 0..EIGHT / S::F64_LANES {
                     let k = simd.add_f64s(simd.mul_f64s(scale, w0[i]), simd.mul_f64s(slope, w1[i]));
                     let inside = simd
                         .and_m64s(simd.greater_than_or_equal_f64s(t[i], low), simd.less_than_or_equal_f64s(t[i], high));
-                    nearest.merge(simd, k, inside, (&mut inverse[i], &mut winners[i]));
+                    let k = simd.select_f64s(inside, k, nowhere);
+                    let before = inverse[i];
+                    let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
+                    ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                    inverse[i] = simd.max_f64s(k, before);
+                    winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
                 }
             }
         }
-        nearest.has_ties()
+        any_of(simd, ties)
     }
 
     /// As [`Spans::draw`], where the buffer's octets go across lines; eight of them are drawn together.
@@ -342,7 +357,9 @@ impl Spans {
     fn draw_across<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid) -> bool {
         let [least, greatest] = self.bounds.each_ref().map(|t| S::as_simd_f64s(t).0);
         let scale = S::as_simd_f64s(&self.scale).0;
-        let (mut nearest, slope) = (Nearest::new(simd, self.number), simd.splat_f64s(self.slope));
+        let (number, slope) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(self.slope));
+        let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
+        let mut ties = none;
         for (sample, (&t, &[w0, w1])) in grid.positions().iter().zip(grid.weights()).enumerate() {
             let (at, _) = buffer.place(self.first, sample);
             let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
@@ -355,10 +372,15 @@ impl Spans {
                     simd.greater_than_or_equal_f64s(t, least[i]),
                     simd.less_than_or_equal_f64s(t, greatest[i]),
                 );
-                nearest.merge(simd, k, inside, (&mut inverse[i], &mut winners[i]));
+                let k = simd.select_f64s(inside, k, nowhere);
+                let before = inverse[i];
+                let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
+                ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                inverse[i] = simd.max_f64s(k, before);
+                winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
             }
         }
-        nearest.has_ties()
+        any_of(simd, ties)
     }
 
     /// On bit-equal inverse depth the lower slot wins.

@@ -4,7 +4,6 @@
 use super::Bands;
 use super::batch::{Batch, NOTHING, PolygonSetup};
 use super::cull::TILE;
-use super::nearest::Nearest;
 use super::raster_lines::{Buffer, EIGHT};
 use crate::limits::MAX_CORNERS;
 use crate::sensor::{Cones, RayGrid, TileRays};
@@ -190,12 +189,15 @@ impl Polygon<'_> {
         place: &TilePlace,
         edges: &[DVec3],
     ) -> bool {
-        let (mut nearest, zero) = (Nearest::new(simd, self.number), simd.splat_f64s(0.0));
+        let (number, zero) = (simd.splat_u64s(self.number.into()), simd.splat_f64s(0.0));
+        let (none, all, nowhere) = (simd.splat_u64s(0), simd.splat_u64s(u64::MAX), simd.splat_f64s(-1.0));
+        let (mut ties, mut written) = (none, none);
         for line in place.drawn.clone() {
             let at = buffer.at(place.first + line, place.column);
             let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
             let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
             let [x, y, z] = [&rays.x, &rays.y, &rays.z].map(|lanes| S::as_simd_f64s(&lanes[line]).0);
+            // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
             for i in 0..EIGHT / S::F64_LANES {
                 let ray = [x[i], y[i], z[i]];
                 let k = dot(simd, self.m, ray);
@@ -204,13 +206,24 @@ impl Polygon<'_> {
                 for e in edges {
                     inside = simd.and_m64s(inside, simd.greater_than_or_equal_f64s(dot(simd, *e, ray), zero));
                 }
-                nearest.merge(simd, k, inside, (&mut inverse[i], &mut winners[i]));
+                let k = simd.select_f64s(inside, k, nowhere);
+                let before = inverse[i];
+                let nearer = simd.select_u64s(simd.greater_than_f64s(k, before), all, none);
+                ties = simd.select_u64s(simd.equal_f64s(k, before), all, ties);
+                written = simd.or_u64s(written, nearer);
+                inverse[i] = simd.max_f64s(k, before);
+                winners[i] = simd.xor_u64s(winners[i], simd.and_u64s(simd.xor_u64s(winners[i], number), nearer));
             }
         }
-        if nearest.has_written() {
+        let any = |lanes: S::u64s| {
+            let mut all = [0; EIGHT];
+            S::as_mut_simd_u64s(&mut all).0[0] = lanes;
+            all.iter().fold(0, |any, lane| any | lane) != 0
+        };
+        if any(written) {
             measure(simd, buffer, place);
         }
-        nearest.has_ties()
+        any(ties)
     }
 
     /// On bit-equal inverse depth the lower slot wins.

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | edges | grey images | [`edges_near`] |
 //! | corners | grey images | [`corners_in`] |
+//! | fiducials | grey images | `FiducialFinder` (feature `fiducials`) |
 //! | depth edges | range images | [`jumps_near`] |
 //! | line segments | scans of one row | [`surfaces_in`] |
 //! | planes | range images | [`surfaces_in`] |
@@ -15,6 +16,10 @@
 mod classes;
 mod corners;
 mod edges;
+#[cfg(all(test, feature = "fiducials"))]
+mod fiducial_tests;
+#[cfg(feature = "fiducials")]
+mod fiducials;
 mod findings;
 mod jumps;
 mod lines;
@@ -29,6 +34,8 @@ mod tests;
 pub use classes::{Classes, FeatureClass, classify, verdicts_along};
 pub use corners::{CornerOptions, corners_in};
 pub use edges::{EdgeOptions, ExpectedEdge, FoundEdge, edges_near};
+#[cfg(feature = "fiducials")]
+pub use fiducials::FiducialFinder;
 pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
 pub use jumps::{JumpOptions, jumps_near};
 pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};

@@ -58,6 +58,8 @@ impl PoseLikelihood {
         let spec = self.scanner.spec();
         let reading = |r: &f32| match f64::from(*r) {
             z if z > spec.range_max => f32::INFINITY,
+            // A sensor that measures from 0 on has nothing that is too near.
+            f64::NEG_INFINITY if spec.range_min == 0.0 => f32::NAN,
             z if z < spec.range_min => f32::NEG_INFINITY,
             _ => *r,
         };

@@ -277,12 +277,16 @@ impl Localizer {
         if self.hypotheses.is_some() {
             return self.follow_hypotheses(world, frame, motion.as_ref());
         }
-        let prior = match self.phase {
+        let mut prior = match self.phase {
             Phase::Tracking | Phase::Candidates => self.belief,
             Phase::Unknown | Phase::Lost => widened(&self.belief, &self.options),
         };
         let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
-        let estimate = self.estimator.estimate(world, &frames, &prior)?;
+        let mut estimate = self.estimator.estimate(world, &frames, &prior)?;
+        if self.may_have_started(frame, first, &estimate) {
+            prior = widened(&self.belief, &self.options);
+            estimate = self.estimator.estimate(world, &frames, &prior)?;
+        }
         if self.is_doubtful(frame, &estimate) {
             self.doubt(frame, &prior)?;
             return self.follow_hypotheses(world, frame, None);
@@ -298,6 +302,13 @@ impl Localizer {
             self.motion = Pose::IDENTITY;
         }
         Ok(self.told(frame, reason, estimate))
+    }
+
+    /// Without odometry a robot that stood still and now moves is not where it was, nor where its last motion leads.
+    fn may_have_started(&self, frame: &Frame, first: bool, estimate: &Estimate) -> bool {
+        let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
+        let unexplained = estimate.predictions > 0 && !estimate.is_determined();
+        followed && !first && frame.motion.is_none() && unexplained
     }
 
     fn told(&self, frame: &Frame, reason: String, estimate: Estimate) -> Step {

@@ -25,6 +25,9 @@ pub struct SearchOptions {
     pub floor: f64,
     /// Where the height is not known: up to so high, metres, in steps of `cell`. Less than `floor` counts as `floor`.
     pub floor_to: f64,
+    /// How far beyond the bounds of the map the robot may be, metres: a map of surfaces that were seen ends where they do, and need not
+    /// reach to where they were seen from.
+    pub margin: f64,
     /// How the robot leans about its own x and y axes, radians, as an inertial sensor tells it: roll and pitch.
     pub lean: [f64; 2],
     /// A place is free if nothing is nearer to the sensor, metres.
@@ -44,6 +47,7 @@ impl Default for SearchOptions {
             headings: 360,
             floor: 0.0,
             floor_to: 0.0,
+            margin: 0.0,
             lean: [0.0; 2],
             clearance: 0.25,
             surrounded: 0.5,
@@ -116,7 +120,7 @@ impl Search {
         let (views, likelihood) = if level && planar {
             let likelihood = PoseLikelihood::new(sensor, model_sigma, dependence)?;
             let headings = Headings::new(likelihood.scanner(), headings_of(sensor, options.headings))?;
-            let places = grid(world, options.floor + sensor.spec().mount.translation.z, options.cell)?;
+            let places = grid(world, options.floor + sensor.spec().mount.translation.z, &options)?;
             let mut panoramas = estimator.predictor.panoramas(world, &headings, places)?;
             panoramas.retain(|range| options.is_free(range));
             (Views::Level(panoramas), likelihood)
@@ -217,6 +221,7 @@ impl SearchOptions {
         let lengths = [self.cell, self.clearance, self.beam_dependence];
         let others = [self.floor, self.floor_to, self.lean[0], self.lean[1]];
         let sound = lengths.iter().all(|l| *l > 0.0 && l.is_finite()) && others.iter().all(|x| x.is_finite());
+        let sound = sound && self.margin >= 0.0 && self.margin.is_finite();
         if !sound || self.headings == 0 || self.candidates == 0 || !(0.0..=1.0).contains(&self.surrounded) {
             return Err(Error::usage(format!("{self:?}"), "give lengths and numbers above 0 and a share of 0 to 1"));
         }
@@ -247,7 +252,7 @@ fn round_views(
     let mut places = Vec::new();
     for k in 0..=steps as u32 {
         let height = options.floor + f64::from(k) * options.cell + level_from_sensor.translation.z;
-        places.extend(grid(world, height, options.cell)?);
+        places.extend(grid(world, height, options)?);
         if places.len() > MOST_ROUND {
             let what = format!("an unknown start among more than {MOST_ROUND} places");
             return Err(Error::usage(what, "give a wider cell, fewer heights, or a pose to start from"));
@@ -287,20 +292,22 @@ fn headings_of(sensor: &Sensor, most: u32) -> u32 {
     (1..=most.min(beams)).rev().find(|n| beams.is_multiple_of(*n)).unwrap_or(1)
 }
 
-/// Places over the bounds of the world, a cell apart.
-fn grid(world: &World, height: f64, cell: f64) -> Result<Vec<DVec3>> {
+/// Places over the bounds of the world and the margin around them, a cell apart.
+fn grid(world: &World, height: f64, options: &SearchOptions) -> Result<Vec<DVec3>> {
+    let SearchOptions { cell, margin, .. } = *options;
     let bounds = world.environment().bounds();
     if bounds.is_empty() {
         return Err(Error::usage("an unknown start in a map without a polygon", "give a map"));
     }
-    let size = bounds.max - bounds.min;
+    let least = bounds.min - DVec3::splat(margin);
+    let size = bounds.max + DVec3::splat(margin) - least;
     let (nx, ny) = ((size.x / cell).ceil(), (size.y / cell).ceil());
     if !(nx * ny <= MOST_PLACES) {
         let what = format!("an unknown start among {nx} x {ny} places");
         return Err(Error::usage(what, "give a wider cell, or a pose to start from"));
     }
     let at = |i: u32, j: u32| {
-        DVec3::new(bounds.min.x + (f64::from(i) + 0.5) * cell, bounds.min.y + (f64::from(j) + 0.5) * cell, height)
+        DVec3::new(least.x + (f64::from(i) + 0.5) * cell, least.y + (f64::from(j) + 0.5) * cell, height)
     };
     Ok((0..ny as u32).flat_map(|j| (0..nx as u32).map(move |i| at(i, j))).collect())
 }

@@ -5,8 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Crates that only one module may name.
-const HOMES: [(&str, &[&str]); 2] =
-    [("gpu", &["wgpu", "pollster"]), ("io", &["exr", "gltf", "rhai", "rusqlite", "serde_saphyr", "toml", "twox_hash"])];
+const HOMES: [(&str, &[&str]); 3] = [
+    ("gpu", &["wgpu", "pollster"]),
+    ("extract", &["apriltag"]),
+    ("io", &["exr", "gltf", "rhai", "rusqlite", "serde_saphyr", "toml", "twox_hash"]),
+];
 
 /// The modules that draw. The rows between them and `predict` know them all.
 const ENGINES: [&str; 3] = ["reference", "cpu", "gpu"];

@@ -34,6 +34,24 @@ fn a_drive_is_followed_without_odometry() {
     }
 }
 
+/// Moved 0.3 m and 11 degrees at a time, at the second frame and again after it stood still, without odometry: known all the time.
+#[test]
+fn a_robot_that_stops_and_goes_is_followed() {
+    let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(15));
+    let mut robot = localizer(&on_the_way(0));
+    for k in 0..16 {
+        let moves = if k == 0 { 0 } else { 1 + (k - 1) / 5 };
+        let turn =
+            Pose::from_xyz_rpy(DVec3::new(0.25 * f64::from(moves), 0.15 * f64::from(moves % 2), 0.0), 0.0, 0.0, 0.0);
+        let ahead = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, 0.2 * f64::from(moves % 2));
+        let truth = turn * on_the_way(0) * ahead;
+        let step = robot.step(&world, &at(f64::from(k), sense(&world, &sensor, &truth, &mut random))).unwrap();
+        let (metres, degrees) = apart(&step.pose, &truth);
+        assert!(step.is_known() && metres < 0.01 && degrees < 0.3, "{k}: {metres} m {degrees} deg, {}", step.reason);
+        assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
+    }
+}
+
 /// A robot that is carried away says so within five frames, and is found again when it is put back.
 #[test]
 fn a_kidnapped_robot_is_lost() {

@@ -84,3 +84,41 @@ fn objects_that_are_off_show_in_the_covariance() {
     assert!(off.metres <= 0.015 && off.degrees <= 0.1, "{} m {} deg", off.metres, off.degrees);
     assert!(off.mean_nees < 3.0 && off.worst_nees < 6.0, "{} {}", off.mean_nees, off.worst_nees);
 }
+
+/// Radar scan and laser range camera in the scripted hall, alone and together: no worse together than the better one alone.
+#[cfg(feature = "script")]
+#[test]
+fn two_sensors_in_a_scripted_hall() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
+    let map = World::new(presight::io::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment);
+    let mut spec = presight::preset("microwave-radar-scan").unwrap().spec().clone();
+    spec.noise.range_sigma = 0.03;
+    let radar = Sensor::new(spec).unwrap();
+    // In the aisle before the machine tools.
+    let start = Pose::from_xyz_rpy(DVec3::new(21.0, 25.0, 1.4), 0.0, 0.0, 1.2);
+    let frames = presight_testkit::env_number("PRESIGHT_HALL_FRAMES", 4) as usize;
+    let [by_radar, by_laser, by_both] = [vec![radar.clone()], vec![laser()], vec![laser(), radar]].map(|sensors| {
+        let mut simulators: Vec<Simulator> = (0..)
+            .zip(&sensors)
+            .map(|(seed, s)| Simulator::new(predictor(), s.clone(), Disturbances::default(), seed).unwrap())
+            .collect();
+        let planar = EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() };
+        let options = if sensors.iter().all(|s| s.height() == 1) { planar } else { EstimateOptions::default() };
+        let mut robot =
+            Localizer::new(estimator(options), Prior::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());
+        let mut squares = 0.0;
+        for k in 0..frames {
+            let truth = start * Pose::from_xyz_rpy(DVec3::new(0.05 * k as f64, 0.0, 0.0), 0.0, 0.0, 0.02 * k as f64);
+            let all: Vec<Frame> = simulators.iter_mut().map(|s| s.frame(&map, k as f64, &truth).unwrap()).collect();
+            let step = robot.step_together(&map, &all[0], &all[1..].iter().collect::<Vec<_>>()).unwrap();
+            assert!(step.estimate.is_determined(), "{} sensors, frame {k}: {}", sensors.len(), step.reason);
+            let (squared, numbers) = presight::estimate::nees(&step.pose, &step.covariance, &truth);
+            assert!(squared / (numbers as f64) < 6.0, "{} sensors, frame {k}: {squared}", sensors.len());
+            squares += apart(&step.pose, &truth).0.powi(2);
+        }
+        (squares / frames as f64).sqrt()
+    });
+    eprintln!("radar {by_radar} m, laser {by_laser} m, both {by_both} m");
+    assert!(by_radar < 0.01 && by_laser < 0.002, "{by_radar} m by radar, {by_laser} m by laser");
+    assert!(by_both < 1.2 * by_laser, "{by_both} m by both, {by_laser} m by laser alone");
+}

@@ -191,3 +191,16 @@ fn a_blind_start_waits() {
     let step = robot.step(&world, &frame(&world, &start(), 0, &mut random).0).unwrap();
     assert!(step.phase == Phase::Candidates, "{}", step.reason);
 }
+
+/// Beams that say "too near" of a sensor that states no least range are passed over.
+#[test]
+fn beams_that_are_too_near_say_nothing() {
+    let (world, mut random) = (room(Vec3::ZERO), Random(26));
+    let mut robot = unknown(&world);
+    let (seen, truth) = frame(&world, &start(), 0, &mut random);
+    let mut ranges = seen.ranges().to_vec();
+    ranges[40..60].fill(f32::NEG_INFINITY);
+    let near = Frame::new(0.0, row_scanner(), Measurement::Range(ranges)).unwrap();
+    let step = robot.step(&world, &near).unwrap();
+    assert!(apart(&step.pose, &truth).0 < 0.05, "{}", step.reason);
+}

@@ -23,7 +23,7 @@ const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
   presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
   presight localize scans.json --map corridor.glb --init unknown --out run.tum
-  presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --init unknown --floor 0.5 --floor-to 1 --lean 0,15 --out run.tum
+  presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --from 30 --init unknown --floor 0.75 --floor-to 1.3 --lean 0,16.6 --margin 1 --surrounded 0.02 --out run.tum
   presight localize street_1.ply --map street_map.glb --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
 
 /// Follow a robot through a log: its pose at every frame, with covariance and state
@@ -99,6 +99,15 @@ pub struct Drive {
     /// Up to so high, metres, where that height is not known
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     floor_to: Option<f64>,
+
+    /// How far beyond the bounds of the map the robot may be, metres: a map of surfaces that were seen need not reach to where they were
+    /// seen from
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    margin: f64,
+
+    /// Share of all directions in which a robot that is looked for in the whole map has to be surrounded by it
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
+    surrounded: f64,
 
     /// Roll and pitch of a robot that is looked for in the whole map, degrees
     #[arg(
@@ -299,7 +308,8 @@ impl Drive {
         };
         let lean = [roll.to_radians(), pitch.to_radians()];
         let floor_to = self.floor_to.unwrap_or(self.floor);
-        Ok(SearchOptions { floor: self.floor, floor_to, lean, ..SearchOptions::default() })
+        let (floor, margin, surrounded) = (self.floor, self.margin, self.surrounded);
+        Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {

@@ -209,7 +209,12 @@ fn grey_images_are_followed_and_shown() {
     let without = place.run(alone);
     assert!(without.status == Some(2) && without.stderr.contains("layer"), "{without:?}");
     let done = place.run(&format!("{alone} --layer edges.json"));
-    assert!(done.status == Some(0) && done.stdout.contains("of 3 frames have a pose"), "{done:?}");
+    assert!(done.status == Some(0) && done.stdout.contains("3 of 3 frames have a pose"), "{done:?}");
+    let (found, truth) = (tum::read(&place.path("alone.tum")).unwrap(), tum::read(&place.path("short.tum")).unwrap());
+    for (f, t) in found.iter().zip(&truth) {
+        // 1.2 cm at most was reached.
+        assert!(f.pose.translation.distance(t.pose.translation) < 0.02, "{f:?} {t:?}");
+    }
     let (features, confirmed) = matched("alone.jsonl");
     assert!(features.is_some() && confirmed == Some(0), "nothing is known of ranges: {features:?} {confirmed:?}");
     #[cfg(feature = "report")]
