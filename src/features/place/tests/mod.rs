@@ -307,6 +307,8 @@ proptest! {
         let at = |(s, t): (f64, f64)| corners[0] + s * (corners[1] - corners[0]) + if edge == 0 { 0.0 } else { t } * (corners[2] - corners[1]);
         let [a, b] = [at(from), at(to)].map(|p| p + lift * normal);
         prop_assume!((b - a).length() > 0.01);
+        // Where it is about the rounding of files that decides, either answer is right, and one polygon less is no fault.
+        prop_assume!(lift == 0.0 || lift.abs() > 4.0 * ROUNDING);
         let name = object.name.clone();
         let to_world = |p: DVec3| object.world_from_object.transform_point(p);
         let (whose, shape) = if in_world {
