@@ -68,7 +68,7 @@ fn through(map: &DMat3, at: DVec2) -> DVec2 {
 /// A tag seen aslant, `size` pixels wide, turned any way; and the map from its cells to pixels.
 fn view(code: u64, size: f64, noise: f64, random: &mut SplitMix64) -> (GreyImage, DMat3) {
     const SIZE: (u32, u32) = (160, 120);
-    let turned = DMat3::from_angle(random.uniform(0.0, 6.28));
+    let turned = DMat3::from_angle(random.uniform(0.0, std::f64::consts::TAU));
     let slant = DMat3::from_cols(
         DVec3::new(1.0, 0.0, random.uniform(-0.02, 0.02)),
         DVec3::Y * random.uniform(0.6, 1.0),

@@ -112,7 +112,7 @@ fn two_sensors_in_a_scripted_hall() {
             let all: Vec<Frame> = simulators.iter_mut().map(|s| s.frame(&map, k as f64, &truth).unwrap()).collect();
             let step = robot.step_together(&map, &all[0], &all[1..].iter().collect::<Vec<_>>()).unwrap();
             assert!(step.estimate.is_determined(), "{} sensors, frame {k}: {}", sensors.len(), step.reason);
-            let (squared, numbers) = presight::estimate::nees(&step.pose, &step.covariance, &truth);
+            let (squared, numbers) = nees(&step.pose, &step.covariance, &truth);
             assert!(squared / (numbers as f64) < 6.0, "{} sensors, frame {k}: {squared}", sensors.len());
             squares += apart(&step.pose, &truth).0.powi(2);
         }
