@@ -3,7 +3,7 @@
 //! Both on one adapter, by turns, at the same free poses, from plan to all four default outputs in memory. The CPU time of the whole
 //! process is told as well: on a software adapter it holds on a busy machine. Scenes where `PRESIGHT_DATA` (default
 //! `../shared/data`) holds them. `PRESIGHT_POSES`, `PRESIGHT_REPEATS`.
-#![expect(clippy::print_stdout, reason = "a bench prints its table")]
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints its table")]
 
 use cpu_time::ProcessTime;
 use presight::free_poses::free_poses;

@@ -179,6 +179,11 @@ pub fn accuracy(frames: usize) {
     }
 }
 
+fn level_at(pose: &Pose, height: f64) -> Pose {
+    let yaw = pose.rotation.to_euler(glam::EulerRot::ZYX).0;
+    Pose::from_xyz_rpy(pose.translation.with_z(height), 0.0, 0.0, yaw)
+}
+
 fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Errors {
     let is_row = sensors.iter().all(|s| s.height() == 1);
     let simulator =
@@ -197,6 +202,8 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
             simulators.iter_mut().map(|s| s.frame(world, k as f64, &truth).expect("a frame")).collect();
         if let Some(motion) = &seen[0].motion {
             believed = believed * motion.previous_from_current;
+            // A row stays on its floor.
+            believed = if is_row { level_at(&believed, truth.translation.z) } else { believed };
         }
         let start = ProcessTime::now();
         let all: Vec<&Frame> = seen.iter().collect();
