@@ -2,6 +2,7 @@
 //! Gaussian would settle on the wrong walls.
 
 use super::likelihood::PoseLikelihood;
+use super::on_the_floor;
 use crate::error::Result;
 use crate::estimate::{Freedom, Prior, drawn};
 use crate::frame::{Frame, Motion};
@@ -31,6 +32,9 @@ impl Hypotheses {
 
     /// Moves every pose as odometry may have gone.
     pub fn carry(&mut self, motion: &Motion) {
+        let Some(first) = self.poses.first() else { return };
+        // They differ in heading only.
+        let motion = on_the_floor(first, motion);
         let known = Prior { pose: motion.previous_from_current, covariance: motion.covariance };
         self.poses.iter_mut().for_each(|pose| *pose = *pose * drawn(&known, Freedom::Planar, &mut self.random));
     }

@@ -51,7 +51,8 @@ impl Localizer {
     fn carry(&mut self, world: &World, frame: &Frame, motion: &Motion) -> Result<()> {
         let Some(search) = &self.search else { return Ok(()) };
         for c in &mut self.candidates {
-            let prior = carried(&Prior { pose: c.pose, covariance: c.covariance }, motion);
+            let freedom = self.estimator.options.freedom;
+            let prior = carried(&Prior { pose: c.pose, covariance: c.covariance }, motion, freedom);
             c.estimate = self.estimator.refine(world, frame, &prior)?;
             (c.pose, c.covariance) = (c.estimate.pose, c.estimate.covariance);
             c.frames += 1;
