@@ -137,11 +137,7 @@ impl CpuEngine {
             since = plan.elapsed();
             self.draw(&plan.of_part(part, more + saved(plan, stride))?, &mut of_part, stats)?;
         }
-        let left_out = if self.alone {
-            images.spread(&of_part, &part, &plan.sensor)?
-        } else {
-            self.pool.install(|| images.spread(&of_part, &part, &plan.sensor))?
-        };
+        let left_out = images.spread(&of_part, &part, &plan.sensor)?;
         self.part = of_part;
         stats.work.image_bytes = images.bytes();
         progress::tell_part(plan, (&part, since), left_out, stats);

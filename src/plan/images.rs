@@ -247,8 +247,7 @@ impl Images {
         open.len() as u64
     }
 
-    /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is. The
-    /// threads of the pool it runs on share the work.
+    /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is.
     pub(crate) fn spread(&mut self, part: &Self, which: &ImagePart, sensor: &Sensor) -> Result<u64> {
         let (width, height) = (sensor.width(), sensor.height());
         self.try_prepare(width, height, part.outputs())?;
@@ -269,10 +268,8 @@ impl Images {
             (&mut self.echo, &part.echo),
         ];
         let ids = [(&mut self.polygon_id, &part.polygon_id), (&mut self.object_id, &part.object_id)];
-        rayon::scope(|scope| {
-            floats.into_iter().for_each(|(to, from)| scope.spawn(move |_| spread(to, from, f32::NAN, width, which)));
-            ids.into_iter().for_each(|(to, from)| scope.spawn(move |_| spread(to, from, 0, width, which)));
-        });
+        floats.into_iter().for_each(|(to, from)| spread(to, from, f32::NAN, width, which));
+        ids.into_iter().for_each(|(to, from)| spread(to, from, 0, width, which));
         let rays = |grid: &PixelGrid, pixels: u64| match grid {
             PixelGrid::Lines(_) => pixels,
             PixelGrid::Rays(rays) => rays.directions().filter(|ray| !ray.is_nan()).count() as u64,
