@@ -1,7 +1,7 @@
 //! Fiducials in grey images, found by the AprilTag library (E. Olson 2011, J. Wang and E. Olson 2016).
 
 use super::PixelBox;
-use crate::error::{Error, Result};
+use crate::error::{Error, ErrorKind, Result};
 use crate::frame::GreyImage;
 use crate::matching::{Detection, Marker, Shape};
 use apriltag::{Detector, DetectorBuilder, Family, Image};
@@ -28,7 +28,7 @@ impl FiducialFinder {
     /// For a dictionary by OpenCV's name: DICT_APRILTAG_16h5, 25h9 or 36h11.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for any other.
+    /// [`ErrorKind::Usage`] for any other; [`ErrorKind::System`] if the library gets no memory.
     pub fn new(family: &str) -> Result<Self> {
         let (family, tags, cells) = match family {
             "DICT_APRILTAG_16h5" => ("DICT_APRILTAG_16h5", Family::tag_16h5(), 6.0),
@@ -40,7 +40,8 @@ impl FiducialFinder {
             }
         };
         let made = DetectorBuilder::new().add_family_bits(tags, CORRECTED).build();
-        let mut detector = made.map_err(|e| Error::usage(format!("fiducials: {e}"), "free some memory"))?;
+        let refused = |e| Error::new(ErrorKind::System, format!("fiducials: {e}"), "free some memory");
+        let mut detector = made.map_err(refused)?;
         // Half the resolution would lose tags of few pixels.
         detector.set_decimation(1.0);
         Ok(Self { detector, family, cells })
@@ -50,7 +51,7 @@ impl FiducialFinder {
     /// [`PixelBox::whole`] it is the whole image. Pixels without a measurement count as black.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the library cannot make its image.
+    /// [`ErrorKind::System`] if the library gets no memory for its image.
     pub fn find(&mut self, image: &GreyImage, region: PixelBox) -> Result<Vec<Detection>> {
         let Some([x0, y0, x1, y1]) = region.pixels(image.width(), image.height()) else { return Ok(Vec::new()) };
         let (width, height) = (x1 - x0 + 1, y1 - y0 + 1);
@@ -59,7 +60,8 @@ impl FiducialFinder {
         }
         let stride = width as usize;
         let made = Image::zeros_with_stride(width as usize, height as usize, stride);
-        let mut grey = made.map_err(|e| Error::invalid(format!("a grey image: {e}"), "free some memory"))?;
+        let refused = |e| Error::new(ErrorKind::System, format!("a grey image: {e}"), "free some memory");
+        let mut grey = made.map_err(refused)?;
         for (r, row) in grey.as_slice_mut().chunks_mut(stride).enumerate() {
             for (c, to) in row.iter_mut().enumerate() {
                 // NaN becomes 0.
