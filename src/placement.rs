@@ -8,6 +8,7 @@ use crate::features::{PlacedFeature, PlacedFeatures, place, place_lying};
 use crate::index::{Params, Scheme};
 use crate::world::World;
 use std::collections::HashSet;
+use std::sync::Arc;
 
 /// The features of a layer in a version of the world.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,7 +58,7 @@ pub fn lost(environment: &Environment) -> Result<Vec<(String, u32)>> {
 
 /// Why a feature of a class lies on no polygon: an error that names class and feature; `None` if it does lie on some.
 pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) -> Option<Error> {
-    let (class_name, features) = (class.to_owned(), vec![feature.clone()]);
+    let (class_name, features) = (class.to_owned(), vec![Arc::new(feature.clone())]);
     let layer = FeatureLayer { class: class_name, tolerance, features, pose_covariances: Vec::new() };
     place(world, &layer).err().map(|e| e.at(format!("class {class:?}")))
 }

@@ -3,6 +3,7 @@
 use crate::environment::Feature;
 use crate::plan::CountName;
 use glam::{DVec2, DVec3};
+use std::sync::Arc;
 
 /// Why a part of a feature is hidden: the first reason that applies, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -102,7 +103,7 @@ pub struct Occluder {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenFeature {
     /// The feature from the layer.
-    pub feature: Feature,
+    pub feature: Arc<Feature>,
     /// Of a contour the number of the curve: of those that its surface has at this pose the longest in the image is 0. The number
     /// holds for this prediction alone.
     pub branch: Option<u32>,
@@ -145,7 +146,7 @@ impl SeenFeature {
     pub fn whole(feature: &Feature) -> Self {
         Self {
             points_world: feature.shape.points().to_vec(),
-            feature: feature.clone(),
+            feature: Arc::new(feature.clone()),
             branch: None,
             normal_world: None,
             visible_fraction: 1.0,

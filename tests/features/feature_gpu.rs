@@ -60,7 +60,7 @@ fn features(world: &World, most: usize, random: &mut Random) -> Vec<PlacedFeatur
         };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id, name: None, object: None, shape, existence, properties };
-        all.push(PlacedFeature { feature, object: None, slots: vec![slot] });
+        all.push(PlacedFeature { feature: feature.into(), object: None, slots: vec![slot] });
     }
     all
 }

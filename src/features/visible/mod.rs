@@ -127,7 +127,7 @@ impl Default for FeatureSettings {
 /// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
 /// let (existence, properties) = (Existence::default(), Properties::default());
 /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
-/// let placed = [PlacedFeature { feature, object: None, slots: vec![] }];
+/// let placed = [PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
 /// let options = FeatureSettings::default();
 /// let found = predict_features(&world, &sensor, &Pose::IDENTITY, &seen.images, &placed, &options)?;
 /// assert_eq!(found.features[0].visible_fraction, 1.0);

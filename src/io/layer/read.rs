@@ -73,7 +73,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
         });
         match new.map_err(|e| e.at(place()))? {
             Some(feature) => {
-                layer.features.push(feature);
+                layer.features.push(feature.into());
                 lost.extend(is_lost.then_some(id));
             }
             None => removed.push(id),

@@ -184,7 +184,7 @@ impl Reader<'_> {
             };
             let layer = layers.get_mut(&class).ok_or_else(|| damaged("its layer is missing"))?;
             let fields: FeatureFields = from_json(text)?;
-            layer.features.push(from_fields(fields, layer.tolerance)?);
+            layer.features.push(from_fields(fields, layer.tolerance)?.into());
             Ok(())
         })?;
         layers.into_values().try_for_each(|layer| environment.add_layer(layer))

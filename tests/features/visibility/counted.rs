@@ -112,7 +112,7 @@ fn edge() -> PlacedFeature {
     let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-    PlacedFeature { feature, object: None, slots: vec![] }
+    PlacedFeature { feature: feature.into(), object: None, slots: vec![] }
 }
 
 /// A wall 2 m ahead of two halves, with a gap between these columns of pixels (the camera's focal length is 200 pixels).
@@ -164,7 +164,7 @@ fn reasons_alone() {
     let (camera, pose) = (scenes::camera(200, 150), Pose::IDENTITY);
     let shifted = |by: DVec3| {
         let mut placed = edge();
-        if let FeatureShape::Segment { ends, .. } = &mut placed.feature.shape {
+        if let FeatureShape::Segment { ends, .. } = &mut Arc::make_mut(&mut placed.feature).shape {
             ends.iter_mut().for_each(|p| *p += by);
         }
         placed
@@ -194,7 +194,8 @@ fn a_predictor_follows_changes() {
     let mut world = halves([70.5, 70.5]);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let mut on_wall = edge();
-    (on_wall.object, on_wall.feature.object) = (Some(0), Some("walls".into()));
+    on_wall.object = Some(0);
+    Arc::make_mut(&mut on_wall.feature).object = Some("walls".into());
     let one: presight::features::PlacedFeatures = vec![edge(), on_wall].into();
     let camera = scenes::camera(200, 150);
     let mut count = |world: &World, placed: &presight::features::PlacedFeatures| {
