@@ -56,7 +56,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
         Ok(Entry { id, feature: feature.map(Arc::new), is_lost })
     };
     let entries = fields.features.par_iter().enumerate().with_min_len(BATCH).map(read);
-    let mut entries: Vec<std::result::Result<Entry, Fault>> = parallel(|| entries.collect())?;
+    let mut entries: Vec<Result<Entry, Fault>> = parallel(|| entries.collect())?;
     if let Some(at) = entries.iter().position(|entry| matches!(entry, Err(Fault::Form(_))))
         && let Err(Fault::Form(e)) = entries.swap_remove(at)
     {
@@ -71,14 +71,16 @@ pub fn parse(text: &str) -> Result<LayerFile> {
     };
     layer.check_header()?;
     let (mut removed, mut lost) = (Vec::new(), Vec::new());
-    let mut first_use: HashMap<u32, usize> = HashMap::with_capacity(entries.len());
+    // None is needed where ids rise, as in files that were written by us.
+    let rises = entries.windows(2).all(|pair| id_of(&pair[0]) < id_of(&pair[1]));
+    let mut first_use: HashMap<u32, usize> = HashMap::new();
     for (i, entry) in entries.into_iter().enumerate() {
         let (id, entry) = match entry {
             Ok(entry) => (entry.id, Ok(entry)),
             Err(Fault::Content(e, id)) => (id, Err(e)),
             Err(Fault::Form(e)) => return Err(e),
         };
-        if let Some(first) = first_use.insert(id, i) {
+        if let Some(first) = (!rises).then(|| first_use.insert(id, i)).flatten() {
             let what = format!("features[{first}] has this id already");
             return Err(Error::invalid(what, "give each feature an id that was never used").at(place(i, id)));
         }
@@ -111,6 +113,14 @@ struct Entry {
 enum Fault {
     Form(Error),
     Content(Error, u32),
+}
+
+fn id_of(entry: &Result<Entry, Fault>) -> Option<u32> {
+    match entry {
+        Ok(entry) => Some(entry.id),
+        Err(Fault::Content(_, id)) => Some(*id),
+        Err(Fault::Form(_)) => None,
+    }
 }
 
 fn place(i: usize, id: u32) -> String {

@@ -97,7 +97,7 @@ fn what_is_out_of_view_is_told_without_a_look() {
     for (sensor, count) in [(scenes::camera(200, 150), 200), (scenes::scanner(180, 31), 0), (scenes::lens(64, 48), 0)] {
         let all = ask(&world, &sensor, &Pose::IDENTITY, &placed, Hidden::Full);
         let told = out_of_view("three places", &world, &sensor, &Pose::IDENTITY, (&placed, &all));
-        assert!(told >= count, "{told}");
+        assert!(10 * told >= 9 * count, "{told}");
     }
 }
 
