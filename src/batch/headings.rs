@@ -13,11 +13,11 @@ use std::array;
 /// The headings of a scanner and the panorama that shows them all.
 #[derive(Clone, Debug)]
 pub struct Headings {
-    count: u32,
+    pub(super) count: u32,
     /// Beams of the panorama.
-    beams: usize,
+    pub(super) beams: usize,
     /// Columns of the panorama from one heading to the next, modulo its width.
-    stride: usize,
+    pub(super) stride: usize,
     sensor: Sensor,
     panorama: Sensor,
 }
@@ -176,6 +176,11 @@ impl HeadingWeights {
             arch.dispatch(Fill { weigher: self, row, range, cos_incidence, panorama });
             arch.dispatch(Shift { weigher: self, row, panorama, sums: &mut sums });
         }
+        self.tempered(&sums)
+    }
+
+    /// Log-likelihoods from the sums of the beams' logarithms.
+    pub fn tempered(&self, sums: &[f64]) -> Vec<f32> {
         sums.iter().map(|sum| (sum / self.model.mixture.beam_dependence) as f32).collect()
     }
 }

@@ -1,8 +1,9 @@
 //! How likely a sensed range image is at a pose, given the image predicted there (the formula: `docs/batches.md`).
 
-use super::PoseCell;
 use super::weigh::HeadingModel;
+use super::{Headings, PoseCell};
 use crate::error::{Error, Result};
+use crate::plan::{BeamNumbers, Weighing};
 use crate::sensor::{Mixture, Sensor, SensorSpec};
 
 /// Below this cosine of incidence a beam counts as one that meets the surface at it: the spread of its range has no end.
@@ -87,7 +88,20 @@ impl RangeLikelihood {
     pub fn log_likelihood(&self, range: &[f32], cos_incidence: &[f32]) -> f64 {
         assert!(range.len() == self.range.len() && cos_incidence.len() == range.len(), "the sensor's images");
         let weigh = HeadingModel { model: &self.model, sensed: &self.range, range, cos_incidence };
-        pulp::Arch::new().dispatch(weigh) / self.model.mixture.beam_dependence
+        self.tempered(pulp::Arch::new().dispatch(weigh))
+    }
+
+    /// The log-likelihood of an image from the sum of the beams' logarithms.
+    pub(super) fn tempered(&self, sum: f64) -> f64 {
+        sum / self.model.mixture.beam_dependence
+    }
+
+    /// For an engine that weighs itself, at a pose or at all headings.
+    pub(super) fn weighing(&self, headings: Option<&Headings>) -> Weighing {
+        let width = self.sensor.width();
+        let [beams, count, stride] = headings.map_or([width, 1, 0], |h| [h.beams as u32, h.count, h.stride as u32]);
+        let model = self.model.numbers();
+        Weighing { sensed: self.range.clone(), beams: [width, beams], headings: count, stride, model }
     }
 }
 
@@ -152,6 +166,29 @@ impl BeamModel {
             any: any.max(f64::MIN_POSITIVE),
             below: any * spec.range_min,
         })
+    }
+
+    /// For an engine that weighs itself, in f32.
+    pub fn numbers(&self) -> BeamNumbers {
+        // Of what has no share, a logarithm from which nothing comes back.
+        let ln = |p: f64| p.ln().max(-1e4) as f32;
+        let Mixture { hit, short, none, .. } = self.mixture;
+        BeamNumbers {
+            range_sigma: self.range_sigma as f32,
+            quadratic: self.quadratic as f32,
+            turn: self.turn as f32,
+            place: self.place as f32,
+            range_min: self.range_min as f32,
+            range_max: self.range_max as f32,
+            short: short as f32,
+            ln_short: ln(short),
+            below: self.below as f32,
+            near_there: (self.below + short + hit) as f32,
+            ln_any: ln(self.any),
+            ln_hit: ln(hit / std::f64::consts::TAU.sqrt()),
+            ln_none: ln(none),
+            ln_nothing: ln(none + hit),
+        }
     }
 
     /// The surfaces at predicted ranges.

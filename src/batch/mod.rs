@@ -16,7 +16,9 @@ pub use panoramas::Panoramas;
 use crate::engine::Engine;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::plan::{CountName, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats};
+use crate::plan::{
+    CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats, Weighing,
+};
 use crate::predict::Predictor;
 use crate::request::Request;
 use crate::row::{RowCuts, RowView, is_level};
@@ -98,6 +100,8 @@ struct Task {
     request: ImageRequest,
     wanted: Outputs,
     weigh: Option<HeadingModel>,
+    /// The same for an engine that weighs itself; not where images are asked for as well.
+    weighing: Option<Weighing>,
     headings: Option<Headings>,
     statistics: bool,
     /// No image is asked for, and the sensor is one that a cut serves where it is level.
@@ -225,8 +229,10 @@ impl Task {
         if weigh.is_some() {
             outputs = outputs.with(Output::CosIncidence);
         }
+        let alone = request.likelihood.as_ref().filter(|_| request.images.is_none());
         Ok(Self {
             world: world.clone(),
+            weighing: alone.map(|sensed| sensed.weighing(request.headings.as_ref())),
             request: ImageRequest { outputs, ..asked },
             wanted: asked.outputs,
             by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
@@ -270,7 +276,7 @@ impl Task {
             *buffers = plan.into_buffers();
             rendered?;
         }
-        Ok(self.finish(index, pose, stats, &mut lane.images, &mut lane.panorama))
+        Ok(self.finish(index, pose, stats, Drawn::Images(&mut lane.images), &mut lane.panorama))
     }
 
     /// Fills a lane's range and cos_incidence by a cut of the world; false where none serves.
@@ -285,26 +291,33 @@ impl Task {
         true
     }
 
-    /// Weighs images and keeps of them what was asked for.
+    /// Weighs images, unless that was done, and keeps of them what was asked for.
     fn finish(
         &self,
         index: usize,
         world_from_sensor: Pose,
         stats: Stats,
-        images: &mut Images,
+        drawn: Drawn<'_>,
         panorama: &mut Panorama,
     ) -> BatchItem {
         let (mut log_likelihood, mut headings) = (None, Vec::new());
-        match &self.weigh {
-            Some(HeadingModel::Pose(sensed)) => {
+        match (&self.weigh, &drawn) {
+            (Some(HeadingModel::Pose(sensed)), Drawn::Images(images)) => {
                 log_likelihood = Some(sensed.log_likelihood(&images.range, &images.cos_incidence));
             }
-            Some(HeadingModel::Headings(weigher)) => {
+            (Some(HeadingModel::Pose(sensed)), Drawn::Sums(sums)) => {
+                log_likelihood = sums.first().map(|sum| sensed.tempered(*sum));
+            }
+            (Some(HeadingModel::Headings(weigher)), Drawn::Images(images)) => {
                 headings = weigher.weigh(&images.range, &images.cos_incidence, panorama);
             }
-            None => {}
+            (Some(HeadingModel::Headings(weigher)), Drawn::Sums(sums)) => headings = weigher.tempered(sums),
+            (None, _) => {}
         }
-        let images = if self.wanted.iter().next().is_some() { self.keep(images) } else { Images::default() };
+        let images = match drawn {
+            Drawn::Images(images) if self.wanted.iter().next().is_some() => self.keep(images),
+            _ => Images::default(),
+        };
         let stats = self.statistics.then_some(stats);
         BatchItem { index, world_from_sensor, images, log_likelihood, headings, stats }
     }
@@ -390,7 +403,8 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
                 }
             };
             if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
-                items.push(Some(task.finish(*index, pose, stats, &mut lane.images, &mut lane.panorama)));
+                let drawn = Drawn::Images(&mut lane.images);
+                items.push(Some(task.finish(*index, pose, stats, drawn, &mut lane.panorama)));
                 continue;
             }
             let buffers = buffers.pop().unwrap_or_default();
@@ -408,11 +422,11 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         }
         let mut planned = planned.into_iter();
         let Lane { images, panorama, .. } = lane;
-        let drawn = predictor.render_many(&plans, images, |images, stats| {
+        let drawn = predictor.render_many(&plans, task.weighing.as_ref(), images, |drawn, stats| {
             if let Some((at, index, pose, planned)) = planned.next() {
                 let stages_ms = [planned.stages_ms, stats.stages_ms].concat();
                 let stats = Stats { index: planned.index, stages_ms, ..stats };
-                items[at] = Some(task.finish(index, pose, stats, images, panorama));
+                items[at] = Some(task.finish(index, pose, stats, drawn, panorama));
             }
         });
         buffers.extend(plans.into_iter().map(FramePlan::into_buffers));

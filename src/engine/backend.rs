@@ -35,7 +35,7 @@ mod with_gpu {
     use crate::engine::Device;
     use crate::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
     use crate::gpu::{self, DeviceOptions, testing};
-    use crate::plan::{FramePlan, Images, Stats, Work};
+    use crate::plan::{Drawn, FramePlan, Images, Stats, Weighing, Work};
     use crate::verify::Precision;
 
     /// On the most capable adapter; on hardware or none, if asked.
@@ -68,10 +68,11 @@ mod with_gpu {
         fn render_many(
             &mut self,
             plans: &[FramePlan],
+            weighing: Option<&Weighing>,
             images: &mut Images,
-            each: &mut dyn FnMut(&mut Images, Stats),
+            each: &mut dyn FnMut(Drawn<'_>, Stats),
         ) -> Result<()> {
-            Self::render_many(self, plans, images, each)
+            Self::render_many(self, plans, weighing, images, each)
         }
 
         fn with_deadline(&self) -> Option<DeadlineEngine> {

@@ -8,7 +8,7 @@ use crate::cpu;
 use crate::deadline::DeadlineEngine;
 use crate::error::Result;
 use crate::features::{self, BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
-use crate::plan::{CountName, FramePlan, Images, Raster, StageName, Stats, Work};
+use crate::plan::{CountName, Drawn, FramePlan, Images, Raster, StageName, Stats, Weighing, Work};
 use crate::reference;
 use crate::threads::Threads;
 use crate::verify::Precision;
@@ -43,21 +43,22 @@ pub trait Engine: Any + Send {
     /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
-    /// Draws plans of one sensor and hands over each one's images, in their order. After an error those that were handed over are
-    /// right.
+    /// Draws plans of one sensor and hands over each one's images, in their order. An engine that can may weigh them itself, and
+    /// hands over sums. After an error those that were handed over are right.
     ///
     /// # Errors
     /// As [`Engine::render`].
     fn render_many(
         &mut self,
         plans: &[FramePlan],
+        _weighing: Option<&Weighing>,
         images: &mut Images,
-        each: &mut dyn FnMut(&mut Images, Stats),
+        each: &mut dyn FnMut(Drawn<'_>, Stats),
     ) -> Result<()> {
         for plan in plans {
             let mut stats = Stats::default();
             self.render(plan, images, &mut stats)?;
-            each(images, stats);
+            each(Drawn::Images(images), stats);
         }
         Ok(())
     }

@@ -85,7 +85,7 @@ impl FrameBuffers {
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
         // What is not needed stays as small as it was made: it is bound, and neither written nor read.
         let instances = if frame.few() { 0 } else { frame.instances.len() * size_of::<Instance>() };
-        let outputs = if frame.on_host { 0 } else { frame.output_words * 4 };
+        let outputs = if frame.on_host { 0 } else { (frame.output_words + frame.sum_words) * 4 };
         let mut replaced = self.instances.reserve(gpu, instances as u64)?;
         replaced |= self.work.reserve(gpu, frame.work_bytes())?;
         let survivors = u64::from(frame.polygon_count) * size_of::<Survivor>() as u64;
@@ -201,18 +201,19 @@ impl FrameBuffers {
     /// Encodes the copies that bring a frame's answers to where they can be mapped, from byte `first` on.
     pub fn encode_readback(&self, encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads, first: u64) {
         let at = Readback::of(frame);
-        let mut copy = |from: &Growable, to: u64, bytes: u64| {
+        let mut copy = |(from, begin): (&Growable, u64), to: u64, bytes: u64| {
             if bytes > 0 {
-                encoder.copy_buffer_to_buffer(from.buffer(), 0, self.readback.buffer(), first + to, bytes);
+                encoder.copy_buffer_to_buffer(from.buffer(), begin, self.readback.buffer(), first + to, bytes);
             }
         };
         if frame.on_host {
-            copy(&self.keys, 0, at.slots);
-            copy(&self.seen_slots, at.slots, at.counters - at.slots);
+            copy((&self.keys, 0), 0, at.slots);
+            copy((&self.seen_slots, 0), at.slots, at.counters - at.slots);
         } else {
-            copy(&self.outputs, 0, at.counters);
+            let begin = if frame.sum_words > 0 { frame.output_words * 4 } else { 0 };
+            copy((&self.outputs, begin), 0, at.counters);
         }
-        copy(&self.counters, at.counters, size_of::<Counters>() as u64);
+        copy((&self.counters, 0), at.counters, size_of::<Counters>() as u64);
         if let Some((queries, resolved)) = self.times.as_ref().filter(|_| !frame.in_company) {
             encoder.resolve_query_set(queries, 0..2 * frame.passes.len() as u32, resolved.buffer(), 0);
             let (to, bytes) = (first + at.times, at.bytes - at.times);
@@ -221,7 +222,7 @@ impl FrameBuffers {
     }
 }
 
-/// Where answers lie in the readback buffer, bytes: images (or keys and slots), counters, times.
+/// Where answers lie in the readback buffer, bytes: images (or sums, or keys and slots), counters, times.
 #[derive(Clone, Copy)]
 pub(super) struct Readback {
     pub slots: u64,
@@ -233,7 +234,11 @@ pub(super) struct Readback {
 impl Readback {
     pub fn of(frame: &FrameUploads) -> Self {
         let slots = if frame.on_host { u64::from(frame.params.width) * u64::from(frame.params.height) * 8 } else { 0 };
-        let counters = if frame.on_host { slots + frame.slot_bytes() } else { frame.output_words * 4 };
+        let counters = match frame.sum_words {
+            _ if frame.on_host => slots + frame.slot_bytes(),
+            0 => frame.output_words * 4,
+            sums => sums * 4,
+        };
         // Query results are 8 bytes and must lie on 8.
         let times = (counters + size_of::<Counters>() as u64).next_multiple_of(8);
         Self { slots, counters, times, bytes: times + 16 * frame.passes.len() as u64 }

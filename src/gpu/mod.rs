@@ -11,6 +11,7 @@
 //! | draw, if [`Raster::Render`] is asked for | `shape.wgsl` in setup, `draw.wgsl`, `key32` or `key64` | `cpu::raster_lines` |
 //! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
 //! | resolve | `resolve.wgsl` | `cpu::resolve`; `plan::keys` from the device's keys, for software adapters |
+//! | weigh, for batches that ask for no image | `weigh.wgsl` | `batch::weigh` |
 //! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
 //! | roi | `roi.wgsl` | `features::roi` |
 
@@ -32,6 +33,7 @@ pub mod testing;
 mod together;
 mod uploads;
 mod visible;
+mod weigh;
 
 pub use device::{Abilities, Adapter, DeviceAllocations, DeviceOptions, adapters, preferred};
 pub use visible::OcclusionQuery;
@@ -71,6 +73,8 @@ pub struct GpuEngine {
     stages: Stages,
     /// Made when samples of features are first asked about.
     visible: Option<Visible>,
+    /// Made when a sensed image is first weighed.
+    weigh: Option<weigh::Weigh>,
     /// The buffers hold what the last prediction drew.
     drawn: bool,
     store: FrameBuffers,
@@ -114,6 +118,7 @@ impl GpuEngine {
             gpu,
             stages,
             visible: None,
+            weigh: None,
             drawn: false,
             store,
             arena,
@@ -330,6 +335,7 @@ impl GpuEngine {
         if self.rebind {
             self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
             self.visible.iter_mut().for_each(Visible::rebind);
+            self.weigh.iter_mut().for_each(|weigh| weigh.bind(&self.gpu, self.store.outputs.buffer()));
             self.rebind = false;
         }
         if !self.placed {

@@ -33,6 +33,7 @@ pub(super) const RASTER_RAYS_64: &str =
 pub(super) const RASTER_RAYS_32: &str =
     unit!("common.wgsl", "coarse.wgsl", "cones.wgsl", "raster_rays.wgsl", "key32.wgsl");
 pub(super) const RESOLVE: &str = unit!("common.wgsl", "resolve.wgsl");
+pub(super) const WEIGH: &str = unit!("common.wgsl", "weigh.wgsl");
 pub(super) const VISIBLE: &str = unit!("common.wgsl", "visible.wgsl");
 pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
 
@@ -41,11 +42,13 @@ mod tests {
     use super::super::layout::{self, ArenaPolygon, Counters, Instance, Item, Params, Record, Slot, Survivor, WorkRun};
     use super::super::roi::{self, RoiBox, RoiFeature, RoiParams, RoiPoint};
     use super::super::visible::{self, Sample};
+    use super::super::weigh::WeighParams;
     use super::*;
+    use crate::plan::BeamNumbers;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
-    const UNITS: [(&str, &str); 18] = [
+    const UNITS: [(&str, &str); 19] = [
         ("sift camera", SIFT_CAMERA),
         ("sift scanner", SIFT_SCANNER),
         ("sift rays", SIFT_RAYS),
@@ -62,6 +65,7 @@ mod tests {
         ("draw 64", DRAW_64),
         ("draw 32", DRAW_32),
         ("resolve", RESOLVE),
+        ("weigh", WEIGH),
         ("visible", VISIBLE),
         ("roi", ROI),
     ];
@@ -127,6 +131,11 @@ mod tests {
             runs_hidden, polygons_hidden, shapes, draw_vertices, draw_instances, draw_first_vertex, draw_first_instance,
             all_draw_vertices, all_draw_instances, all_draw_first_vertex, all_draw_first_instance);
         assert_same!(&module, Survivor: polygon, instance, lines, samples, flags, record, direction, least, greatest);
+        let module = parse("weigh", WEIGH);
+        assert_same!(&module, WeighParams: count, sensed_beams, predicted_beams, stride, parts, range_at, cos_at,
+            sums_at, beam);
+        assert_same!(&module, BeamNumbers: range_sigma, quadratic, turn, place, range_min, range_max, short, ln_short,
+            below, near_there, ln_any, ln_hit, ln_none, ln_nothing);
         let module = parse("roi", ROI);
         assert_same!(&module, RoiParams: sensor, by, size, turn, log_fail, lowest, first, highest, margin, bent, much,
             slightly, slight, tail_steps, feature_count);

@@ -58,6 +58,8 @@ pub(super) struct FrameUploads {
     pub outputs: Outputs,
     /// Words of all images.
     pub output_words: u64,
+    /// Words of the sums that come back in place of the images; 0 if nothing is weighed.
+    pub sum_words: u64,
     /// Slots of the environment.
     pub slots: u32,
     /// The images are resolved on the CPU.
@@ -89,6 +91,7 @@ impl FrameUploads {
     pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, way: Way) {
         self.slots = plan.environment().slot_count();
         self.on_host = way.software && self.slots <= MOST_SLOTS_ON_HOST;
+        self.sum_words = 0;
         let fits = tables.params.width.max(tables.params.height) <= way.most_rendered;
         self.rendered = tables.kind == GridKind::Camera && fits && plan.watch.is_none();
         self.params = tables.params;

@@ -11,6 +11,7 @@ mod raster;
 mod request;
 mod stats;
 mod view;
+mod weighing;
 
 pub use images::{Images, Samples, SamplesMut};
 #[cfg(feature = "gpu")]
@@ -22,6 +23,7 @@ pub use raster::Raster;
 pub use request::{IdScheme, ImageRequest};
 pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
+pub use weighing::{BeamNumbers, Drawn, Weighing};
 
 use crate::deadline::Watch;
 use crate::environment::{Appearance, Environment, Material};

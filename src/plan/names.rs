@@ -59,6 +59,7 @@ words! {
         Resolve = "resolve",
         ResolveOnDevice = "resolve on the device",
         ResolveOnCpu = "resolve on the CPU",
+        WeighOnDevice = "weigh on the device",
         Readback = "readback",
         Echo = "echo",
         Normal = "normal",

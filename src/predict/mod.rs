@@ -11,7 +11,9 @@ use crate::engine::{self, Device, Engine};
 use crate::error::{Error, ErrorKind, Result};
 use crate::features::FeaturePrediction;
 use crate::geometry::Pose;
-use crate::plan::{FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats};
+use crate::plan::{
+    Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Weighing,
+};
 use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use crate::row::RowCuts;
@@ -385,29 +387,30 @@ impl Predictor {
         self.threads.run(work)
     }
 
-    /// Draws plans of one sensor together, where the engine can, and hands over each one's images in their order. What a fault
-    /// leaves over is drawn one by one, as single predictions are.
+    /// Draws plans of one sensor together, where the engine can, and hands over each one's images in their order, or sums where it
+    /// weighed them. What a fault leaves over is drawn one by one, as single predictions are.
     pub(crate) fn render_many(
         &mut self,
         plans: &[FramePlan],
+        weighing: Option<&Weighing>,
         images: &mut Images,
-        mut each: impl FnMut(&mut Images, Stats),
+        mut each: impl FnMut(Drawn<'_>, Stats),
     ) -> Result<()> {
         let mut done = 0;
         let first = plans.iter().find(|plan| plan.polygon_count > 0);
         if first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
             // Its fault comes up again with the first plan that is left.
-            let _ = self.engine.render_many(plans, images, &mut |images, mut stats| {
+            let _ = self.engine.render_many(plans, weighing, images, &mut |drawn, mut stats| {
                 tell(&plans[done], self.notice.as_ref(), &mut stats);
                 done += 1;
-                each(images, stats);
+                each(drawn, stats);
             });
         }
         for plan in &plans[done..] {
             let mut stats = Stats::default();
             self.render(plan, images, &mut stats)?;
             tell(plan, self.notice.as_ref(), &mut stats);
-            each(images, stats);
+            each(Drawn::Images(images), stats);
         }
         Ok(())
     }

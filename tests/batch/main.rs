@@ -1,5 +1,7 @@
 //! Batches: against single predictions, and against the formula written down as plainly as it can be.
 
+#[cfg(feature = "gpu")]
+mod device;
 mod headings;
 mod images;
 mod likelihood;

@@ -60,7 +60,7 @@ fn hold(subject: &Subject<'_>, engine: &mut dyn Engine, random: &mut Random, fra
         let ms = [0, ENDLESS].get(frame).copied().unwrap_or_else(|| 4 << random.below(7) as u64);
         let (images, stats) = subject.render(engine, ms, 4 + random.below(3) as u64);
         let given_up = stats.degradation();
-        let verdict = judge(&full, &images, given_up.map_or(f64::INFINITY, |g| g.complete_to));
+        let verdict = judge(&full, &images, given_up.map_or(f64::INFINITY, |g| g.complete_to), subject.sensor);
         assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, {ms} ms");
         assert_eq!(given_up.map_or(0, |g| g.samples as usize), verdict.open, "{name}, {ms} ms");
         tally.whole += usize::from(verdict.open == 0);
@@ -119,7 +119,7 @@ fn a_device_that_shows_what_is_not_final_is_caught() {
     drop(partial);
     let full = Subject { world: &world, sensor, pose: Pose::IDENTITY }.full(&mut *engine);
     let complete_to = stats.degradation().unwrap().complete_to;
-    assert_eq!(judge(&full, &images, complete_to).wrong, 0);
+    assert_eq!(judge(&full, &images, complete_to, sensor).wrong, 0);
     // What the nearest runs alone show, with nothing left open.
     let mut near = plan(&world, sensor, &Pose::IDENTITY);
     let drawn = near.runs.iter().take_while(|run| f64::from(run.nearest) <= complete_to * 1.003).count();
@@ -128,11 +128,11 @@ fn a_device_that_shows_what_is_not_final_is_caught() {
     let mut shown = Images::default();
     engine.render(&near, &mut shown, &mut Stats::default()).unwrap();
     let seen = shows(&full);
-    let wrong = judge(&full, &shown, complete_to).wrong;
+    let wrong = judge(&full, &shown, complete_to, sensor).wrong;
     assert!(wrong > seen / 100, "{wrong} of {seen}, complete to {complete_to}");
     let mut invented = images;
     invented.range.iter_mut().filter(|range| range.is_nan()).for_each(|range| *range = f32::INFINITY);
-    assert!(judge(&full, &invented, complete_to).wrong > seen / 100);
+    assert!(judge(&full, &invented, complete_to, sensor).wrong > seen / 100);
 }
 
 /// The predictor keeps deadlines on a device: also of outputs without a range, and never too late to say that nothing can be made.

@@ -22,13 +22,19 @@ pub struct Verdict {
     pub shown: usize,
 }
 
-/// Holds a partial prediction to the full one.
-pub fn judge(full: &Images, partial: &Images, complete_to: f64) -> Verdict {
-    judge_part(full, partial, complete_to, |_, _| true)
+/// Holds a partial prediction to the full one. What is nearer than the sensor's `range_min` has no range: only beyond that is it surely
+/// nearer than `complete_to`.
+pub fn judge(full: &Images, partial: &Images, complete_to: f64, sensor: &Sensor) -> Verdict {
+    judge_part(full, partial, (complete_to, sensor), |_, _| true)
 }
 
 /// The same where only some columns and rows were asked for: no others may show anything.
-fn judge_part(full: &Images, partial: &Images, complete_to: f64, asked: impl Fn(u32, u32) -> bool) -> Verdict {
+fn judge_part(
+    full: &Images,
+    partial: &Images,
+    (complete_to, sensor): (f64, &Sensor),
+    asked: impl Fn(u32, u32) -> bool,
+) -> Verdict {
     let mut verdict = Verdict::default();
     let floats = |images: &Images, at: usize| {
         [Output::Range, Output::DepthZ, Output::CosIncidence, Output::Echo].map(|o| {
@@ -48,7 +54,9 @@ fn judge_part(full: &Images, partial: &Images, complete_to: f64, asked: impl Fn(
         }
         verdict.open += usize::from(is_open);
         verdict.wrong += usize::from(!is_open && asked_for);
-        verdict.missing += usize::from(is_open && asked_for && f64::from(full.range[at]) < complete_to);
+        let range = f64::from(full.range[at]);
+        let range = if range == f64::NEG_INFINITY { sensor.spec().range_min } else { range };
+        verdict.missing += usize::from(is_open && asked_for && range < complete_to);
     }
     verdict
 }
@@ -105,15 +113,15 @@ fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut 
     assert_eq!(stats.degradation(), None);
     let name = &subject.sensor.spec().name;
     assert_eq!(
-        judge(&full, &all, f64::INFINITY),
-        Verdict { shown: judge(&full, &full, 0.0).shown, ..Verdict::default() }
+        judge(&full, &all, f64::INFINITY, subject.sensor),
+        Verdict { shown: judge(&full, &full, 0.0, subject.sensor).shown, ..Verdict::default() }
     );
     for frame in 0..frames {
         // The first one has no time at all.
         let stop = if frame == 0 { 0 } else { 1 + random.below(looks as usize) as u64 };
         let (partial, stats, _) = subject.render(engine, stop);
         let given_up = stats.degradation();
-        let verdict = judge(&full, &partial, given_up.map_or(f64::INFINITY, |g| g.complete_to));
+        let verdict = judge(&full, &partial, given_up.map_or(f64::INFINITY, |g| g.complete_to), subject.sensor);
         assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, stopped after {stop} of {looks} looks");
         // What is not there is counted, and what is counted is not there. Samples that see nothing in the full image are, too.
         assert_eq!(given_up.map_or(0, |g| g.samples as usize), verdict.open, "{name}, stopped after {stop}");
@@ -170,7 +178,7 @@ fn a_thinned_or_narrowed_image_has_the_full_ones_samples() {
                         in_part && column.is_multiple_of(stride) && row.is_multiple_of(stride)
                     };
                     let complete_to = if around.is_some() { 0.0 } else { given_up.map_or(0.0, |g| g.complete_to) };
-                    let verdict = judge_part(&full, &images, complete_to, asked);
+                    let verdict = judge_part(&full, &images, (complete_to, &sensor), asked);
                     assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, every {stride}, {around:?}");
                     assert_eq!(
                         given_up.map_or(0, |g| g.samples as usize),
@@ -248,21 +256,21 @@ fn infinity_for_what_was_left_out_is_caught() {
     let full = subject.full(&mut engine);
     let (mut partial, stats, _) = subject.render(&mut engine, 6);
     let given_up = stats.degradation().expect("six looks are too few").clone();
-    assert_eq!(judge(&full, &partial, given_up.complete_to).wrong, 0);
+    assert_eq!(judge(&full, &partial, given_up.complete_to, &sensor).wrong, 0);
     let seen = full.range.iter().filter(|range| range.is_finite()).count();
     for range in partial.range.iter_mut().filter(|range| range.is_nan()) {
         *range = f32::INFINITY;
     }
-    assert!(judge(&full, &partial, given_up.complete_to).wrong > seen / 100);
+    assert!(judge(&full, &partial, given_up.complete_to, &sensor).wrong > seen / 100);
     // So is one that shows what it has drawn so far beyond what is complete.
     let (mut partial, _, _) = subject.render(&mut engine, 6);
     let at = partial.range.iter().position(|range| range.is_nan()).unwrap();
     (partial.range[at], partial.polygon_id[at]) = (9.0, 1);
-    assert_eq!(judge(&full, &partial, given_up.complete_to).wrong, 1);
+    assert_eq!(judge(&full, &partial, given_up.complete_to, &sensor).wrong, 1);
     // And one that claims to be complete farther than it is.
     let nearest_open = (0..full.pixels()).filter(|at| partial.range[*at].is_nan()).map(|at| full.range[at]);
     let beyond = f64::from(nearest_open.fold(f32::INFINITY, f32::min)) + 0.01;
-    assert!(judge(&full, &partial, beyond).missing > 0);
+    assert!(judge(&full, &partial, beyond, &sensor).missing > 0);
 }
 
 /// A thinned image that fills gaps from beside, or is a pixel off, is found out.
@@ -274,14 +282,14 @@ fn samples_in_wrong_places_are_caught() {
     let full = subject.full(&mut engine);
     let every_second = |column: u32, row: u32| column.is_multiple_of(2) && row.is_multiple_of(2);
     let (thinned, _) = subject.render_part(&mut engine, u64::MAX / 2000, (2, None));
-    assert_eq!(judge_part(&full, &thinned, 1e9, every_second).wrong, 0);
+    assert_eq!(judge_part(&full, &thinned, (1e9, &sensor), every_second).wrong, 0);
     let mut filled = thinned.clone();
     for at in (1..filled.range.len()).filter(|at| filled.range[*at].is_nan()).collect::<Vec<_>>() {
         filled.range[at] = filled.range[at - 1];
     }
-    assert!(judge_part(&full, &filled, 1e9, every_second).wrong > 100);
+    assert!(judge_part(&full, &filled, (1e9, &sensor), every_second).wrong > 100);
     let mut shifted = thinned;
     shifted.range.rotate_right(2);
     shifted.polygon_id.rotate_right(2);
-    assert!(judge_part(&full, &shifted, 1e9, every_second).wrong > 100);
+    assert!(judge_part(&full, &shifted, (1e9, &sensor), every_second).wrong > 100);
 }
