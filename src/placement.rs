@@ -164,7 +164,7 @@ mod tests {
         environment.add_material(Material::named("m")).unwrap();
         let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
         let mesh = Mesh::new("t", corners, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial).unwrap();
-        let mesh = std::sync::Arc::new(mesh);
+        let mesh = Arc::new(mesh);
         for (name, x) in [("near", 0.0), ("far", 5.0)] {
             environment.insert(NewObject::new(name, at(x), mesh.clone())).unwrap();
         }

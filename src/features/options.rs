@@ -37,7 +37,7 @@ pub enum FeatureSource {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hidden {
     /// Every feature is told of, with each hidden part and its reason. Those that are out of view as a whole are listed apart, by number
-    /// and reason ([`super::FeaturePrediction::out_of_view`]): of a million that takes no longer than an image. All others are looked at.
+    /// and reason ([`super::FeaturePrediction::out_of_view`]). All others are looked at.
     Full,
     /// Every feature is told of. One of which nothing is seen has one hidden part and one reason: of those that apply to
     /// parts of it the last in the order of [`super::Reason`]. Those out of view are listed apart as with `Full`.

@@ -108,6 +108,7 @@ fn on_device(
         .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(placed.to_vec()));
     let mut seen = predictor.predict(world, sensor, pose, &request).unwrap();
     let mut found = seen.features.unwrap();
+    found.spell_out(world.environment(), placed);
     found.feature_id = std::mem::take(&mut seen.images.feature_id);
     (found, seen.images, seen.stats)
 }

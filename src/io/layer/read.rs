@@ -55,8 +55,10 @@ pub fn parse(text: &str) -> Result<LayerFile> {
         let feature = entry.checked(tolerance, fields.format).map_err(|e| Fault::Content(e.at(place(i, id)), id))?;
         Ok(Entry { id, feature: feature.map(Arc::new), is_lost })
     };
-    let entries = fields.features.par_iter().enumerate().with_min_len(BATCH).map(read);
+    let texts = fields.features;
+    let entries = texts.par_iter().enumerate().with_min_len(BATCH).map(read);
     let mut entries: Vec<Result<Entry, Fault>> = parallel(|| entries.collect())?;
+    drop(texts);
     if let Some(at) = entries.iter().position(|entry| matches!(entry, Err(Fault::Form(_))))
         && let Err(Fault::Form(e)) = entries.swap_remove(at)
     {

@@ -73,7 +73,9 @@ fn see_with(
     let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let seen = predictor.predict(world, sensor, pose, &Request::of(outputs).with_features(options)).unwrap();
-    FeaturePrediction { feature_id: seen.images.feature_id, ..seen.features.unwrap() }
+    let mut features = seen.features.unwrap();
+    features.spell_out(world.environment(), placed);
+    FeaturePrediction { feature_id: seen.images.feature_id, ..features }
 }
 
 fn see(world: &World, sensor: &Sensor, pose: &Pose, features: Vec<Feature>) -> FeaturePrediction {

@@ -31,10 +31,13 @@ fn layer() -> FeatureLayer {
 fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visibility) -> Vec<SeenFeature> {
     let (camera, _) = sensors().swap_remove(0);
     let pose = Pose { translation: from, ..Pose::IDENTITY };
-    let options = FeatureOptions::default().with_visibility(visibility).with_placed(place(world, &layer()).unwrap());
+    let placed = place(world, &layer()).unwrap();
+    let options = FeatureOptions::default().with_visibility(visibility).with_placed(placed.clone());
     let options = options.with_hidden(Hidden::Full);
     let request = Request::default().with_features(options);
-    predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap().features
+    let mut seen = predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap();
+    seen.spell_out(world.environment(), &placed);
+    seen.features
 }
 
 fn predictors() -> Vec<Predictor> {
