@@ -1,6 +1,7 @@
 //! Grey images in an estimate: features are predicted at a pose, looked for in their regions, and become residuals.
 
 use super::image::{ImageSource, SeenPoint, SeenSegment};
+use crate::environment::{Feature, FeatureShape};
 use crate::error::{Error, Result};
 use crate::extract::{FindOptions, Findings, find_features};
 use crate::features::{BoxOptions, FeatureOptions, FeatureSource, sensor_covariance};
@@ -13,7 +14,7 @@ use crate::predict::Predictor;
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
-use glam::{DMat2, DVec2};
+use glam::{DMat2, DMat3, DVec2, DVec3};
 
 /// How well a camera is calibrated, one standard deviation, pixels: what is found is known no better.
 const CALIBRATION: f64 = 0.1;
@@ -38,8 +39,34 @@ pub(super) fn find_at(
     let request = Request::of(Outputs::of(&[]))
         .with_features(features.clone())
         .with_regions(BoxOptions::default().with_sensor(of_sensor));
-    let predicted = predictor.predict(world, sensor, &(*world_from_robot * mount), &request)?;
-    predicted.features.map_or_else(|| Ok(Findings::default()), |f| find_features(frame, &f, &FindOptions::default()))
+    let world_from_sensor = *world_from_robot * mount;
+    let predicted = predictor.predict(world, sensor, &world_from_sensor, &request)?.features.unwrap_or_default();
+    let mut findings = find_features(frame, &world_from_sensor, &predicted, &FindOptions::default())?;
+    for found in &mut findings.features {
+        if let Some(seen) = predicted.features.iter().find(|seen| seen.feature.id == found.id) {
+            found.place = place_of(world, &seen.feature);
+        }
+    }
+    Ok(findings)
+}
+
+/// What the layer says of how well the place of a feature is known, world axes.
+fn place_of(world: &World, feature: &Feature) -> DMat3 {
+    let covariance = match &feature.shape {
+        FeatureShape::Point { covariance, .. } | FeatureShape::Fiducial { covariance, .. } => *covariance,
+        _ => return DMat3::ZERO,
+    };
+    let object = feature.object.as_deref().and_then(|path| world.environment().object(path));
+    let turned = object.map_or(DMat3::IDENTITY, |o| DMat3::from_quat(o.world_from_object.rotation));
+    turned * covariance * turned.transpose()
+}
+
+/// How far a point or a fiducial may be from where the model has it: by what the layer says, and as surfaces may.
+pub(super) fn place_error(findings: &[Findings], id: u32, offset: f64) -> Matrix {
+    let known = findings.iter().flat_map(|f| &f.features).find(|f| f.id == id).map(|f| f.place).unwrap_or(DMat3::ZERO);
+    let own =
+        |i: usize, j: usize| if i < 3 && j < 3 { known.col(j)[i] + if i == j { offset } else { 0.0 } } else { 0.0 };
+    std::array::from_fn(|i| std::array::from_fn(|j| own(i, j)))
 }
 
 impl<'a> ImageSource<'a> {
@@ -54,9 +81,16 @@ impl<'a> ImageSource<'a> {
                     let sigma = (across.dot(detection.covariance * across) + calibration).sqrt();
                     segments.push(SeenSegment { ends: [*a, *b], found: *found, sigma, feature: feature.id });
                 }
-                (Shape::Point(found), [point]) => {
+                (Shape::Point(_) | Shape::Fiducial(_), corners) => {
                     let covariance = detection.covariance + DMat2::from_diagonal(DVec2::splat(calibration));
-                    points.push(SeenPoint { point: *point, found: *found, covariance, range: None });
+                    let point = |(point, found): (&DVec3, &DVec2)| SeenPoint {
+                        point: *point,
+                        found: *found,
+                        covariance,
+                        range: None,
+                        feature: feature.id,
+                    };
+                    points.extend(corners.iter().zip(detection.shape.points()).map(point));
                 }
                 _ => {}
             }

@@ -24,6 +24,8 @@ pub struct SeenPoint {
     pub covariance: DMat2,
     /// Metres along the ray, where the sensor measured them: of a reflector in a scan.
     pub range: Option<UncertainValue>,
+    /// Points of one feature share the error of its place.
+    pub feature: u32,
 }
 
 /// A segment of the model, and the line on which it was found.
@@ -68,6 +70,13 @@ impl<'a> ImageSource<'a> {
     /// A place beside another one, where columns go round.
     fn unwrapped(&self, at: DVec2, near: DVec2) -> DVec2 {
         at + DVec2::new(unwrap(self.turn, near.x, at.x), 0.0)
+    }
+
+    /// The feature of each residual, and whether it is a point's.
+    fn owners(&self) -> impl Iterator<Item = (u32, bool)> {
+        let points =
+            self.points.iter().flat_map(|p| std::iter::repeat_n((p.feature, true), 2 + usize::from(p.range.is_some())));
+        points.chain(self.segments.iter().flat_map(|s| [(s.feature, false); 2]))
     }
 
     /// Residuals in standard deviations; `None` where the model's point is not in front of the sensor.
@@ -121,10 +130,9 @@ impl Residuals for ImageSource<'_> {
                 })
             })
             .collect();
-        let first_edge = here.len() - 2 * self.segments.len();
         let mut normal = Normal { measured: here.len(), ..Normal::default() };
         let mut sizes = Vec::new();
-        for (i, e) in here.iter().enumerate() {
+        for (i, (e, (feature, is_point))) in here.iter().zip(self.owners()).enumerate() {
             let j = derivatives(&shifted, i);
             let (Some(e), Some(j)) = (*e, j) else {
                 normal.chi2 += gate.kernel.most();
@@ -135,11 +143,16 @@ impl Residuals for ImageSource<'_> {
             let radians = (3..6).map(|k| j[k].abs()).fold(0.0, f64::max) * gate.rotation;
             sizes.push(e.abs());
             let weight = normal.add_residual(e, &j, metres + radians, gate.kernel);
-            // Both ends of an edge are off by what the model has it off.
-            if let Some(edge) = i.checked_sub(first_edge).filter(|_| gate.finally) {
+            if !gate.finally {
+                continue;
+            }
+            // Both ends of an edge are off by what the model has it off; a point that is off by d is a robot that is off by -d.
+            let error = if is_point { CommonError::Place(feature) } else { CommonError::Edge(feature) };
+            let group: &mut GroupSum = normal.groups.entry(error).or_default();
+            if is_point {
+                (0..6).for_each(|a| (0..3).for_each(|b| group.pull[a][b] -= weight * j[a] * j[b]));
+            } else {
                 let by_offset = (j[0] * j[0] + j[1] * j[1] + j[2] * j[2]).sqrt();
-                let group: &mut GroupSum =
-                    normal.groups.entry(CommonError::Edge(self.segments[edge / 2].feature)).or_default();
                 (0..6).for_each(|a| group.pull[a][0] -= weight * j[a] * by_offset);
             }
         }

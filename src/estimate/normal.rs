@@ -14,6 +14,8 @@ pub enum CommonError {
     Offset(u32),
     /// How far an edge is beside where the model has it, by the number of the feature; one number.
     Edge(u32),
+    /// How far a point or a fiducial is from where the model has it, by the number of the feature; three numbers, world axes.
+    Place(u32),
 }
 
 /// What residuals e with weights w and Jacobians J say about a motion of the robot. The motion `(t, r)` takes a point x of the

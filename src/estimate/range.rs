@@ -390,7 +390,7 @@ impl RangeSource<'_> {
             // The column of an offset is a number along the normal: it has no axes to turn.
             group.pull = match shared {
                 CommonError::Offset(_) | CommonError::Edge(_) => product(&t, &group.pull),
-                CommonError::Object(_) => sandwich(&t, &group.pull),
+                CommonError::Object(_) | CommonError::Place(_) => sandwich(&t, &group.pull),
             };
         }
         total

@@ -3,7 +3,7 @@
 use super::Prior;
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
 use super::descent::{LOOK, SEARCH, SETTLE, Schedule, descend, serves};
-use super::findings::find_at;
+use super::findings::{find_at, place_error};
 use super::normal::{CommonError, Freedom, Normal};
 use super::range::{MeasuredPoint, measured_points};
 use crate::error::{Error, Result};
@@ -11,7 +11,8 @@ use crate::extract::{Findings, MeasuredRanges};
 use crate::features::{FeatureOptions, PlacedFeatures};
 use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
-use crate::matrix::{Matrix, add_to, eigen, inverse, restricted, scaled};
+use crate::matching::{Shape, chi_squared_quantile};
+use crate::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
 use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
@@ -88,10 +89,14 @@ const DRAWS: usize = 16;
 const LOOSE: (f64, f64) = (0.05, 0.05);
 /// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
 const SETTLED: f64 = 3.0;
-/// A pose that grey images alone tell rests on at least so many features.
-const FEWEST: usize = 4;
-/// And at least this share of the matches has to agree: some edges are always taken for others.
-const LEAST_MATCHED: f64 = 0.5;
+/// A pose that grey images alone tell rests on at least so many features, or on so many fiducials: they are never taken for another, but of
+/// two nobody knows which one was moved.
+const FEWEST: (usize, usize) = (4, 3);
+/// And more than half of the matches have to agree: some edges are always taken for others, and of two fiducials one may have been moved.
+const LEAST_MATCHED: f64 = 0.55;
+/// And the pose has to be one that was to be expected: standard normal deviates of the probability of one as far from the prior, 1 in 10,000,
+/// and of one as far from where all but one fiducial lead, 1 in 1,000.
+const UNLIKELY: (f64, f64) = (3.719, 3.09);
 /// The best pose has to explain more of the points than any other by this share.
 const LEAD: f64 = 0.05;
 
@@ -291,6 +296,14 @@ impl Estimator {
 
     /// Settles where a search ended, in a new prediction unless the one before serves.
     fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
+        let robust;
+        let found = if run.has_greys_only() {
+            // What was taken for something else, or was moved, must not lead the second look astray.
+            robust = self.descend(run, &found.expected, found.pose, &SETTLE);
+            &robust
+        } else {
+            found
+        };
         let expected = if serves(run, &found.expected, &found.pose) {
             found.expected.clone()
         } else {
@@ -339,6 +352,7 @@ impl Estimator {
         let offset = self.offset_sigma * self.offset_sigma;
         let stored =
             |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
+        let place = |id: u32| place_error(&best.expected.findings, id, offset);
         let shared = |error: CommonError| match error {
             CommonError::Object(object) => stored(object).unwrap_or_default(),
             CommonError::Offset(_) | CommonError::Edge(_) => {
@@ -346,6 +360,7 @@ impl Estimator {
                 m[0][0] = offset;
                 m
             }
+            CommonError::Place(feature) => place(feature),
         };
         let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
         let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));
@@ -363,18 +378,20 @@ impl Estimator {
             &shared,
         );
         let hypothesis = best.hypothesis();
-        let matched: usize = best.expected.findings.iter().map(|f| f.matched().count()).sum();
-        let state = match matched {
-            few @ 0..FEWEST if run.has_greys_only() => {
-                EstimateState::Undetermined(format!("{few} features are matched, fewer than {FEWEST}"))
+        let state = match self.doubt_of_features(run, &best) {
+            Some(why) => EstimateState::Undetermined(why),
+            None if run.has_greys_only() => {
+                state(&hypothesis, &others, self.options.least_explained.min(LEAST_MATCHED))
             }
-            _ if run.has_greys_only() => state(&hypothesis, &others, self.options.least_explained.min(LEAST_MATCHED)),
-            _ => state(&hypothesis, &others, self.options.least_explained),
+            None => state(&hypothesis, &others, self.options.least_explained),
         };
+        let apart = |off: &Vector| std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
+        for off in self.hanging_on_one(run, &best, &covariance) {
+            add_to(&mut covariance, &apart(&off));
+        }
         for other in &others {
             let off = motion_between(&best.pose, &other.pose);
-            let apart = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
-            add_to(&mut covariance, &scaled(&apart, 1.0 / (1.0 + others.len() as f64)));
+            add_to(&mut covariance, &scaled(&apart(&off), 1.0 / (1.0 + others.len() as f64)));
         }
         let verdicts = self.verdicts(run, &best, &covariance)?;
         let mut findings = best.expected.findings.clone();
@@ -398,6 +415,41 @@ impl Estimator {
             state,
             predictions: run.predictions,
         })
+    }
+
+    /// Why features alone do not tell this pose, if they do not: they are too few, or they lead to where the robot hardly is.
+    fn doubt_of_features(&self, run: &Run<'_>, best: &Minimum) -> Option<String> {
+        if !run.has_greys_only() {
+            return None;
+        }
+        let matched = || best.expected.findings.iter().flat_map(Findings::matched);
+        let tags = matched().filter(|(f, _)| matches!(f.predicted, Shape::Fiducial(_))).count();
+        let (matched, (fewest, fewest_tags)) = (matched().count(), FEWEST);
+        if matched < fewest && tags < fewest_tags {
+            return Some(format!("{matched} features are matched, fewer than {fewest}, or {fewest_tags} fiducials"));
+        }
+        let off = motion_between(&run.prior.pose, &best.pose);
+        let most = chi_squared_quantile(self.options.freedom.axes().len() as u32, UNLIKELY.0);
+        (quadratic(&run.prior_information, &off) > most).then(|| {
+            let (metres, degrees) = (length(&off[..3]), length(&off[3..]).to_degrees());
+            format!("the features lead {metres:.3} m and {degrees:.2} deg away, where the robot hardly is by what was known before")
+        })
+    }
+
+    /// Motions to where a pose by grey images alone would be without one of its fiducials, if that is farther off than the covariance
+    /// says: it hangs on this one, and nothing tells whether this one was moved.
+    fn hanging_on_one(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Vec<Vector> {
+        let freedom = self.options.freedom;
+        let claimed = inverse(covariance, freedom.axes());
+        let most = chi_squared_quantile(freedom.axes().len() as u32, UNLIKELY.1);
+        let matched = best.expected.findings.iter().flat_map(Findings::matched);
+        let tags = matched.filter(|(f, _)| matches!(f.predicted, Shape::Fiducial(_)) && run.has_greys_only());
+        let without = |id: u32| {
+            let findings = best.expected.findings.iter().map(|f| f.without(id)).collect();
+            let others = Arc::new(Expectation { images: Vec::new(), findings });
+            motion_between(&best.pose, &self.descend(run, &others, best.pose, &SETTLE).pose)
+        };
+        tags.map(|(f, _)| f.id).map(without).filter(|off| quadratic(&claimed, off) > most).collect()
     }
 
     fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {

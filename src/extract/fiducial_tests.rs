@@ -5,59 +5,15 @@ use crate::frame::GreyImage;
 use crate::matching::Shape;
 use crate::random::SplitMix64;
 use glam::{DMat3, DVec2, DVec3};
-
-/// The first codes of AprilTag's 36h11, and where their bits are, the highest first; cells of the black square, from its top left.
-const CODES: [u64; 4] = [0xd_7e00_984b, 0xd_da66_4ca7, 0xd_c4a1_c821, 0xe_17b4_70e9];
-const BITS: [(u8, u8); 36] = [
-    (1, 1),
-    (2, 1),
-    (3, 1),
-    (4, 1),
-    (5, 1),
-    (2, 2),
-    (3, 2),
-    (4, 2),
-    (3, 3),
-    (6, 1),
-    (6, 2),
-    (6, 3),
-    (6, 4),
-    (6, 5),
-    (5, 2),
-    (5, 3),
-    (5, 4),
-    (4, 3),
-    (6, 6),
-    (5, 6),
-    (4, 6),
-    (3, 6),
-    (2, 6),
-    (5, 5),
-    (4, 5),
-    (3, 5),
-    (4, 4),
-    (1, 6),
-    (1, 5),
-    (1, 4),
-    (1, 3),
-    (1, 2),
-    (2, 5),
-    (2, 4),
-    (2, 3),
-    (3, 4),
-];
+use presight_testkit::tags::is_white;
 
 /// Brightness of a tag, in cells from the top left of its white border.
-fn tag(code: u64, at: DVec2) -> f64 {
-    let cell = at.floor() - 1.0;
+fn tag(code: usize, at: DVec2) -> f64 {
     if !(0.0..10.0).contains(&at.x) || !(0.0..10.0).contains(&at.y) {
         return 0.45;
     }
-    if cell.min_element() < 0.0 || cell.max_element() > 7.0 {
-        return 0.8;
-    }
-    let bit = BITS.iter().position(|(x, y)| (f64::from(*x), f64::from(*y)) == (cell.x, cell.y));
-    if bit.is_some_and(|bit| code >> (35 - bit) & 1 == 1) { 0.8 } else { 0.15 }
+    let cell = at.floor() - 1.0;
+    if is_white(code, cell.x as i32, cell.y as i32) { 0.8 } else { 0.15 }
 }
 
 fn through(map: &DMat3, at: DVec2) -> DVec2 {
@@ -66,7 +22,7 @@ fn through(map: &DMat3, at: DVec2) -> DVec2 {
 }
 
 /// A tag seen aslant, `size` pixels wide, turned any way; and the map from its cells to pixels.
-fn view(code: u64, size: f64, noise: f64, random: &mut SplitMix64) -> (GreyImage, DMat3) {
+fn view(code: usize, size: f64, noise: f64, random: &mut SplitMix64) -> (GreyImage, DMat3) {
     const SIZE: (u32, u32) = (160, 120);
     let turned = DMat3::from_angle(random.uniform(0.0, std::f64::consts::TAU));
     let slant = DMat3::from_cols(
@@ -94,7 +50,7 @@ fn rendered_tags_are_found() {
     let mut random = SplitMix64(36);
     let (mut squares, mut count) = (0.0, 0.0);
     for (k, size) in (0..60usize).zip([24.0, 40.0, 80.0].into_iter().cycle()) {
-        let (image, map) = view(CODES[k % 4], size, 0.01, &mut random);
+        let (image, map) = view(k % 4, size, 0.01, &mut random);
         let found = finder.find(&image, PixelBox::whole(&image)).unwrap();
         assert_eq!(found.len(), 1, "{k}: {size} pixels");
         assert_eq!(found[0].properties.marker.as_ref().unwrap().code as usize, k % 4);
@@ -123,7 +79,7 @@ fn rendered_tags_are_found() {
 fn what_is_no_tag_is_not_found() {
     let mut finder = FiducialFinder::new("DICT_APRILTAG_36h11").unwrap();
     let mut random = SplitMix64(5);
-    let (image, _) = view(CODES[0], 60.0, 0.0, &mut random);
+    let (image, _) = view(0, 60.0, 0.0, &mut random);
     let mirrored = (0..120 * 160).map(|i| image.values()[i / 160 * 160 + 159 - i % 160]).collect();
     let mirrored = GreyImage::new(160, 120, mirrored).unwrap();
     assert!(finder.find(&mirrored, PixelBox::whole(&mirrored)).unwrap().is_empty());

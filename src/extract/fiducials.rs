@@ -25,6 +25,11 @@ pub struct FiducialFinder {
 }
 
 impl FiducialFinder {
+    /// True of the dictionaries that [`FiducialFinder::new`] takes.
+    pub fn knows(family: &str) -> bool {
+        matches!(family, "DICT_APRILTAG_16h5" | "DICT_APRILTAG_25h9" | "DICT_APRILTAG_36h11")
+    }
+
     /// For a dictionary by OpenCV's name: DICT_APRILTAG_16h5, 25h9 or 36h11.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! All of one frame: each predicted feature looked for in its region, matched, and classed.
 
 use super::classes::unmatched;
+use super::tags::{is_sought, tags_in};
 use super::{
     CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, classify, corners_in, edges_near,
     jumps_near, verdicts_along,
@@ -10,10 +11,10 @@ use crate::error::Result;
 use crate::features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use crate::frame::Frame;
 use crate::geometry::Pose;
-use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Matcher, Shape};
+use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Marker, Matcher, Shape};
 use crate::sensor::Sensor;
 use crate::verdict::Verdicts;
-use glam::{DMat2, DVec2, DVec3};
+use glam::{DMat2, DMat3, DVec2, DVec3};
 
 /// How features are looked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,8 +48,10 @@ impl Default for FindOptions {
 pub struct FeatureFinding {
     /// The feature's own number.
     pub id: u32,
-    /// In the world, metres: both ends of a part of an edge, or a point.
+    /// In the world, metres: both ends of a part of an edge, a point, or the four corners of a fiducial.
     pub points_world: Vec<DVec3>,
+    /// Covariance of where the model has it as a whole, world axes, metres squared; of points and fiducials.
+    pub place: DMat3,
     /// Where it was predicted in the image.
     pub predicted: Shape,
     /// What became of it; a match names a detection of [`Findings::detections`].
@@ -83,6 +86,14 @@ impl Findings {
         }
     }
 
+    /// As if a feature had not been matched.
+    pub(crate) fn without(&self, id: u32) -> Self {
+        let mut some = self.clone();
+        let own = some.features.iter_mut().filter(|f| f.id == id);
+        own.for_each(|f| f.class = FeatureClass::Undecidable);
+        some
+    }
+
     /// How many features are of a class by name ([`FeatureClass::name`]).
     pub fn count(&self, class: &str) -> usize {
         self.features.iter().filter(|f| f.class.name() == class).count()
@@ -103,18 +114,25 @@ pub struct MeasuredRanges<'a> {
 /// Pixels beside an edge at which ranges are asked: upon the edge itself hardly anything can be decided.
 const BESIDE: f64 = 2.5;
 
-/// Looks for predicted features in a frame, each in its region, and matches all of them at least cost. In grey images these are edges
-/// and corners, in range images depth edges. The prediction has to have regions of interest
-/// ([`crate::Request::with_regions`]); features without one are left out. Why a feature is not found, [`Findings::explain`] says.
+/// Looks for predicted features in a frame, each in its region, and matches all of them at least cost. In grey images these are edges,
+/// corners and, with the feature `fiducials`, fiducials ([`is_sought`]), in range images depth edges. The prediction was made for the
+/// frame's sensor at `world_from_sensor` and has to have regions of interest ([`crate::Request::with_regions`]); features without one are
+/// left out. Why a feature is not found, [`Findings::explain`] says.
 ///
 /// # Errors
-/// Those of [`classify`].
-pub fn find_features(frame: &Frame, predicted: &FeaturePrediction, options: &FindOptions) -> Result<Findings> {
+/// Those of [`classify`]; [`crate::ErrorKind::System`] if the library of fiducials gets no memory.
+pub fn find_features(
+    frame: &Frame,
+    world_from_sensor: &Pose,
+    predicted: &FeaturePrediction,
+    options: &FindOptions,
+) -> Result<Findings> {
     let mut findings = Findings::default();
     let mut expected = Vec::new();
+    let view = View { sensor: frame.sensor(), world_from_sensor };
     for seen in &predicted.features {
-        for part in parts(seen, options) {
-            for detection in look(frame, &part, options) {
+        for part in parts(&view, seen, options) {
+            for detection in look(frame, &part, options)? {
                 if !findings.detections.iter().any(|known| is_same(known, &detection)) {
                     findings.detections.push(detection);
                 }
@@ -122,6 +140,7 @@ pub fn find_features(frame: &Frame, predicted: &FeaturePrediction, options: &Fin
             findings.features.push(FeatureFinding {
                 id: seen.feature.id,
                 points_world: part.points_world,
+                place: DMat3::ZERO,
                 predicted: part.expected.shape.clone(),
                 class: FeatureClass::Undecidable,
             });
@@ -144,8 +163,50 @@ struct Part {
     edge: Option<ExpectedEdge>,
 }
 
-/// The visible parts of a segment that are long enough, or a point.
-fn parts(seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
+/// From where features are predicted.
+struct View<'a> {
+    sensor: &'a Sensor,
+    world_from_sensor: &'a Pose,
+}
+
+impl View<'_> {
+    /// Pixels of points of the world; `None` if one of them has none.
+    fn pixels(&self, points_world: &[DVec3]) -> Option<Vec<DVec2>> {
+        let image_from_world = (*self.world_from_sensor * crate::verdict::body_from_image(self.sensor)).inverse();
+        let pixel = |p: &DVec3| self.sensor.project(image_from_world.transform_point(*p)).map(DVec2::from);
+        points_world.iter().map(pixel).collect()
+    }
+}
+
+/// Share of a fiducial that has to be in view: one that is covered in part cannot be read.
+const WHOLE: f64 = 0.95;
+
+/// A fiducial that is seen as a whole.
+fn fiducial(view: &View<'_>, seen: &SeenFeature, covariances: Vec<DMat2>, window: [f64; 4]) -> Option<Part> {
+    let FeatureShape::Fiducial { family, code, .. } = &seen.feature.shape else { return None };
+    if seen.visible_fraction < WHOLE {
+        return None;
+    }
+    let corners: [DVec2; 4] = view.pixels(&seen.points_world)?.try_into().ok()?;
+    // Its region is that of the black square: the white around it is a cell wide, of 6 to 8 between the corners.
+    let side = (0..4).map(|k| corners[k].distance(corners[(k + 1) % 4])).fold(0.0, f64::max);
+    let margin = 0.25 * side + 2.0;
+    let [x0, y0, x1, y1] = window;
+    let marker = Some(Marker { family: family.clone(), code: *code });
+    Some(Part {
+        points_world: seen.points_world.clone(),
+        expected: ExpectedFeature {
+            shape: Shape::Fiducial(corners),
+            covariances,
+            window: [x0 - margin, y0 - margin, x1 + margin, y1 + margin],
+            properties: ExpectedProperties { marker, ..ExpectedProperties::default() },
+        },
+        edge: None,
+    })
+}
+
+/// The visible parts of a segment that are long enough, a point, or a fiducial.
+fn parts(view: &View<'_>, seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
     let Some(covariances) = &seen.image_covariance else { return Vec::new() };
     let model = DMat2::from_diagonal(DVec2::splat(options.model * options.model));
     let covariances: Vec<DMat2> = covariances.iter().map(|c| DMat2::from_cols_array_2d(c) + model).collect();
@@ -179,21 +240,28 @@ fn parts(seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
             },
             edge: None,
         }],
+        (shape @ FeatureShape::Fiducial { .. }, .., Some(_), Some(window)) if is_sought(shape) => {
+            fiducial(view, seen, covariances, window).into_iter().collect()
+        }
         _ => Vec::new(),
     }
 }
 
-fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Vec<Detection> {
-    match (frame.grey(), &part.edge) {
+fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Result<Vec<Detection>> {
+    let found = match (frame.grey(), &part.edge) {
         (Some(image), Some(edge)) => {
             edges_near(image, edge, &options.edges).into_iter().map(|found| found.detection).collect()
         }
-        (Some(image), None) => corners_in(image, PixelBox(part.expected.window), &options.corners),
+        (Some(image), None) => match &part.expected.properties.marker {
+            Some(marker) => tags_in(image, PixelBox(part.expected.window), &marker.family)?,
+            None => corners_in(image, PixelBox(part.expected.window), &options.corners),
+        },
         (None, Some(edge)) => {
             jumps_near(frame, edge, &options.jumps).into_iter().map(|found| found.detection).collect()
         }
         (None, None) => Vec::new(),
-    }
+    };
+    Ok(found)
 }
 
 /// True if two detections are one that was found in two regions: nearer than a pixel, and beside each other.
@@ -208,19 +276,17 @@ fn is_same(a: &Detection, b: &Detection) -> bool {
             off[0].max(off[1]) < 1.0 && both > 0.5 * way.length().min((at[1] - at[0]).abs())
         }
         (Shape::Point(p), Shape::Point(q)) => p.distance(*q) < 1.0,
+        (Shape::Fiducial(_), Shape::Fiducial(_)) => {
+            a.properties.marker == b.properties.marker && a.shape.centre().distance(b.shape.centre()) < 1.0
+        }
         _ => false,
     }
 }
 
 /// What ranges say beside a feature, as far as their sensor sees its place.
 fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
-    let image_from_world = (ranges.world_from_sensor * crate::verdict::body_from_image(ranges.sensor)).inverse();
-    let pixel = |p: &DVec3| {
-        let (u, v) = ranges.sensor.project(image_from_world.transform_point(*p))?;
-        Some(DVec2::new(u, v))
-    };
-    let seen: Option<Vec<DVec2>> = points_world.iter().map(pixel).collect();
-    match seen.as_deref() {
+    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
+    match view.pixels(points_world).as_deref() {
         Some([a, b]) => verdicts_along(ranges.verdicts, [*a, *b], BESIDE),
         // Around a point: above and below, and on both sides.
         Some([at]) => {
@@ -229,6 +295,11 @@ fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
             let more = verdicts_along(ranges.verdicts, [*at - half.perp(), *at + half.perp()], BESIDE);
             counts.iter_mut().zip(more).for_each(|(c, m)| *c += m);
             counts
+        }
+        // A fiducial is flat: ranges tell of its middle whether its surface is there.
+        Some(corners @ [_, _, _, _]) => {
+            let middle = 0.25 * corners.iter().sum::<DVec2>();
+            verdicts_along(ranges.verdicts, [middle; 2], 0.0)
         }
         _ => [0; 7],
     }

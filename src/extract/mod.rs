@@ -10,7 +10,7 @@
 //! | planes | range images | [`surfaces_in`] |
 //! | reflectors | scans with intensities | [`reflectors_in`] |
 //!
-//! Each is told with the covariance of its measurement. [`find_features`] looks for all edges and corners of a prediction, and
+//! Each is told with the covariance of its measurement. [`find_features`] looks for all edges, corners and fiducials of a prediction, and
 //! [`classify`] says of each whether it was matched, and if not, what the ranges beside it say of why.
 
 mod classes;
@@ -28,6 +28,7 @@ mod range_tests;
 mod reflectors;
 mod region;
 mod surfaces;
+mod tags;
 #[cfg(test)]
 mod tests;
 
@@ -41,3 +42,4 @@ pub use jumps::{JumpOptions, jumps_near};
 pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};
 pub use region::PixelBox;
 pub use surfaces::{FoundSurface, SurfaceOptions, surfaces_in};
+pub use tags::is_sought;

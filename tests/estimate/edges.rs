@@ -123,7 +123,13 @@ fn a_point_ahead() {
     let camera = Camera::pinhole(100, 100, 100.0, 100.0, 49.5, 49.5);
     let camera = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap();
     let found = glam::DVec2::new(50.5, 49.5);
-    let point = SeenPoint { point: DVec3::new(2.0, 0.0, 0.0), found, covariance: glam::DMat2::IDENTITY, range: None };
+    let point = SeenPoint {
+        point: DVec3::new(2.0, 0.0, 0.0),
+        found,
+        covariance: glam::DMat2::IDENTITY,
+        range: None,
+        feature: 0,
+    };
     let source = ImageSource::new(&camera, vec![point; 4], Vec::new());
     let mut prior = Prior::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
     prior.covariance[1][1] = 100.0;

@@ -2,6 +2,8 @@
 
 mod drives;
 mod edges;
+#[cfg(feature = "fiducials")]
+mod fiducials;
 mod fused;
 mod hall;
 mod livingroom;

@@ -3,8 +3,9 @@
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
 use super::{CommandOutcome, open_scene, print};
+use presight::environment::FeatureShape;
 use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
-use presight::extract::{FeatureClass, Findings};
+use presight::extract::{FeatureClass, Findings, is_sought};
 use presight::features::PlacedFeatures;
 use presight::frame::{Frame, OdometryNoise};
 use presight::index::Scheme;
@@ -217,6 +218,7 @@ impl Drive {
         let mut estimator = Estimator::new(predictor, options);
         let camera = grey.as_ref().map(DepthFolder::sensor).or(first.frame.grey().map(|_| first.frame.sensor()));
         if let Some(placed) = camera.map(|camera| self.placed(&scene, camera)).transpose()?.flatten() {
+            print::notices(&not_sought(&placed));
             estimator = estimator.with_features(placed);
         }
         let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
@@ -336,6 +338,18 @@ impl Drive {
         let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
         Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
     }
+}
+
+/// Says of fiducials that they are not looked for, if so.
+fn not_sought(placed: &PlacedFeatures) -> Option<String> {
+    let is_left = |shape: &FeatureShape| matches!(shape, FeatureShape::Fiducial { .. }) && !is_sought(shape);
+    let count = placed.features.iter().filter(|p| is_left(&p.feature.shape)).count();
+    let why = if cfg!(feature = "fiducials") {
+        "of other dictionaries than DICT_APRILTAG_16h5, 25h9 and 36h11"
+    } else {
+        "by a presight that was built without the feature `fiducials`"
+    };
+    (count > 0).then(|| format!("{count} fiducials of the layer are not looked for {why}"))
 }
 
 /// Runs the command.

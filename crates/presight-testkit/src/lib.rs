@@ -13,6 +13,7 @@ pub mod oracle;
 pub mod pictures;
 pub mod scenes;
 pub mod skip;
+pub mod tags;
 
 pub use pictures::compare_or_show;
 pub use presight::internal::SplitMix64 as Random;

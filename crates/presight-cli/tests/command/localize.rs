@@ -170,6 +170,63 @@ fn scans_of_points_are_logs() {
     assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is cut"), "{}", cut.stderr);
 }
 
+/// Fiducials of a layer are looked for in grey images by a build that can, and left out with a word by one that cannot, or whose library
+/// does not know their dictionary.
+#[test]
+fn fiducials_of_a_layer_are_looked_for() {
+    use presight::{Environment, Material, Pose, io::gltf};
+    let place = Place::new();
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("paint")).unwrap();
+    let room = presight::Mesh::cuboid("room", [0.0; 3].into(), [6.0, 4.0, 2.6].into(), 0).unwrap();
+    environment.insert(presight::NewObject::new("room", Pose::IDENTITY, std::sync::Arc::new(room))).unwrap();
+    // Facing the robot, which looks along x.
+    let facing = glam::DQuat::from_mat3(&glam::DMat3::from_cols_array(&[0., -1., 0., 0., 0., 1., -1., 0., 0.]));
+    let tags = [(0, [5.9, 1.2, 1.9]), (1, [5.9, 2.0, 1.1]), (2, [5.9, 2.9, 1.8]), (3, [4.4, 2.4, 0.7])];
+    let feature = |(tag, at): (usize, [f64; 3])| {
+        let pose = Pose { translation: at.into(), rotation: facing };
+        let corners = presight_testkit::tags::add_tag(&mut environment, &format!("board {tag}"), tag, &pose, 0.3);
+        let corners: Vec<[f64; 3]> = corners.iter().map(|c| c.to_array()).collect();
+        let properties = serde_json::json!({ "family": "DICT_APRILTAG_36h11", "code": tag });
+        serde_json::json!({ "id": tag + 1, "kind": "fiducial", "points": corners, "properties": properties })
+    };
+    let features: Vec<serde_json::Value> = tags.into_iter().map(feature).collect();
+    let layer =
+        serde_json::json!({ "format": 1, "class": "video", "tolerance": 0.001, "features": features }).to_string();
+    place.write("tags.json", layer.as_bytes());
+    place.write("other.json", layer.replace("APRILTAG_36h11", "4X4_50").as_bytes());
+    gltf::write_glb(&place.path("tags.glb"), &environment).unwrap();
+    place.write("camera.toml", CAMERA.as_bytes());
+    let video = CAMERA.replace("laser", "video").replace("60", "240").replace("80", "320").replace("70.0", "280.0");
+    place
+        .write("video.toml", video.replace("39.5", "159.5").replace("29.5", "119.5").replace("12.0", "0.0").as_bytes());
+    let drive: String = (0..3).map(|k| format!("{k} {} 2 1.2 0 0 0 1\n", 1.5 + 0.02 * f64::from(k))).collect();
+    place.write("drive.tum", drive.as_bytes());
+    let made = place.run("simulate tags.glb --sensor camera.toml --grey video.toml --poses drive.tum --out log");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    let run = |layer: &str| {
+        let line = format!(
+            "localize log --map tags.glb --sensor log/sensor.toml --layer {layer} --init reference --out run.tum"
+        );
+        let done = place.run(&line);
+        assert!(done.status == Some(0) && done.stdout.contains("3 of 3 frames have a pose"), "{done:?}");
+        let text = fs::read_to_string(place.path("run.jsonl")).unwrap();
+        let last: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        (last["features"]["matched"].as_u64(), done.stderr)
+    };
+    let (matched, told) = run("tags.json");
+    if cfg!(feature = "fiducials") {
+        assert!(matched == Some(4) && !told.contains("not looked for"), "{matched:?} {told}");
+    } else {
+        assert!(
+            matched == Some(0) && told.contains("4 fiducials of the layer are not looked for"),
+            "{matched:?} {told}"
+        );
+    }
+    let (matched, told) = run("other.json");
+    assert!(matched == Some(0) && told.contains("4 fiducials of the layer are not looked for"), "{matched:?} {told}");
+}
+
 /// Grey images beside depth images, and instead of them: features of a layer are looked for, classed, told and drawn.
 #[test]
 fn grey_images_are_followed_and_shown() {
