@@ -32,7 +32,7 @@ impl FeatureLayer {
     ///     existence: Existence { p0: 1.0, confirmed, rate: 0.1 },
     ///     properties: Properties::default(),
     /// };
-    /// let features = vec![confirmed(1, 90.0), confirmed(2, 100.0)];
+    /// let features = vec![confirmed(1, 90.0).into(), confirmed(2, 100.0).into()];
     /// let layer = FeatureLayer { features, ..FeatureLayer::default() };
     /// let time = layer.newest_confirmation();
     /// assert_eq!(time, 100.0);

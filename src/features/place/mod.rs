@@ -77,7 +77,7 @@ enum Support {
 ///     existence: Existence::default(),
 ///     properties: Properties::default(),
 /// };
-/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line], ..Default::default() };
+/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line.into()], ..Default::default() };
 /// let placed = features::place(&world, &layer)?;
 /// assert_eq!((placed[0].object, placed[0].slots.as_slice()), (Some(0), [0, 1].as_slice()));
 /// # Ok::<(), presight::Error>(())
