@@ -22,6 +22,7 @@ use presight::features::{
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 const SCENES: [&str; 2] = ["hospital", "factory_hall"];
 const SENSORS: [&str; 2] = ["video-camera", "microwave-radar-image"];
@@ -168,8 +169,9 @@ fn pieces(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature])
         let mut piece = |t: [f64; 2]| {
             let mut cut = p.clone();
             let ends = t.map(|t| ends[0] + t * (ends[1] - ends[0]));
-            cut.feature.id = all.len() as u32 + 1;
-            cut.feature.shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+            let feature = Arc::make_mut(&mut cut.feature);
+            feature.id = all.len() as u32 + 1;
+            feature.shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
             all.push(cut);
         };
         sampler.segment(a, b, &mut |part| match part {

@@ -23,6 +23,7 @@ use presight::{
     World, placement, preset,
 };
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 const PARTS: [&str; 5] = ["hospital", "stacked", "factory_hall", "far", "load"];
@@ -153,8 +154,8 @@ fn beside_images(name: &str, world: &World, sensors: &[&str]) {
 }
 
 /// The features of a layer again and again, with numbers of their own.
-fn a_million(layer: &FeatureLayer) -> Vec<Feature> {
-    let numbered = |(id, feature): (u32, &Feature)| Feature { id, ..feature.clone() };
+fn a_million(layer: &FeatureLayer) -> Vec<Arc<Feature>> {
+    let numbered = |(id, feature): (u32, &Arc<Feature>)| Arc::new(Feature { id, ..Feature::clone(feature) });
     (1..).zip(layer.features.iter().cycle()).take(MILLION).map(numbered).collect()
 }
 
@@ -164,7 +165,7 @@ fn far(world: World) {
     // Each contour would be one surface more.
     let no_contour = one.into_iter().filter(|p| p.feature.shape.kind() != "contour").collect::<Vec<_>>();
     let mut placed: Vec<_> = no_contour.iter().cycle().take(MILLION).cloned().collect();
-    (1..).zip(&mut placed).for_each(|(id, p)| p.feature.id = id);
+    (1..).zip(&mut placed).for_each(|(id, p)| Arc::make_mut(&mut p.feature).id = id);
     let placed = PlacedFeatures::from(placed);
     let sensor: Sensor = preset(SENSORS[0]).expect("a preset");
     // 400 m away, looking elsewhere.

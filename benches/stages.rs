@@ -161,7 +161,7 @@ fn segments([near, far]: [f64; 2]) -> Vec<PlacedFeature> {
         let shape = FeatureShape::Segment { ends: [at - along, at + along], covariances, cross: DMat3::ZERO };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id, name: None, object: None, shape, existence, properties };
-        PlacedFeature { feature, object: None, slots: Vec::new() }
+        PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() }
     };
     (1..=1000).map(&mut segment).collect()
 }

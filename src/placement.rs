@@ -8,6 +8,7 @@ use crate::features::{PlacedFeature, PlacedFeatures, place, place_lying};
 use crate::index::{Params, Scheme};
 use crate::world::World;
 use std::collections::HashSet;
+use std::sync::Arc;
 
 /// The features of a layer in a version of the world.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,7 +58,7 @@ pub fn lost(environment: &Environment) -> Result<Vec<(String, u32)>> {
 
 /// Why a feature of a class lies on no polygon: an error that names class and feature; `None` if it does lie on some.
 pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) -> Option<Error> {
-    let (class_name, features) = (class.to_owned(), vec![feature.clone()]);
+    let (class_name, features) = (class.to_owned(), vec![Arc::new(feature.clone())]);
     let layer = FeatureLayer { class: class_name, tolerance, features, pose_covariances: Vec::new() };
     place(world, &layer).err().map(|e| e.at(format!("class {class:?}")))
 }
@@ -163,7 +164,7 @@ mod tests {
         environment.add_material(Material::named("m")).unwrap();
         let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
         let mesh = Mesh::new("t", corners, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial).unwrap();
-        let mesh = std::sync::Arc::new(mesh);
+        let mesh = Arc::new(mesh);
         for (name, x) in [("near", 0.0), ("far", 5.0)] {
             environment.insert(NewObject::new(name, at(x), mesh.clone())).unwrap();
         }

@@ -13,6 +13,7 @@ use crate::placement::{self, Placement};
 use crate::preparation::{ImportReport, ImportedScene, SceneFrame};
 use crate::world::World;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What a store starts with.
 const SQLITE: &[u8; 16] = b"SQLite format 3\0";
@@ -170,7 +171,7 @@ impl Scene {
                 None => set_apart(layer)?,
                 Some(_) if lost.is_empty() => all.placed.extend(place(&self.world, layer).map_err(in_file)?),
                 Some(_) => {
-                    let is_lost = |f: &Feature| lost.binary_search(&f.id).is_ok();
+                    let is_lost = |f: &Arc<Feature>| lost.binary_search(&f.id).is_ok();
                     let (marked, others) = layer.features.iter().cloned().partition(is_lost);
                     set_apart(&FeatureLayer { features: marked, ..layer.clone() })?;
                     let others = FeatureLayer { features: others, ..layer.clone() };
@@ -251,7 +252,7 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
     for object in world.environment().objects() {
         let polygons = object.mesh.polygon_count() as u64;
         report.polygons_in_scene += polygons;
-        if seen.insert(std::sync::Arc::as_ptr(&object.mesh)) {
+        if seen.insert(Arc::as_ptr(&object.mesh)) {
             report.polygons_stored += polygons;
         }
     }

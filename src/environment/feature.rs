@@ -1,6 +1,7 @@
 //! Features: what a sensor can extract from its image, with position and uncertainty (paper section 2.3).
 
 use glam::{DMat3, DVec3};
+use std::sync::Arc;
 
 /// The features for one sensor class.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -9,8 +10,8 @@ pub struct FeatureLayer {
     pub class: String,
     /// How far a feature may be off its polygons, metres.
     pub tolerance: f64,
-    /// The features, by rising id.
-    pub features: Vec<Feature>,
+    /// The features, by rising id; clones of the layer, features on their polygons and predictions share them.
+    pub features: Vec<Arc<Feature>>,
     /// Covariances of objects' poses, shared by all features of the object, by object path: x y z, then rotation about
     /// the fixed axes x y z, metres and radians, in the object's frame.
     pub pose_covariances: Vec<(String, [[f64; 6]; 6])>,
@@ -31,7 +32,7 @@ impl FeatureLayer {
     ///     existence: Existence { p0: 1.0, confirmed, rate: 0.1 },
     ///     properties: Properties::default(),
     /// };
-    /// let features = vec![confirmed(1, 90.0), confirmed(2, 100.0)];
+    /// let features = vec![confirmed(1, 90.0).into(), confirmed(2, 100.0).into()];
     /// let layer = FeatureLayer { features, ..FeatureLayer::default() };
     /// let time = layer.newest_confirmation();
     /// assert_eq!(time, 100.0);

@@ -4,8 +4,11 @@ use super::{Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, plane_of_polygon};
 use crate::limits;
+use crate::threads::parallel_or_here;
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 use std::collections::HashSet;
+use std::sync::Arc;
 
 /// How far a covariance's entries may be off a positive semidefinite one, relative to the standard deviations they
 /// belong to: half a unit of the sixth significant digit, the shortest that programs print by default.
@@ -54,8 +57,13 @@ impl FeatureLayer {
     /// [`crate::ErrorKind::Invalid`] naming the feature.
     pub fn check(&self) -> Result<()> {
         self.check_header()?;
-        for (i, feature) in self.features.iter().enumerate() {
-            feature.check(self.tolerance).map_err(|e| e.at(format!("feature {} (features[{i}])", feature.id)))?;
+        let wrong = |(i, feature): (usize, &Arc<Feature>)| {
+            let checked = feature.check(self.tolerance);
+            checked.err().map(|e| e.at(format!("feature {} (features[{i}])", feature.id)))
+        };
+        let features = self.features.par_iter().enumerate().with_min_len(1024);
+        if let Some(e) = parallel_or_here(|| features.find_map_first(wrong)) {
+            return Err(e);
         }
         match self.features.windows(2).find(|pair| pair[0].id >= pair[1].id) {
             None => Ok(()),

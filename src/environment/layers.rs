@@ -4,6 +4,7 @@ use super::open::OpenLayer;
 use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
 use std::collections::HashSet;
+use std::sync::Arc;
 
 impl Environment {
     /// Its feature layers, by rising class name.
@@ -81,7 +82,7 @@ impl Environment {
             return open.get(class)?.feature(id);
         }
         let layer = self.layer(class)?;
-        layer.features.binary_search_by_key(&id, |f| f.id).ok().map(|i| &layer.features[i])
+        layer.features.binary_search_by_key(&id, |f| f.id).ok().map(|i| &*layer.features[i])
     }
 
     /// Rising ids of deleted features of a class, which are never used again.
@@ -161,11 +162,12 @@ impl Environment {
     /// Puts a feature into a layer that is there; returns the one that had its id.
     pub(super) fn put_feature(&mut self, class: &str, feature: Feature) -> Option<Feature> {
         if let Some(open) = &mut self.open {
-            return open.entry(class.to_owned()).or_default().insert(feature);
+            return open.entry(class.to_owned()).or_default().insert(feature.into()).map(Arc::unwrap_or_clone);
         }
+        let feature = Arc::new(feature);
         let layer = self.layers.iter_mut().find(|l| l.class == class)?;
         match layer.features.binary_search_by_key(&feature.id, |f| f.id) {
-            Ok(at) => Some(std::mem::replace(&mut layer.features[at], feature)),
+            Ok(at) => Some(Arc::unwrap_or_clone(std::mem::replace(&mut layer.features[at], feature))),
             Err(at) => {
                 layer.features.insert(at, feature);
                 None
@@ -176,11 +178,11 @@ impl Environment {
     /// Takes a feature out of its layer.
     pub(super) fn take_feature(&mut self, class: &str, id: u32) -> Option<Feature> {
         if let Some(open) = &mut self.open {
-            return open.get_mut(class)?.remove(id);
+            return open.get_mut(class)?.remove(id).map(Arc::unwrap_or_clone);
         }
         let layer = self.layers.iter_mut().find(|l| l.class == class)?;
         let at = layer.features.binary_search_by_key(&id, |f| f.id).ok()?;
-        Some(layer.features.remove(at))
+        Some(Arc::unwrap_or_clone(layer.features.remove(at)))
     }
 
     /// The covariance of an object's pose, with its place among those of the layer.
@@ -221,7 +223,7 @@ impl Environment {
     }
 
     /// The features for a class, open or not, rising ids.
-    fn features_of(&self, class: &str) -> impl Iterator<Item = &Feature> {
+    fn features_of(&self, class: &str) -> impl Iterator<Item = &Arc<Feature>> {
         let listed = self.layer(class).into_iter().flat_map(|layer| &layer.features);
         let open = self.open.as_ref().and_then(|open| open.get(class));
         listed.chain(open.into_iter().flat_map(OpenLayer::features))

@@ -3,6 +3,7 @@
 
 use super::{Environment, Feature};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
 
 /// The covariance of an object's pose.
 pub(super) type Covariance = [[f64; 6]; 6];
@@ -10,7 +11,7 @@ pub(super) type Covariance = [[f64; 6]; 6];
 /// What a layer holds, each part as quick to find as to put in and to take out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OpenLayer {
-    features: BTreeMap<u32, Feature>,
+    features: BTreeMap<u32, Arc<Feature>>,
     /// Ids by object.
     of_object: HashMap<String, BTreeSet<u32>>,
     /// By object, with their places in the list.
@@ -20,10 +21,10 @@ pub(super) struct OpenLayer {
 
 impl OpenLayer {
     pub fn feature(&self, id: u32) -> Option<&Feature> {
-        self.features.get(&id)
+        self.features.get(&id).map(|feature| &**feature)
     }
 
-    pub fn features(&self) -> impl Iterator<Item = &Feature> {
+    pub fn features(&self) -> impl Iterator<Item = &Arc<Feature>> {
         self.features.values()
     }
 
@@ -33,7 +34,7 @@ impl OpenLayer {
     }
 
     /// The answer is the one that had the id.
-    pub fn insert(&mut self, feature: Feature) -> Option<Feature> {
+    pub fn insert(&mut self, feature: Arc<Feature>) -> Option<Arc<Feature>> {
         let before = self.remove(feature.id);
         if let Some(object) = &feature.object {
             self.of_object.entry(object.clone()).or_default().insert(feature.id);
@@ -42,7 +43,7 @@ impl OpenLayer {
         before
     }
 
-    pub fn remove(&mut self, id: u32) -> Option<Feature> {
+    pub fn remove(&mut self, id: u32) -> Option<Arc<Feature>> {
         let feature = self.features.remove(&id)?;
         if let Some(ids) = feature.object.as_ref().and_then(|object| self.of_object.get_mut(object)) {
             ids.remove(&id);

@@ -276,7 +276,7 @@ mod tests {
         };
         let features = [point(5, 0.0, None), point(6, 0.0, None), point(8, 1.0, Some(1e-6)), point(9, -1.0, None)];
         let placed: Vec<_> =
-            features.iter().map(|f| PlacedFeature { feature: f.clone(), object: None, slots: vec![] }).collect();
+            features.iter().map(|f| PlacedFeature { feature: f.clone().into(), object: None, slots: vec![] }).collect();
         let all =
             FeaturePrediction { features: features.iter().map(SeenFeature::whole).collect(), ..Default::default() };
         let (world, sensor) = (World::new(Environment::new()), crate::preset("video-camera").unwrap());

@@ -43,12 +43,13 @@ pub use visible::{FeatureSamples, OcclusionHint, Visibility};
 pub use visible::{FeatureSettings, predict_features};
 
 use crate::environment::Feature;
+use std::sync::Arc;
 
 /// A feature with its object and polygons in one version of the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlacedFeature {
     /// The feature from the layer, in the frame of its object.
-    pub feature: Feature,
+    pub feature: Arc<Feature>,
     /// Index of its object; `None` means the world.
     pub object: Option<u32>,
     /// Slots of the polygons on which it lies. They never hide it; of a contour, those of its surface, of which those hide no part of

@@ -36,10 +36,11 @@ pub enum FeatureSource {
 /// with their reasons.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hidden {
-    /// Every feature is in the prediction, with each hidden part and its reason. All are looked at, wherever they are.
+    /// Every feature is told of, with each hidden part and its reason. Those that are out of view as a whole are listed apart, by number
+    /// and reason ([`super::FeaturePrediction::out_of_view`]). All others are looked at.
     Full,
-    /// Every feature is in the prediction. One of which nothing is seen has one hidden part and one reason: of those that apply to
-    /// parts of it the last in the order of [`super::Reason`].
+    /// Every feature is told of. One of which nothing is seen has one hidden part and one reason: of those that apply to
+    /// parts of it the last in the order of [`super::Reason`]. Those out of view are listed apart as with `Full`.
     Reason,
     /// The prediction holds features that are seen, and the number of all. It costs what is in view, not what there is.
     #[default]

@@ -1,8 +1,10 @@
 //! Predicted features.
 
-use crate::environment::Feature;
+use super::PlacedFeature;
+use crate::environment::{Environment, Feature};
 use crate::plan::CountName;
 use glam::{DVec2, DVec3};
+use std::sync::Arc;
 
 /// Why a part of a feature is hidden: the first reason that applies, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -102,7 +104,7 @@ pub struct Occluder {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenFeature {
     /// The feature from the layer.
-    pub feature: Feature,
+    pub feature: Arc<Feature>,
     /// Of a contour the number of the curve: of those that its surface has at this pose the longest in the image is 0. The number
     /// holds for this prediction alone.
     pub branch: Option<u32>,
@@ -141,11 +143,35 @@ impl SeenFeature {
         along(&self.points_world, t)
     }
 
+    /// A feature of which nothing is seen, without a reason, and how likely it exists at a time (UTC seconds).
+    pub(super) fn unseen(environment: &Environment, placed: &PlacedFeature, time: f64) -> Self {
+        let feature = &placed.feature;
+        let pose = placed.object.map(|o| environment.objects()[o as usize].world_from_object);
+        let in_world = |p: &DVec3| pose.map_or(*p, |pose| pose.transform_point(*p));
+        let normal = |n: DVec3| pose.map_or(n, |pose| pose.rotation * n).try_normalize();
+        Self {
+            points_world: feature.shape.points().iter().map(in_world).collect(),
+            normal_world: feature.properties.normal.and_then(normal),
+            visible_fraction: 0.0,
+            visible: Vec::new(),
+            hidden: Vec::new(),
+            range: None,
+            cos_incidence: None,
+            existence: feature.existence.at(time),
+            feature: feature.clone(),
+            branch: None,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+            windows: Vec::new(),
+        }
+    }
+
     /// A feature of which everything is visible, given in the world's frame, with nothing else known.
     pub fn whole(feature: &Feature) -> Self {
         Self {
             points_world: feature.shape.points().to_vec(),
-            feature: feature.clone(),
+            feature: Arc::new(feature.clone()),
             branch: None,
             normal_world: None,
             visible_fraction: 1.0,
@@ -241,9 +267,55 @@ pub struct FeaturePrediction {
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
     pub stats: FeatureStats,
+    /// With [`super::Hidden::Full`] and [`super::Hidden::Reason`] the features that are out of view as a whole, by rising number among
+    /// those that were given, each with its reason. `features` leaves them out until [`FeaturePrediction::spell_out`].
+    pub out_of_view: Vec<(u32, Reason)>,
+    /// UTC seconds for which probabilities of existence are told.
+    pub time: f64,
 }
 
 impl FeaturePrediction {
+    /// Gives each feature of `out_of_view` an entry among `features`, as files have it. `placed` are the features that were given, of
+    /// which some may be missing ([`super::FeatureOptions::max_features`]).
+    ///
+    /// ```
+    /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
+    /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
+    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::place;
+    /// let scene = Scene::open("scenes/room.glb")?;
+    /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
+    /// let placed = PlacedFeatures::from(place(&scene.world, &layer)?);
+    /// let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
+    /// let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
+    /// let (camera, away) = (presight::preset("video-camera")?, Pose::from_xyz_rpy(100.0 * glam::DVec3::X, 0.0, 0.0, 0.0));
+    /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+    /// let mut seen = predictor.predict(&scene.world, &camera, &away, &request)?.features.unwrap();
+    /// seen.spell_out(scene.world.environment(), &placed.features);
+    /// assert!(seen.out_of_view.is_empty());
+    /// assert_eq!(seen.features[0].hidden[0].reason.name(), "behind_sensor");
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn spell_out(&mut self, environment: &Environment, placed: &[PlacedFeature]) {
+        if self.out_of_view.is_empty() {
+            return;
+        }
+        let hidden = |reason| vec![HiddenInterval { t: [0.0, 1.0], reason, by: None }];
+        let unseen = |(number, reason): (u32, Reason)| {
+            let unseen = SeenFeature::unseen(environment, &placed[number as usize], self.time);
+            (number, SeenFeature { hidden: hidden(reason), ..unseen })
+        };
+        let mut all: Vec<(u32, SeenFeature)> = std::mem::take(&mut self.out_of_view).into_iter().map(unseen).collect();
+        let looked_at = std::mem::take(&mut self.given).into_iter().zip(std::mem::take(&mut self.features));
+        all.extend(looked_at);
+        // Stable: curves of a contour stay in order.
+        all.sort_by_key(|(number, _)| *number);
+        (self.given, self.features) = all.into_iter().unzip();
+        if self.given.iter().copied().eq(0..placed.len() as u32) {
+            self.given = Vec::new();
+        }
+    }
+
     /// Number, among the features that were given, of one of `features`.
     pub fn given_at(&self, index: usize) -> usize {
         given_at(&self.given, index)

@@ -19,7 +19,7 @@ use glam::DMat3;
 /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
 /// let half = SeenFeature { visible_fraction: 0.5, ..SeenFeature::whole(&feature) };
 /// let prediction = FeaturePrediction { features: vec![half], ..Default::default() };
-/// let sides = sides_seen_in_part(&[PlacedFeature { feature, object: None, slots: vec![3] }], &prediction);
+/// let sides = sides_seen_in_part(&[PlacedFeature { feature: feature.into(), object: None, slots: vec![3] }], &prediction);
 /// assert_eq!(sides.len(), 3);
 /// assert_eq!((sides[2].feature.id, sides[2].slots.as_slice()), (7, [3].as_slice()));
 /// assert_eq!(sides[2].feature.shape.points(), [DVec3::Y, DVec3::ZERO]);
@@ -33,7 +33,10 @@ pub fn sides_seen_in_part(placed: &[PlacedFeature], prediction: &FeaturePredicti
             covariances: [DMat3::ZERO; 2],
             cross: DMat3::ZERO,
         };
-        let of = |shape| PlacedFeature { feature: Feature { shape, ..placed.feature.clone() }, ..placed.clone() };
+        let of = |shape| {
+            let feature = Feature { shape, ..Feature::clone(&placed.feature) };
+            PlacedFeature { feature: feature.into(), ..placed.clone() }
+        };
         (0..corners.len()).map(|k| of(side(k))).collect::<Vec<_>>()
     };
     let given = |(i, seen)| (&placed[prediction.given_at(i)], seen);

@@ -133,7 +133,7 @@ mod tests {
         let shape = FeatureShape::Point { at, covariance: DMat3::ZERO };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id, name: None, object: None, shape, existence, properties };
-        PlacedFeature { feature, object, slots: vec![id % 5] }
+        PlacedFeature { feature: feature.into(), object, slots: vec![id % 5] }
     }
 
     #[test]

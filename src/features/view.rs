@@ -44,10 +44,13 @@ impl View {
     /// True if a box, given by its middle and half of its edges, may have a point in view.
     pub fn meets(&self, middle: DVec3, axes: &[DVec3; 3]) -> bool {
         let radius = axes.iter().map(|a| a.length_squared()).sum::<f64>().sqrt();
+        middle.length() - radius <= self.range_max * (1.0 + SLACK) && self.meets_directions(middle, axes)
+    }
+
+    /// True if a box may have a point in a direction in view, however far away.
+    pub fn meets_directions(&self, middle: DVec3, axes: &[DVec3; 3]) -> bool {
+        let radius = axes.iter().map(|a| a.length_squared()).sum::<f64>().sqrt();
         let range = middle.length();
-        if range - radius > self.range_max * (1.0 + SLACK) {
-            return false;
-        }
         match &self.form {
             Form::Planes(normals, lean) => {
                 let beyond = (lean + SLACK) * (range + radius);

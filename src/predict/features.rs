@@ -126,9 +126,9 @@ impl Predictor {
             stats.leave_out(StageName::Features, "there is none for this class");
         }
         let mut start = Instant::now();
-        let tree = self.take_tree(world, &sensor.spec().class, placed, settings)?;
-        let of_tree = tree.as_ref().map(KnownTree::parts);
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, of_tree), settings)?;
+        let tree = self.take_tree(world, &sensor.spec().class, placed)?;
+        let of_tree = (&placed[..], Some(tree.parts()));
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, of_tree, settings)?;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
@@ -142,8 +142,7 @@ impl Predictor {
         }
         self.tell_of_software(StageName::FeaturesOnDevice, stats);
         let prediction = self.on_threads(|| prepared.finish(hints.as_deref()))?;
-        drop(prepared);
-        self.tree = tree.or(self.tree.take());
+        self.tree = Some(tree);
         stats.stage(StageName::Features, start);
         for (name, n) in prediction.stats.counts() {
             stats.count(name, n);
@@ -151,22 +150,13 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// The tree of features that were checked in the world, where hidden ones are only counted or contours are among them.
-    pub(super) fn take_tree(
-        &mut self,
-        world: &World,
-        class: &str,
-        placed: &Arc<[PlacedFeature]>,
-        settings: &FeatureSettings,
-    ) -> Result<Option<KnownTree>> {
-        let has_contours = || placed.iter().any(|p| p.feature.shape.is_contour());
-        if settings.hidden != Hidden::Count && !has_contours() {
-            return Ok(None);
-        }
+    /// The tree of features that were checked in the world.
+    pub(super) fn take_tree(&mut self, world: &World, class: &str, placed: &Arc<[PlacedFeature]>) -> Result<KnownTree> {
         let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed) && known.class == class);
-        if known.as_ref().is_some_and(|known| known.world == world.stamp()) {
-            return Ok(known);
-        }
+        let known = match known {
+            Some(known) if known.world == world.stamp() => return Ok(known),
+            known => known,
+        };
         check_placed(world.environment(), placed)?;
         // Where surfaces go on in others depends on where these are.
         let known = known.filter(|known| known.contours.is_empty());
@@ -177,7 +167,7 @@ impl Predictor {
                 (FeatureTree::new(placed, &contours), contours)
             }
         };
-        Ok(Some(KnownTree { features: placed.clone(), world: world.stamp(), class: class.to_owned(), tree, contours }))
+        Ok(KnownTree { features: placed.clone(), world: world.stamp(), class: class.to_owned(), tree, contours })
     }
 
     /// Adds regions of interest.

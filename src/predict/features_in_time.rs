@@ -29,7 +29,8 @@ impl Predictor {
         let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
         let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
         let all = &placed.features;
-        let tree = self.take_tree(world, &sensor.spec().class, all, &settings)?;
+        let has_contours = all.iter().any(|p| p.feature.shape.is_contour());
+        let tree = has_contours.then(|| self.take_tree(world, &sensor.spec().class, all)).transpose()?;
         let known = tree.as_ref().map(KnownTree::parts);
         let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, known), &settings)?;
         let lengths = self.on_threads(|| prepared.image_lengths())?;

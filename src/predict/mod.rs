@@ -215,7 +215,7 @@ impl Predictor {
     /// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
     /// let (existence, properties) = (Existence::default(), Properties::default());
     /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
-    /// let placed = vec![PlacedFeature { feature, object: None, slots: vec![] }];
+    /// let placed = vec![PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
     ///
     /// let request = Request::default()
     ///     .with_features(FeatureOptions::default().with_placed(placed))

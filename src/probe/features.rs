@@ -130,7 +130,7 @@ impl Probe {
             let (existence, properties) = (Existence::default(), Properties::default());
             let feature =
                 Feature { id: placed.len() as u32 + 1, name: None, object: None, shape, existence, properties };
-            placed.push(PlacedFeature { feature, object: None, slots: vec![slot] });
+            placed.push(PlacedFeature { feature: feature.into(), object: None, slots: vec![slot] });
         };
         let up = sensor.rotation * DVec3::Z;
         let height = |p: DVec3| up.dot(p - sensor.translation);

@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct Landmarks {
     /// In the order of the layer.
     pub landmarks: Vec<Landmark>,
-    /// Landmarks that were looked for, seen or not.
+    /// Landmarks that the prediction has an entry for, seen or not ([`crate::features::Hidden`]).
     pub known: usize,
 }
 

@@ -434,7 +434,7 @@ fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
         let layer = crate::environment::FeatureLayer {
             class: "video".into(),
             tolerance: 1e-3,
-            features,
+            features: features.into_iter().map(Into::into).collect(),
             pose_covariances: (0..objects).map(|o| (format!("hall/{o}"), [[0.0; 6]; 6])).collect(),
         };
         environment.add_layer(layer).unwrap();

@@ -30,7 +30,7 @@ fn wall(appearance: Appearance, one_sided: bool) -> World {
 fn placed(id: u32, shape: FeatureShape, slots: &[u32]) -> PlacedFeature {
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id, name: None, object: None, shape, existence, properties };
-    PlacedFeature { feature, object: None, slots: slots.to_vec() }
+    PlacedFeature { feature: feature.into(), object: None, slots: slots.to_vec() }
 }
 
 fn point(at: [f64; 3]) -> FeatureShape {
@@ -116,7 +116,7 @@ fn what_looks_away_is_not_seen() {
     let empty = World::new(Environment::new());
     let reflector = |normal: DVec3| {
         let mut p = placed(1, FeatureShape::Reflector { at: DVec3::X * 3.0, covariance: DMat3::ZERO }, &[]);
-        p.feature.properties.normal = Some(normal);
+        Arc::make_mut(&mut p.feature).properties.normal = Some(normal);
         one(&empty, &camera, p)
     };
     assert_eq!(reflector(DVec3::NEG_X).visible_fraction, 1.0);

@@ -20,7 +20,7 @@ fn edges() -> Vec<PlacedFeature> {
         let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id, name: None, object: None, shape, existence, properties };
-        PlacedFeature { feature, object: None, slots: vec![] }
+        PlacedFeature { feature: feature.into(), object: None, slots: vec![] }
     };
     (1..=FEATURES).map(edge).collect()
 }

@@ -120,7 +120,7 @@ fn patches_are_not_seen_where_pixels_were_given_up() {
     let shape = FeatureShape::Patch { corners: corners.to_vec(), covariance: DMat3::ZERO };
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-    let placed = [PlacedFeature { feature, object: None, slots: vec![] }];
+    let placed = [PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
     let mut prediction = full(&world, &camera, &Pose::IDENTITY);
     let seen = |prediction: &Prediction, is_partial| {
         let options = FeatureSettings { is_partial, ..FeatureSettings::default() };

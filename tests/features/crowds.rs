@@ -17,7 +17,7 @@ fn feature(id: u32, shape: FeatureShape) -> Feature {
 }
 
 fn layer(shapes: impl Iterator<Item = FeatureShape>) -> FeatureLayer {
-    let features = (1..).zip(shapes).map(|(id, shape)| feature(id, shape)).collect();
+    let features = (1..).zip(shapes).map(|(id, shape)| feature(id, shape).into()).collect();
     FeatureLayer { class: "video".into(), tolerance: 1e-3, features, ..FeatureLayer::default() }
 }
 
@@ -148,7 +148,7 @@ fn too_many_contours_of_large_surfaces_are_refused() {
     let facets = place(&world, &made).unwrap()[0].slots.len();
     let fits = (presight::limits::MAX_CONTOUR_FACETS as usize) / facets;
     let crowd = |count: usize| {
-        let copy = |id: u32| Feature { id, ..made.features[0].clone() };
+        let copy = |id: u32| Arc::new(Feature { id, ..Feature::clone(&made.features[0]) });
         let features = (1..=count as u32).map(copy).collect();
         place(&world, &FeatureLayer { features, ..made.clone() })
     };

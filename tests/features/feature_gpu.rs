@@ -60,7 +60,7 @@ fn features(world: &World, most: usize, random: &mut Random) -> Vec<PlacedFeatur
         };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id, name: None, object: None, shape, existence, properties };
-        all.push(PlacedFeature { feature, object: None, slots: vec![slot] });
+        all.push(PlacedFeature { feature: feature.into(), object: None, slots: vec![slot] });
     }
     all
 }
@@ -108,6 +108,7 @@ fn on_device(
         .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(placed.to_vec()));
     let mut seen = predictor.predict(world, sensor, pose, &request).unwrap();
     let mut found = seen.features.unwrap();
+    found.spell_out(world.environment(), placed);
     found.feature_id = std::mem::take(&mut seen.images.feature_id);
     (found, seen.images, seen.stats)
 }

@@ -44,7 +44,7 @@ fn placed(world: &World, id: u32, at: DVec3) -> PlacedFeature {
     let shape = FeatureShape::Point { at, covariance: DMat3::ZERO };
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id, name: None, object: None, shape, existence, properties };
-    PlacedFeature { feature, object: None, slots: found.all().filter(on).collect() }
+    PlacedFeature { feature: feature.into(), object: None, slots: found.all().filter(on).collect() }
 }
 
 #[derive(Default)]

@@ -16,6 +16,7 @@ use presight::features::{
 use presight::gpu::{DeviceOptions, GpuEngine, testing};
 use presight::io::gltf::{ImportOptions, import};
 use presight::{Pose, Sensor, World, preset};
+use std::sync::Arc;
 
 const TOLERANCE: f64 = 1.0 / 16.0;
 
@@ -82,7 +83,7 @@ impl Setting<'_> {
                 *x *= square;
             }
             let mut placed = self.placed.clone();
-            placed.iter_mut().for_each(|p| scale_covariance(&mut p.feature.shape, square));
+            placed.iter_mut().for_each(|p| scale_covariance(&mut Arc::make_mut(&mut p.feature).shape, square));
             self.twin(&options, &placed).features.iter().map(|f| f.roi_flag).collect::<Vec<_>>()
         };
         let (less, more) = (flags(0.995), flags(1.005));
@@ -206,7 +207,7 @@ fn ahead(
         };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id, name: None, object: None, shape, existence, properties };
-        PlacedFeature { feature, object, slots: Vec::new() }
+        PlacedFeature { feature: feature.into(), object, slots: Vec::new() }
     };
     (1..=count).map(&mut one).collect()
 }

@@ -291,7 +291,7 @@ fn features(world: &World) -> Vec<PlacedFeature> {
         let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id: i as u32 + 1, name: None, object: None, shape, existence, properties };
-        PlacedFeature { feature, object: None, slots }
+        PlacedFeature { feature: feature.into(), object: None, slots }
     };
     all.into_iter().enumerate().map(place).collect()
 }

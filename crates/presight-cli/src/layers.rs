@@ -3,7 +3,7 @@
 use super::predict::Shown;
 use super::print;
 use presight::features::roi::PoseCovariance;
-use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, Hidden};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
 use presight::frames::ExternalPose;
 use presight::geometry::Pose;
 use presight::io::{pose_covariance, prediction_json};
@@ -203,6 +203,13 @@ impl Layers {
     /// What regions of interest are of.
     pub fn boxes(&self) -> &BoxOptions {
         &self.boxes
+    }
+
+    /// Gives what is out of view its entries, as files and readings hold them.
+    pub fn spell_out(&self, scene: &Scene, prediction: &mut Prediction) {
+        if let (Some(features), FeatureSource::Placed(placed)) = (&mut prediction.features, &self.options.source) {
+            features.spell_out(scene.world.environment(), &placed.features);
+        }
     }
 
     /// The request with their features.

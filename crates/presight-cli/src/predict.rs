@@ -443,6 +443,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         times_ms.push(first_ms);
         runs.push(prediction.stats.clone());
     }
+    layers.iter().for_each(|layers| layers.spell_out(&scene, &mut prediction));
     print::notices(&prediction.stats.notices);
     let subject = Subject {
         scene: args.scene.display().to_string(),

@@ -215,7 +215,7 @@ impl Series<'_> {
         let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
         let settings = args.virtual_sensor().settings(scene, sensor, &world_from_sensor, predictor)?;
         let start = Instant::now();
-        let prediction = match spare {
+        let mut prediction = match spare {
             None => predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?,
             Some(mut prediction) => {
                 prediction.request = request;
@@ -224,6 +224,7 @@ impl Series<'_> {
             }
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;
+        layers.iter().for_each(|layers| layers.spell_out(scene, &mut prediction));
         let shown = Shown::of(args, scene, predictor, &prediction, (layers.as_ref(), &settings))?;
         Ok(Frame { prediction, shown, attributes: attributes.clone(), ms, engine: predictor.engine_name() })
     }

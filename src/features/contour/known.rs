@@ -18,6 +18,8 @@ const TOUCH: f64 = 5e-4;
 #[derive(Debug, Default)]
 pub(crate) struct ContourSet {
     surfaces: HashMap<u32, Surface>,
+    /// Numbers of the contours, rising.
+    numbers: Vec<u32>,
 }
 
 impl ContourSet {
@@ -38,6 +40,7 @@ impl ContourSet {
         let mut known: HashMap<u32, MeshEdges> = HashMap::new();
         for (number, p) in placed.iter().enumerate() {
             let FeatureShape::Contour { crease_deg, .. } = &p.feature.shape else { continue };
+            set.numbers.push(number as u32);
             let Some((object, _)) = p.slots.first().and_then(|slot| environment.locate(*slot)) else { continue };
             let of = &environment.objects()[object as usize];
             if let std::collections::hash_map::Entry::Vacant(new) = known.entry(object) {
@@ -68,6 +71,11 @@ impl ContourSet {
     /// The surface of a contour, by the number of the feature.
     pub fn get(&self, number: usize) -> Option<&Surface> {
         self.surfaces.get(&(number as u32))
+    }
+
+    /// Numbers of the contours, rising.
+    pub fn numbers(&self) -> &[u32] {
+        &self.numbers
     }
 
     pub fn is_empty(&self) -> bool {

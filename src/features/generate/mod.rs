@@ -34,6 +34,7 @@ use effort::Effort;
 pub use effort::Progress;
 use glam::DMat3;
 use rayon::prelude::*;
+use std::sync::Arc;
 use wings::{EdgeClass, EdgeClassifier, Line, Scratch};
 
 /// What a generated feature is. It becomes the feature's name.
@@ -410,6 +411,6 @@ fn layer_of(
             properties: Properties { normal: draft.normal, ..Properties::default() },
         }
     };
-    let features = (1..).zip(drafts).map(feature).collect();
+    let features = (1..).zip(drafts).map(feature).map(Arc::new).collect();
     FeatureLayer { class: class.to_owned(), tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() }
 }

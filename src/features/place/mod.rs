@@ -34,6 +34,7 @@ use glam::DVec3;
 use local::Local;
 pub(super) use plane::clip;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
 /// tolerance cannot tell.
@@ -76,7 +77,7 @@ enum Support {
 ///     existence: Existence::default(),
 ///     properties: Properties::default(),
 /// };
-/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line], ..Default::default() };
+/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line.into()], ..Default::default() };
 /// let placed = features::place(&world, &layer)?;
 /// assert_eq!((placed[0].object, placed[0].slots.as_slice()), (Some(0), [0, 1].as_slice()));
 /// # Ok::<(), presight::Error>(())
@@ -134,7 +135,7 @@ struct FeatureFrame<'a> {
 }
 
 impl FeatureFrame<'_> {
-    fn placed(&self, feature: &Feature, mut slots: Vec<u32>) -> PlacedFeature {
+    fn placed(&self, feature: &Arc<Feature>, mut slots: Vec<u32>) -> PlacedFeature {
         slots.sort_unstable();
         PlacedFeature { feature: feature.clone(), object: self.object.map(|(_, index)| index), slots }
     }
@@ -177,7 +178,7 @@ impl<'a> SupportFinder<'a> {
         Ok(Self { world, environment, tolerance: layer.tolerance, found: QueryResult::default(), contours })
     }
 
-    fn place(&mut self, feature: &Feature, lying: Result<Lying<'a>>) -> Result<PlacedFeature> {
+    fn place(&mut self, feature: &Arc<Feature>, lying: Result<Lying<'a>>) -> Result<PlacedFeature> {
         match self.with_surface(feature, lying?)? {
             (frame, Support::On(slots)) => Ok(frame.placed(feature, slots)),
             (frame, Support::Off(at)) => Err(self.off(&frame, at, feature)),

@@ -8,6 +8,7 @@ use crate::environment::{Feature, FeatureShape, Properties};
 use crate::features::contour::{Curve, Surface};
 use crate::features::{FeatureStats, Hidden, HiddenInterval, PlacedFeature, SeenFeature};
 use glam::{DMat3, DVec3};
+use std::sync::Arc;
 
 impl Worker<'_> {
     /// What is seen of each curve of a contour, the longest in the image first. None of a surface that has no front beside a back.
@@ -43,6 +44,7 @@ impl Worker<'_> {
                 hidden,
                 range: tally.nearest.map(|(_, at)| at.length()),
                 existence: placed.feature.existence.at(frame.time),
+                feature: placed.feature.clone(),
                 ..SeenFeature::whole(&placed.feature)
             };
             FeatureResult { seen: Some(seen), stats, pixels: tally.pixels }
@@ -58,20 +60,20 @@ impl Worker<'_> {
         let segment =
             |ends: [DVec3; 2]| FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
         let mut piece = PlacedFeature {
-            feature: Feature {
+            feature: Arc::new(Feature {
                 id: placed.feature.id,
                 name: None,
                 object: None,
                 shape: segment([DVec3::ZERO; 2]),
                 existence: placed.feature.existence,
                 properties: Properties::default(),
-            },
+            }),
             object: Some(surface.object),
             slots: Vec::new(),
         };
         let mut length = 0.0;
         for (ends, slots) in curve.pieces(surface) {
-            piece.feature.shape = segment(ends);
+            Arc::make_mut(&mut piece.feature).shape = segment(ends);
             piece.slots.clear();
             piece.slots.extend_from_slice(slots);
             let in_image = frame.in_image(&piece);

@@ -43,7 +43,7 @@ mod worker;
 
 use super::contour::ContourSet;
 use super::tree::{FeatureTree, check_placed, newest};
-use super::{FeaturePrediction, Hidden, PlacedFeature, STEP};
+use super::{FeaturePrediction, Hidden, PlacedFeature, Reason, STEP};
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::plan::{IdScheme, Images};
@@ -127,7 +127,7 @@ impl Default for FeatureSettings {
 /// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
 /// let (existence, properties) = (Existence::default(), Properties::default());
 /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
-/// let placed = [PlacedFeature { feature, object: None, slots: vec![] }];
+/// let placed = [PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
 /// let options = FeatureSettings::default();
 /// let found = predict_features(&world, &sensor, &Pose::IDENTITY, &seen.images, &placed, &options)?;
 /// assert_eq!(found.features[0].visible_fraction, 1.0);
@@ -160,6 +160,8 @@ pub(crate) struct PreparedFeatures<'a> {
     feature_id: bool,
     /// Numbers of the features that are looked at one by one, rising.
     some: Vec<usize>,
+    /// Numbers of those that are told of without a look, rising, and why they are out of view.
+    out_of_view: Vec<(u32, Reason)>,
     contours: Contours<'a>,
 }
 
@@ -218,8 +220,8 @@ impl<'a> PreparedFeatures<'a> {
     ) -> Result<Self> {
         world_from_sensor.check()?;
         let none = Contours::Made(ContourSet::default());
-        let prepared =
-            Self { frame: None, images, placed, feature_id: options.feature_id, some: Vec::new(), contours: none };
+        let (feature_id, some, out_of_view) = (options.feature_id, Vec::new(), Vec::new());
+        let prepared = Self { frame: None, images, placed, feature_id, some, out_of_view, contours: none };
         if placed.is_empty() {
             return Ok(prepared);
         }
@@ -234,17 +236,21 @@ impl<'a> PreparedFeatures<'a> {
         let newest = || tree.map_or_else(|| newest(placed), |tree| tree.newest);
         let time = options.time.unwrap_or_else(newest);
         let frame = VisibilityContext::new(world, sensor, world_from_sensor, images, time, options)?;
-        let some = match tree {
+        let surfaces = known.unwrap_or(&contours);
+        let (some, out_of_view) = match tree {
             Some(tree) if options.hidden == Hidden::Count => {
-                select::select(&frame, tree, (placed, known.unwrap_or(&contours)))
-                    .into_iter()
-                    .map(|i| i as usize)
-                    .collect()
+                let some = select::select(&frame, tree, (placed, surfaces));
+                (some.into_iter().map(|i| i as usize).collect(), Vec::new())
             }
-            _ => (0..placed.len()).collect(),
+            Some(tree) => {
+                let reasons = select::out_of_view(&frame, tree, surfaces);
+                let told = (0..).zip(&reasons).filter_map(|(i, reason)| Some((i, (*reason)?)));
+                ((0..placed.len()).filter(|i| reasons[*i].is_none()).collect(), told.collect())
+            }
+            None => ((0..placed.len()).collect(), Vec::new()),
         };
         let contours = known.map_or(Contours::Made(contours), Contours::Known);
-        Ok(Self { frame: Some(frame), some, contours, ..prepared })
+        Ok(Self { frame: Some(frame), some, out_of_view, contours, ..prepared })
     }
 
     /// What would be asked of the images, feature by feature: for a device that still has them.
@@ -265,13 +271,14 @@ impl<'a> PreparedFeatures<'a> {
 
     /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
     /// the images are asked.
-    pub fn finish(&self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
+    pub fn finish(mut self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let mut marks = self.marks();
         let mut prediction = self.part(&self.some, told, &mut marks);
-        let is_each_once = self.contours.set().is_empty();
+        let is_each_once = self.contours.set().is_empty() && self.out_of_view.is_empty();
         if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count && is_each_once) {
             prediction.given = Vec::new();
         }
+        prediction.out_of_view = std::mem::take(&mut self.out_of_view);
         prediction.stats.features = self.placed.len();
         prediction.feature_id = marks.into_image();
         prediction
@@ -281,6 +288,7 @@ impl<'a> PreparedFeatures<'a> {
     pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
+        prediction.time = frame.time;
         let workers = WorkerPool::new(frame);
         let some = which.par_iter().enumerate().with_min_len(BATCH);
         let parts = some.fold(

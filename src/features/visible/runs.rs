@@ -154,7 +154,7 @@ fn hide_by_tiles(
     by: &mut [u32],
 ) -> Option<()> {
     let FeatureQuery { frame, own, .. } = query;
-    let Workspace { polygons, tiles, .. } = workspace;
+    let Workspace { polygons, tiles, near, .. } = workspace;
     let part = whole.part;
     let open_from = |start: usize, by: &[u32]| {
         let open = by[start..some.end].iter().position(|by| *by == NONE);
@@ -167,8 +167,9 @@ fn hide_by_tiles(
         let farthest = first.length().max(part.middle(end - 1).0.length());
         let tile = tiles.tile(frame, polygons, first, farthest);
         let stretch = Stretch::new(part, start..end, whole.ranges, whole.rounding);
-        for number in tiles.between(tile, &stretch.ends, own, polygons) {
-            stretch.hide(polygons.get(number), polygons, by)?;
+        tiles.between(tile, &stretch.ends, own, polygons, near);
+        for number in near.iter() {
+            stretch.hide(polygons.get(*number), polygons, by)?;
         }
         start = open_from(end, by);
     }

@@ -192,7 +192,7 @@ fn hints_at_samples(hints: &[Option<u32>], query: &FeatureQuery<'_>, samples: &m
 /// Whatever may hide samples of a segment, tile by tile.
 fn space_along(line: Line, left: &mut [UndecidedSample], query: &FeatureQuery<'_>, workspace: &mut Workspace) {
     let FeatureQuery { frame, own, .. } = query;
-    let Workspace { polygons, tiles, .. } = workspace;
+    let Workspace { polygons, tiles, near, .. } = workspace;
     let mut start = 0;
     while start < left.len() {
         let number = tiles.of(left[start].at).0;
@@ -203,8 +203,9 @@ fn space_along(line: Line, left: &mut [UndecidedSample], query: &FeatureQuery<'_
             let farthest = some.iter().map(|o| o.range).fold(0.0, f64::max);
             let ends = [some[0].at, some[some.len() - 1].at];
             let tile = tiles.tile(frame, polygons, ends[0], farthest);
-            for number in tiles.between(tile, &ends, own, polygons) {
-                let known = polygons.get(number);
+            tiles.between(tile, &ends, own, polygons, near);
+            for number in near.iter() {
+                let known = polygons.get(*number);
                 hide_along(known, polygons.planes_of(known), line, some, own.rounding());
             }
         }
@@ -220,7 +221,7 @@ pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuer
     let mut by_tile: Vec<(u32, usize)> =
         (0..left.len()).filter(open).map(|i| (workspace.tiles.of(left[i].at).0, i)).collect();
     by_tile.sort_unstable();
-    let (mut numbers, mut places): (Vec<u32>, Vec<DVec3>) = (Vec::new(), Vec::new());
+    let mut places: Vec<DVec3> = Vec::new();
     for some in by_tile.chunk_by(|a, b| a.0 == b.0) {
         places.clear();
         places.extend(some.iter().map(|(_, i)| left[*i].at));
@@ -229,12 +230,11 @@ pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuer
             some.iter().for_each(|(_, i)| rays::hide(&mut left[*i], query, workspace));
             continue;
         }
-        let Workspace { polygons, tiles, .. } = &mut *workspace;
+        let Workspace { polygons, tiles, near, .. } = &mut *workspace;
         let tile = tiles.tile(frame, polygons, places[0], farthest);
-        numbers.clear();
-        numbers.extend(tiles.between(tile, &places, own, polygons));
+        tiles.between(tile, &places, own, polygons, near);
         for (_, i) in some {
-            for number in &numbers {
+            for number in near.iter() {
                 left[*i].hide_by(polygons.get(*number), polygons, own.rounding());
             }
         }

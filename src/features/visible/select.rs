@@ -8,11 +8,12 @@
 
 use super::VisibilityContext;
 use super::polygon::{PolygonCache, PreparedPolygon};
-use crate::features::PlacedFeature;
 use crate::features::contour::ContourSet;
 use crate::features::place::clip;
 use crate::features::tree::{FeatureTree, Group, Node};
 use crate::features::view::View;
+use crate::features::{PlacedFeature, Reason};
+use crate::sensor::Geometry;
 use glam::{DMat3, DVec3};
 
 /// By this part of its size something has to be inside a cone: samples on it may be off by rounding.
@@ -35,6 +36,57 @@ pub(super) fn select(
     let mut some = selection.some;
     some.sort_unstable();
     some
+}
+
+/// Why features are out of view as a whole, by number: of those in a box of the tree that is. Others, and contours, of which each
+/// curve has its own reasons, have none here.
+pub(super) fn out_of_view(
+    frame: &VisibilityContext<'_>,
+    tree: &FeatureTree,
+    contours: &ContourSet,
+) -> Vec<Option<Reason>> {
+    let view = View::new(frame.sensor);
+    // A lens may see what is behind it, and a row of beams only cuts things.
+    let is_scanner = matches!(frame.sensor.spec().geometry, Geometry::Scanner(_)) && !frame.sampler.is_one_row();
+    let mut reasons = vec![None; tree.order.len()];
+    for group in &tree.groups {
+        let (image_from_object, shift) = frame.image_from(group.object);
+        let mut nodes = vec![group.root];
+        while let Some(number) = nodes.pop() {
+            let node = &tree.nodes[number as usize];
+            let (middle, axes, _) = placed_box(frame, node, group.object, (image_from_object, shift));
+            let reason = if is_scanner {
+                (!view.meets_directions(middle, &axes)).then_some(Reason::OutsideImage)
+            } else {
+                let sign = |corner: usize, k: usize| if corner >> k & 1 == 0 { axes[k] } else { -axes[k] };
+                let corners: [DVec3; 8] = std::array::from_fn(|c| middle + sign(c, 0) + sign(c, 1) + sign(c, 2));
+                frame.sampler.beside(&corners)
+            };
+            match (reason, node.second) {
+                (Some(_), _) => {
+                    let some = &tree.order[node.some.start as usize..node.some.end as usize];
+                    some.iter().for_each(|feature| reasons[*feature as usize] = reason);
+                }
+                (None, Some(second)) => nodes.extend([second, number + 1]),
+                (None, None) => {}
+            }
+        }
+    }
+    contours.numbers().iter().for_each(|number| reasons[*number as usize] = None);
+    reasons
+}
+
+/// A tree's box in the image frame: its middle, half of its edges, and how far positions in it may be off by rounding.
+fn placed_box(
+    frame: &VisibilityContext<'_>,
+    node: &Node,
+    object: Option<u32>,
+    (image_from_object, shift): (DMat3, DVec3),
+) -> (DVec3, [DVec3; 3], f64) {
+    let reach = node.bounds.min.abs().max(node.bounds.max.abs()).length();
+    let rounding = frame.rounding(reach, object);
+    let [middle, half] = node.middle(rounding);
+    (image_from_object * middle + shift, [0, 1, 2].map(|k| image_from_object.col(k) * half[k]), rounding)
 }
 
 struct Selection<'s, 'a> {
@@ -72,11 +124,7 @@ impl Selection<'_, '_> {
 
     /// True if nothing of a box is in view, or one polygon hides all of it.
     fn is_out(&mut self, node: &Node, group: &Group, image_from_object: DMat3, shift: DVec3) -> bool {
-        let reach = node.bounds.min.abs().max(node.bounds.max.abs()).length();
-        let rounding = self.frame.rounding(reach, group.object);
-        let [middle, half] = node.middle(rounding);
-        let middle = image_from_object * middle + shift;
-        let axes = [0, 1, 2].map(|k| image_from_object.col(k) * half[k]);
+        let (middle, axes, rounding) = placed_box(self.frame, node, group.object, (image_from_object, shift));
         if !self.view.meets(middle, &axes) {
             return true;
         }

@@ -43,6 +43,8 @@ pub(super) struct Workspace {
     pub polygons: PolygonCache,
     pub tiles: Tiles,
     pub candidates: Candidates,
+    /// Memory for what [`Tiles::between`] finds.
+    pub near: Vec<u32>,
     /// Memory for samples; empty while they are in use.
     pub samples: Samples,
 }
@@ -53,6 +55,7 @@ impl Workspace {
             polygons: PolygonCache::new(frame),
             tiles: Tiles::new(frame.sampler.pixel_angle()),
             candidates: Candidates::default(),
+            near: Vec::new(),
             samples: Samples::default(),
         }
     }

@@ -71,6 +71,15 @@ impl Bounds {
         Self([x0 - Self::SLACK, x1 + Self::SLACK, y0 - Self::SLACK, y1 + Self::SLACK])
     }
 
+    /// The columns of a square that it reaches over (low half) and the rows (high half), of 32 each. What meets shares one of each.
+    fn cells(&self, square: &Square) -> u64 {
+        let ([x0, x1, y0, y1], [u, v]) = (self.0, square.bounds);
+        let cell =
+            |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) * (32.0 / (high - low))).clamp(0.0, 31.0) as u32;
+        let reach = |from: u32, to: u32| u64::from((u32::MAX << from) & (u32::MAX >> (31 - to)));
+        reach(cell(x0, u), cell(x1, u)) | reach(cell(y0, v), cell(y1, v)) << 32
+    }
+
     #[inline]
     fn meets(&self, other: &Self) -> bool {
         let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (self.0, other.0);
@@ -127,14 +136,39 @@ impl Square {
     }
 }
 
+/// Polygons of a tile, with the cells that each reaches over: many are passed over by these, at once.
+#[derive(Default)]
+struct TilePolygons {
+    all: Vec<TilePolygon>,
+    /// [`Bounds::cells`].
+    cells: Vec<u64>,
+}
+
+impl TilePolygons {
+    fn new(all: Vec<TilePolygon>, square: &Square) -> Self {
+        Self { cells: all.iter().map(|polygon| polygon.bounds.cells(square)).collect(), all }
+    }
+
+    /// Visits those that may share columns and rows, in order.
+    fn visit(&self, cells: u64, mut visit: impl FnMut(&TilePolygon)) {
+        const AT_ONCE: usize = 16;
+        let meets = |of: u64| (of & cells) as u32 != 0 && (of & cells) >> 32 != 0;
+        for (some, of) in self.all.chunks(AT_ONCE).zip(self.cells.chunks(AT_ONCE)) {
+            if of.iter().fold(false, |any, of| any | meets(*of)) {
+                some.iter().zip(of).filter(|(_, of)| meets(**of)).for_each(|(polygon, _)| visit(polygon));
+            }
+        }
+    }
+}
+
 /// Polygons in a tile, up to a range in metres.
 struct Tile {
     square: Square,
     radius: f64,
-    candidates: Vec<TilePolygon>,
+    candidates: TilePolygons,
     /// The polygon that covers all of it, and what is behind that one.
     cover: u32,
-    behind: Vec<TilePolygon>,
+    behind: TilePolygons,
     /// Greatest product of those behind with a corner.
     most_behind: f64,
 }
@@ -144,8 +178,7 @@ impl Tile {
     fn new(square: Square, radius: f64, polygons: &PolygonCache, some: impl Iterator<Item = TilePolygon>) -> Self {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
-        let mut tile =
-            Self { square, radius, candidates: Vec::new(), cover: NONE, behind: Vec::new(), most_behind: 0.0 };
+        let mut candidates = Vec::new();
         let mut nearest: Option<(f64, [f64; 4], u32)> = None;
         for candidate in some.filter(|c| c.bounds.meets(&bounds)) {
             let known = polygons.get(candidate.number);
@@ -165,21 +198,23 @@ impl Tile {
                     nearest = Some((least, at, candidate.number));
                 }
             }
-            tile.candidates.push(candidate);
+            candidates.push(candidate);
         }
-        let Some((_, cover_at, cover)) = nearest else { return tile };
-        tile.cover = cover;
-        let Self { candidates, behind, most_behind, .. } = &mut tile;
-        candidates.retain(|candidate| {
-            let at = corners.map(|c| candidate.inverse.dot(c));
-            let hidden = at.iter().zip(cover_at).all(|(at, cover)| *at < cover * (1.0 - BEHIND));
-            if hidden {
-                behind.push(*candidate);
-                *most_behind = at.into_iter().fold(*most_behind, f64::max);
-            }
-            !hidden
-        });
-        tile
+        let (mut cover, mut behind, mut most_behind) = (NONE, Vec::new(), 0.0);
+        if let Some((_, cover_at, number)) = nearest {
+            cover = number;
+            candidates.retain(|candidate| {
+                let at = corners.map(|c| candidate.inverse.dot(c));
+                let hidden = at.iter().zip(cover_at).all(|(at, cover)| *at < cover * (1.0 - BEHIND));
+                if hidden {
+                    behind.push(*candidate);
+                    most_behind = at.into_iter().fold(most_behind, f64::max);
+                }
+                !hidden
+            });
+        }
+        let [candidates, behind] = [candidates, behind].map(|all| TilePolygons::new(all, &square));
+        Self { square, radius, candidates, cover, behind, most_behind }
     }
 }
 
@@ -232,28 +267,35 @@ impl Tiles {
         self.numbers[&number]
     }
 
-    /// Polygons, by number in the cache, that may hide something at some places of a tile, or between them: those that meet
-    /// the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
+    /// Puts together the polygons, by number in the cache, that may hide something at some places of a tile, or between them: those
+    /// that meet the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
     /// feature's own.
-    pub fn between<'s>(
-        &'s self,
+    pub fn between(
+        &self,
         tile: u32,
         places: &[DVec3],
-        own: &'s FeatureSurface<'_>,
-        polygons: &'s PolygonCache,
-    ) -> impl Iterator<Item = u32> + use<'s> {
+        own: &FeatureSurface<'_>,
+        polygons: &PolygonCache,
+        near: &mut Vec<u32>,
+    ) {
+        near.clear();
         let tile = &self.tiles[tile as usize];
         let bounds = Bounds::of(places, &tile.square);
+        let cells = bounds.cells(&tile.square);
         let Aabb { min, max } = Aabb::of(places.iter().copied());
         let reach = min.abs().max(max.abs()).max_element();
         let look_behind =
             tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(polygons.get(tile.cover).slot);
-        let behind = if look_behind { tile.behind.as_slice() } else { &[] };
-        let greatest = move |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
-        let all = tile.candidates.iter().chain(behind);
-        all.filter(move |c| c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0)
-            .map(|c| c.number)
-            .filter(|number| !own.holds(polygons.get(*number).slot))
+        let greatest = |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
+        let mut take = |c: &TilePolygon| {
+            if c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0 && !own.holds(polygons.get(c.number).slot) {
+                near.push(c.number);
+            }
+        };
+        tile.candidates.visit(cells, &mut take);
+        if look_behind {
+            tile.behind.visit(cells, &mut take);
+        }
     }
 
     fn find(

@@ -54,7 +54,8 @@ impl<'a> Worker<'a> {
         let mut in_image = frame.in_image(placed);
         if let Some(reason) = frame.sampler.beside(&in_image.0) {
             let hidden = vec![HiddenInterval { t: [0.0, 1.0], reason, by: None }];
-            let seen = (frame.options.hidden != Hidden::Count).then(|| SeenFeature { hidden, ..unseen(frame, placed) });
+            let seen = (frame.options.hidden != Hidden::Count)
+                .then(|| SeenFeature { hidden, ..SeenFeature::unseen(frame.environment, placed, frame.time) });
             let stats = FeatureStats { features: 1, asked: 1, ..FeatureStats::default() };
             return FeatureResult { seen, stats, pixels: Vec::new() };
         }
@@ -84,33 +85,9 @@ impl<'a> Worker<'a> {
             range: tally.nearest.map(|(_, at)| at.length()),
             cos_incidence: tally.nearest.and_then(|(_, at)| own.cosine(at / at.length())),
             windows,
-            ..unseen(frame, placed)
+            ..SeenFeature::unseen(frame.environment, placed, frame.time)
         };
         FeatureResult { seen: Some(seen), stats, pixels: tally.pixels }
-    }
-}
-
-/// A feature of which nothing is seen, without a reason.
-fn unseen(frame: &VisibilityContext<'_>, placed: &PlacedFeature) -> SeenFeature {
-    let feature = &placed.feature;
-    let pose = placed.object.map(|o| frame.environment.objects()[o as usize].world_from_object);
-    let in_world = |p: &DVec3| pose.map_or(*p, |pose| pose.transform_point(*p));
-    let normal = |n: DVec3| pose.map_or(n, |pose| pose.rotation * n).try_normalize();
-    SeenFeature {
-        points_world: feature.shape.points().iter().map(in_world).collect(),
-        normal_world: feature.properties.normal.and_then(normal),
-        visible_fraction: 0.0,
-        visible: Vec::new(),
-        hidden: Vec::new(),
-        range: None,
-        cos_incidence: None,
-        existence: feature.existence.at(frame.time),
-        feature: feature.clone(),
-        branch: None,
-        roi: None,
-        roi_flag: None,
-        image_covariance: None,
-        windows: Vec::new(),
     }
 }
 

@@ -3,13 +3,14 @@
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::value::RawValue;
 use std::fmt;
 use std::marker::PhantomData;
 
 /// A whole file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct LayerFields {
+pub(super) struct LayerFields<'a> {
     #[serde(rename = "$schema")]
     _schema: Option<String>,
     #[serde(deserialize_with = "whole")]
@@ -18,7 +19,9 @@ pub(super) struct LayerFields {
     pub tolerance: Option<f64>,
     #[serde(default)]
     pub pose_covariances: PoseCovariances,
-    pub features: Vec<Keyed<FeatureFields>>,
+    /// Their text: each is read by itself.
+    #[serde(borrow)]
+    pub features: Vec<&'a RawValue>,
 }
 
 /// A feature of any kind, or the removal of one.

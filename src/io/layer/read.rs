@@ -5,11 +5,14 @@ use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
 use crate::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use crate::error::{Error, ErrorKind, Result, short};
 use crate::io::text::{check_json_memory, read_text};
+use crate::threads::parallel;
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
+use serde_json::value::RawValue;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The content of a layer file: a layer, or changes to those that were read before it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -40,41 +43,54 @@ pub fn read(path: &Path) -> Result<LayerFile> {
 /// As [`read`], without the file.
 pub fn parse(text: &str) -> Result<LayerFile> {
     check_json_memory(text)?;
-    let fields = match from_json::<Keyed<LayerFields>>(text) {
+    let fields = match from_json::<Keyed<LayerFields<'_>>>(text, text) {
         Ok(Keyed(fields)) => fields,
         // A newer file may have keys that this build cannot know: that is said first.
-        Err(e) => return Err(format_of(text).and_then(check_format).err().unwrap_or(e)),
+        Err(e) => return Err(newer_or(e, text)),
     };
+    let tolerance = fields.tolerance.unwrap_or(DEFAULT_TOLERANCE);
+    let read = |(i, entry): (usize, &&RawValue)| {
+        let Keyed(entry) = from_json::<Keyed<FeatureFields>>(entry.get(), text).map_err(Fault::Form)?;
+        let (id, is_lost) = (entry.id, entry.surface == Some(Surface::Lost));
+        let feature = entry.checked(tolerance, fields.format).map_err(|e| Fault::Content(e.at(place(i, id)), id))?;
+        Ok(Entry { id, feature: feature.map(Arc::new), is_lost })
+    };
+    let texts = fields.features;
+    let entries = texts.par_iter().enumerate().with_min_len(BATCH).map(read);
+    let mut entries: Vec<Result<Entry, Fault>> = parallel(|| entries.collect())?;
+    drop(texts);
+    if let Some(at) = entries.iter().position(|entry| matches!(entry, Err(Fault::Form(_))))
+        && let Err(Fault::Form(e)) = entries.swap_remove(at)
+    {
+        return Err(newer_or(e, text));
+    }
     check_format(Some(fields.format))?;
     let mut layer = FeatureLayer {
         class: fields.class,
-        tolerance: fields.tolerance.unwrap_or(DEFAULT_TOLERANCE),
-        features: Vec::with_capacity(fields.features.len()),
+        tolerance,
+        features: Vec::with_capacity(entries.len()),
         pose_covariances: fields.pose_covariances.0,
     };
     layer.check_header()?;
     let (mut removed, mut lost) = (Vec::new(), Vec::new());
-    let mut first_use: HashMap<u32, usize> = HashMap::with_capacity(fields.features.len());
-    for (i, Keyed(entry)) in fields.features.into_iter().enumerate() {
-        let id = entry.id;
-        let place = || format!("features[{i}] (id {id})");
-        if let Some(first) = first_use.insert(id, i) {
+    // None is needed where ids rise, as in files that were written by us.
+    let rises = entries.windows(2).all(|pair| id_of(&pair[0]) < id_of(&pair[1]));
+    let mut first_use: HashMap<u32, usize> = HashMap::new();
+    for (i, entry) in entries.into_iter().enumerate() {
+        let (id, entry) = match entry {
+            Ok(entry) => (entry.id, Ok(entry)),
+            Err(Fault::Content(e, id)) => (id, Err(e)),
+            Err(Fault::Form(e)) => return Err(e),
+        };
+        if let Some(first) = (!rises).then(|| first_use.insert(id, i)).flatten() {
             let what = format!("features[{first}] has this id already");
-            return Err(Error::invalid(what, "give each feature an id that was never used").at(place()));
+            return Err(Error::invalid(what, "give each feature an id that was never used").at(place(i, id)));
         }
-        let is_lost = entry.surface == Some(Surface::Lost);
-        let new = entry.feature(layer.tolerance).and_then(|new| {
-            new.as_ref().map_or(Ok(()), Feature::check_dictionary)?;
-            if fields.format < FORMAT && new.as_ref().is_some_and(|new| new.shape.is_contour()) {
-                let what = format!("contours are of format {FORMAT}, and the file is of format {}", fields.format);
-                return Err(Error::invalid(what, format!("write \"format\": {FORMAT}")));
-            }
-            Ok(new)
-        });
-        match new.map_err(|e| e.at(place()))? {
+        let entry = entry?;
+        match entry.feature {
             Some(feature) => {
                 layer.features.push(feature);
-                lost.extend(is_lost.then_some(id));
+                lost.extend(entry.is_lost.then_some(id));
             }
             None => removed.push(id),
         }
@@ -85,13 +101,52 @@ pub fn parse(text: &str) -> Result<LayerFile> {
     Ok(LayerFile { layer, removed, lost, path: None })
 }
 
-fn from_json<T: DeserializeOwned>(text: &str) -> Result<T> {
-    serde_json::from_str(text).map_err(|e| {
+/// Entries that a worker reads at a time, at least.
+const BATCH: usize = 256;
+
+/// A feature, or the removal of one.
+struct Entry {
+    id: u32,
+    feature: Option<Arc<Feature>>,
+    is_lost: bool,
+}
+
+/// What is wrong with an entry. That one has no known form is said before what another one says.
+enum Fault {
+    Form(Error),
+    Content(Error, u32),
+}
+
+fn id_of(entry: &Result<Entry, Fault>) -> Option<u32> {
+    match entry {
+        Ok(entry) => Some(entry.id),
+        Err(Fault::Content(_, id)) => Some(*id),
+        Err(Fault::Form(_)) => None,
+    }
+}
+
+fn place(i: usize, id: u32) -> String {
+    format!("features[{i}] (id {id})")
+}
+
+/// What is wrong with a file's keys, unless the file is of a newer format.
+fn newer_or(e: Error, text: &str) -> Error {
+    format_of(text).and_then(check_format).err().unwrap_or(e)
+}
+
+/// Reads JSON, the whole text of a file or a part of it.
+fn from_json<'a, T: Deserialize<'a>>(part: &'a str, whole: &str) -> Result<T> {
+    serde_json::from_str(part).map_err(|e| {
         let remedy = "correct the file; presight features schema prints what it may hold";
         // serde_json appends the position to its message.
         let what = e.to_string();
         let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-        Error::invalid(what, remedy).at(format!("line {}, column {}", e.line(), e.column())).caused_by(e)
+        // A part lies in the whole.
+        let before = &whole.as_bytes()[..(part.as_ptr() as usize).saturating_sub(whole.as_ptr() as usize)];
+        let lines = before.iter().filter(|byte| **byte == b'\n').count();
+        let columns = before.iter().rev().take_while(|byte| **byte != b'\n').count();
+        let (line, column) = (lines + e.line(), e.column() + if e.line() == 1 { columns } else { 0 });
+        Error::invalid(what, remedy).at(format!("line {line}, column {column}")).caused_by(e)
     })
 }
 
@@ -101,7 +156,7 @@ fn format_of(text: &str) -> Result<Option<u32>> {
     struct Header {
         format: Option<Whole>,
     }
-    Ok(from_json::<Keyed<Header>>(text)?.0.format.map(|Whole(format)| format))
+    Ok(from_json::<Keyed<Header>>(text, text)?.0.format.map(|Whole(format)| format))
 }
 
 fn check_format(format: Option<u32>) -> Result<()> {
@@ -136,6 +191,17 @@ pub(crate) fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Featu
 }
 
 impl FeatureFields {
+    /// As `feature`, for a file of a format.
+    fn checked(self, tolerance: f64, format: u32) -> Result<Option<Feature>> {
+        let feature = self.feature(tolerance)?;
+        feature.as_ref().map_or(Ok(()), Feature::check_dictionary)?;
+        if format < FORMAT && feature.as_ref().is_some_and(|feature| feature.shape.is_contour()) {
+            let what = format!("contours are of format {FORMAT}, and the file is of format {format}");
+            return Err(Error::invalid(what, format!("write \"format\": {FORMAT}")));
+        }
+        Ok(feature)
+    }
+
     /// The feature, or `None` if it is to be removed.
     fn feature(self, tolerance: f64) -> Result<Option<Feature>> {
         if self.remove == Some(true) {

@@ -304,7 +304,8 @@ mod tests {
                 shape: FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO },
                 existence: Existence::default(),
                 properties: Properties::default(),
-            },
+            }
+            .into(),
             branch: None,
             points_world: ends.to_vec(),
             normal_world: None,

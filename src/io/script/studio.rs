@@ -172,6 +172,7 @@ impl Studio {
             let place = |e: Error| at_end(e.at(format!("features for class {class:?}")));
             let (features, of_features) = numbered(features).map_err(place)?;
             spots.insert(class.clone(), of_features);
+            let features = features.into_iter().map(Arc::new).collect();
             let layer = FeatureLayer { class, tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() };
             built.environment.add_layer(layer).map_err(at_end)?;
         }

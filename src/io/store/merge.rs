@@ -155,7 +155,7 @@ fn attached(environment: &Environment) -> HashMap<&str, Vec<Change>> {
     for FeatureLayer { class, features, pose_covariances, .. } in environment.layers() {
         for feature in features {
             let Some(object) = &feature.object else { continue };
-            let change = Change::RestoreFeature { class: class.clone(), feature: feature.clone() };
+            let change = Change::RestoreFeature { class: class.clone(), feature: Feature::clone(feature) };
             all.entry(object).or_default().push(change);
         }
         for (object, covariance) in pose_covariances {
@@ -189,7 +189,7 @@ fn merge_features(environment: &Environment, layer: &FeatureLayer, removed: &[u3
         changes.push(Change::DeleteFeature { class: class.clone(), id: *id });
     }
     for feature in &layer.features {
-        let (class, feature): (String, Feature) = (class.clone(), feature.clone());
+        let (class, feature): (String, Feature) = (class.clone(), Feature::clone(feature));
         match known(feature.id) {
             None => changes.push(Change::InsertFeature { class, feature }),
             Some(present) if *present != feature => changes.push(Change::SetFeature { class, feature }),

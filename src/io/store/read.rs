@@ -5,16 +5,19 @@ use super::meshes::{LoadedMesh, known_materials};
 use super::op::{MaterialFields, affine_of, pose_of};
 use super::rows::{Meta, feature_hash, from_json, group_hash, layer_hash, material_hash, object_hash};
 use super::schema::{damaged, refusal};
-use crate::environment::{Environment, FeatureLayer, NewObject};
-use crate::error::Result;
+use crate::environment::{Environment, Feature, FeatureLayer, NewObject};
+use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::index::Trees;
 use crate::io::layer::{FeatureFields, from_fields};
 use crate::memory;
+use crate::threads::parallel;
 use glam::DAffine3;
+use rayon::prelude::*;
 use rusqlite::{Connection, Row};
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 /// A version of the store, in memory.
 pub(super) struct StoreVersion {
@@ -89,22 +92,25 @@ impl Reader<'_> {
 
     /// Each row through `read`, whose error names table and row.
     pub fn each(&self, table: &str, columns: &str, mut read: impl FnMut(&Row<'_>) -> Result<()>) -> Result<()> {
+        self.rows(table, columns, |number, row| read(row).map_err(|e| e.at(place(table, number))))
+    }
+
+    /// Each row, with its number from 1, through `read`, whose error names where it is.
+    fn rows(&self, table: &str, columns: &str, mut read: impl FnMut(usize, &Row<'_>) -> Result<()>) -> Result<()> {
         let wrap = |e| refusal(self.path, "read the store", e);
         let mut statement = self.connection.prepare(&format!("SELECT {columns} FROM {table}")).map_err(wrap)?;
         let mut rows = statement.query([]).map_err(wrap)?;
         let mut count = 0;
         while let Some(row) = rows.next().map_err(wrap)? {
             count += 1;
-            read(row).map_err(|e| e.at(format!("table {table}, row {count}")))?;
+            read(count, row)?;
         }
         Ok(())
     }
 
     /// Compares a row's hash with the one it carries, and counts it.
     fn prove(&self, found: Hash, stored: Hash) -> Result<()> {
-        if found != stored {
-            return Err(damaged("the row is not what was written"));
-        }
+        check_row(found, stored)?;
         self.count(&found);
         Ok(())
     }
@@ -173,22 +179,73 @@ impl Reader<'_> {
             layers.insert(class, layer);
             Ok(())
         })?;
-        self.each("features", "class, id, kind, object, feature, hash", |row| {
-            let (class, id): (String, i64) = (get(row, 0)?, get(row, 1)?);
-            let columns: [Option<String>; 3] = [get(row, 2)?, get(row, 3)?, get(row, 4)?];
-            let texts = columns.each_ref().map(|c| c.as_deref());
-            self.prove(feature_hash(&class, id, texts), get(row, 5)?)?;
-            let Some(text) = texts[2] else {
-                environment.retire(&class, u32::try_from(id).map_err(|_| damaged("an id is out of range"))?);
-                return Ok(());
-            };
-            let layer = layers.get_mut(&class).ok_or_else(|| damaged("its layer is missing"))?;
-            let fields: FeatureFields = from_json(text)?;
-            layer.features.push(from_fields(fields, layer.tolerance)?);
-            Ok(())
-        })?;
+        self.features(&mut layers, environment)?;
         layers.into_values().try_for_each(|layer| environment.add_layer(layer))
     }
+
+    /// Features, and numbers of those that were deleted: read on this thread, proven and understood on all.
+    fn features(&self, layers: &mut HashMap<String, FeatureLayer>, environment: &mut Environment) -> Result<()> {
+        let mut rows: Vec<(usize, FeatureRow)> = Vec::with_capacity(FEATURE_ROWS);
+        let mut take = |rows: &mut Vec<(usize, FeatureRow)>| -> Result<()> {
+            let read =
+                |(number, row): &(usize, FeatureRow)| row.read(layers).map_err(|e| e.at(place("features", *number)));
+            let found: Vec<Result<_>> = parallel(|| rows.par_iter().with_min_len(256).map(read).collect())?;
+            for ((number, row), feature) in rows.drain(..).zip(found) {
+                self.count(&row.hash);
+                match (feature?, layers.get_mut(&row.class)) {
+                    (Some(feature), Some(layer)) => layer.features.push(feature),
+                    _ => {
+                        let id = u32::try_from(row.id).map_err(|_| damaged("an id is out of range"));
+                        environment.retire(&row.class, id.map_err(|e| e.at(place("features", number)))?);
+                    }
+                }
+            }
+            Ok(())
+        };
+        self.rows("features", "class, id, kind, object, feature, hash", |number, row| {
+            let columns = || {
+                let columns = [get(row, 2)?, get(row, 3)?, get(row, 4)?];
+                Ok(FeatureRow { class: get(row, 0)?, id: get(row, 1)?, columns, hash: get(row, 5)? })
+            };
+            rows.push((number, columns().map_err(|e: Error| e.at(place("features", number)))?));
+            if rows.len() == FEATURE_ROWS { take(&mut rows) } else { Ok(()) }
+        })?;
+        take(&mut rows)
+    }
+}
+
+/// Rows of features that are proven together.
+const FEATURE_ROWS: usize = 1 << 13;
+
+/// A feature's row, not proven yet.
+struct FeatureRow {
+    class: String,
+    id: i64,
+    /// Kind, object and feature.
+    columns: [Option<String>; 3],
+    hash: Hash,
+}
+
+impl FeatureRow {
+    /// The feature; `None` of one that was deleted.
+    fn read(&self, layers: &HashMap<String, FeatureLayer>) -> Result<Option<Arc<Feature>>> {
+        let texts = self.columns.each_ref().map(|c| c.as_deref());
+        check_row(feature_hash(&self.class, self.id, texts), self.hash)?;
+        let Some(text) = texts[2] else { return Ok(None) };
+        let layer = layers.get(&self.class).ok_or_else(|| damaged("its layer is missing"))?;
+        let fields: FeatureFields = from_json(text)?;
+        Ok(Some(Arc::new(from_fields(fields, layer.tolerance)?)))
+    }
+}
+
+/// Where a row is.
+fn place(table: &str, number: usize) -> String {
+    format!("table {table}, row {number}")
+}
+
+/// Compares a row's hash with the one it carries.
+fn check_row(found: Hash, stored: Hash) -> Result<()> {
+    if found == stored { Ok(()) } else { Err(damaged("the row is not what was written")) }
 }
 
 /// A column; another type than was written is damage.

@@ -149,7 +149,7 @@ fn stores_keep_contours() {
     assert!(kept.apply(Change::InsertFeature { class: "video".into(), feature: off }, &note).is_err());
     drop(kept);
     let read = store::read(&path).unwrap();
-    assert_eq!(read.layer("video").unwrap().features, [feature]);
+    assert_eq!(read.layer("video").unwrap().features, [feature.into()]);
     let mut kept = Store::open(&path).unwrap();
     kept.undo(number, false, &note).unwrap();
     drop(kept);

@@ -54,7 +54,12 @@ fn contour(id: u32, object: &str, anchor: DVec3) -> Feature {
 }
 
 fn layer(features: Vec<Feature>) -> FeatureLayer {
-    FeatureLayer { class: "video".into(), tolerance: 1e-3, features, pose_covariances: Vec::new() }
+    FeatureLayer {
+        class: "video".into(),
+        tolerance: 1e-3,
+        features: features.into_iter().map(Into::into).collect(),
+        pose_covariances: Vec::new(),
+    }
 }
 
 fn see_with(
@@ -68,7 +73,9 @@ fn see_with(
     let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let seen = predictor.predict(world, sensor, pose, &Request::of(outputs).with_features(options)).unwrap();
-    FeaturePrediction { feature_id: seen.images.feature_id, ..seen.features.unwrap() }
+    let mut features = seen.features.unwrap();
+    features.spell_out(world.environment(), placed);
+    FeaturePrediction { feature_id: seen.images.feature_id, ..features }
 }
 
 fn see(world: &World, sensor: &Sensor, pose: &Pose, features: Vec<Feature>) -> FeaturePrediction {
@@ -219,8 +226,9 @@ fn images_only_save_time() {
     let world = plant::plant(3);
     let options = presight::features::generate::GenerateOptions::default();
     let made = presight::features::generate::generate(world.environment(), "video", &options).unwrap();
-    let features = made.layer.features.into_iter().filter(|f| f.shape.kind() == "contour").collect();
-    let placed = place(&world, &layer(features)).unwrap();
+    let mut layer = made.layer;
+    layer.features.retain(|f| f.shape.kind() == "contour");
+    let placed = place(&world, &layer).unwrap();
     for pose in presight::free_poses::free_poses(&world, 1, 5).unwrap() {
         for sensor in [scenes::camera(160, 120), scenes::lens(160, 120), scenes::scanner(180, 31)] {
             let outputs = Outputs::of(&[Output::PolygonId]);

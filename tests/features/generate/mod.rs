@@ -205,7 +205,9 @@ fn what_was_moved_off_is_refused() {
         let planted = [corners.iter().map(moved).collect::<Vec<_>>(), corners.iter().map(grown).collect()];
         for (k, corners) in planted.into_iter().enumerate() {
             let shape = FeatureShape::Patch { corners, covariance: glam::DMat3::ZERO };
-            let features = vec![presight::environment::Feature { shape, ..feature.clone() }];
+            let mut planted = feature.clone();
+            std::sync::Arc::make_mut(&mut planted).shape = shape;
+            let features = vec![planted];
             let one = presight::environment::FeatureLayer { features, ..layer.clone() };
             refused[k] += usize::from(presight::features::place(&world, &one).is_err());
         }

@@ -110,7 +110,7 @@ impl Case {
             properties: Properties::default(),
         };
         let seen = SeenFeature::whole(&feature);
-        let placed = PlacedFeature { feature, object: None, slots: Vec::new() };
+        let placed = PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
         let options = BoxOptions::default().with_sensor(self.covariance).with_confidence(confidence);

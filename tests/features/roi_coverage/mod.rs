@@ -329,7 +329,7 @@ fn patch(corners: [DVec3; 4], sigma: f64) -> FeatureShape {
 fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape: case.shape.clone(), existence, properties };
-    let placed = [PlacedFeature { feature, object: None, slots: Vec::new() }];
+    let placed = [PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() }];
     let images = common::reference(&common::plan(world, &case.sensor, &case.pose));
     let options = FeatureSettings { regions: true, ..FeatureSettings::default() };
     let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();

@@ -196,7 +196,7 @@ impl Trial {
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature =
             Feature { id: 1, name: None, object: None, shape: self.case.shape.clone(), existence, properties };
-        let placed = [PlacedFeature { feature, object: Some(0), slots: Vec::new() }];
+        let placed = [PlacedFeature { feature: feature.into(), object: Some(0), slots: Vec::new() }];
         let (world, sensor, pose) = (self.world(), &self.case.sensor, self.case.pose * self.mount);
         // What carries the feature is far behind it: an image of nothing.
         let mut images = Images::default();

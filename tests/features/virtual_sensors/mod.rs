@@ -92,8 +92,10 @@ fn reflector(id: u32, at: DVec3) -> Feature {
 
 /// What is seen of features that lie on nothing.
 fn seen(world: &World, prediction: &Prediction, features: Vec<Feature>) -> FeaturePrediction {
-    let placed: Vec<PlacedFeature> =
-        features.into_iter().map(|feature| PlacedFeature { feature, object: None, slots: Vec::new() }).collect();
+    let placed: Vec<PlacedFeature> = features
+        .into_iter()
+        .map(|feature| PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() })
+        .collect();
     let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
     predict_features(world, sensor, pose, &prediction.images, &placed, &FeatureSettings::default()).unwrap()
 }

@@ -50,7 +50,55 @@ fn agree(name: &str, world: &World, sensor: &Sensor, pose: &Pose, placed: &[Plac
     assert!(counted.given.windows(2).all(|pair| pair[0] < pair[1]), "{name}: the order in which they were given");
     assert_eq!(all.feature_id, counted.feature_id, "{name}");
     assert_eq!((all.stats.features, counted.stats.features), (placed.len(), placed.len()), "{name}");
+    out_of_view(name, world, sensor, pose, (placed, &all));
     [counted.stats.asked, counted.features.len()]
+}
+
+/// A predictor tells of what is out of view as asking each does; how many it tells of without asking.
+fn out_of_view(
+    name: &str,
+    world: &World,
+    sensor: &Sensor,
+    pose: &Pose,
+    (placed, all): (&[PlacedFeature], &FeaturePrediction),
+) -> usize {
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
+    let options = FeatureOptions::default().with_placed(placed.to_vec()).with_hidden(Hidden::Full);
+    let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
+    let mut told = predictor.predict(world, sensor, pose, &request).unwrap().features.unwrap();
+    let apart = told.out_of_view.clone();
+    assert_eq!((apart.len() + told.features.len(), told.stats.features), (placed.len(), placed.len()), "{name}");
+    assert_eq!(told.stats.asked, told.features.len(), "{name}");
+    told.spell_out(world.environment(), placed);
+    assert!(told.given.is_empty() && told.out_of_view.is_empty(), "{name}");
+    for (number, reason) in &apart {
+        let number = *number as usize;
+        assert_eq!(told.features[number], all.features[number], "{name}");
+        assert_eq!(told.features[number].hidden[0].reason, *reason, "{name}");
+    }
+    apart.len()
+}
+
+#[test]
+fn what_is_out_of_view_is_told_without_a_look() {
+    let world = halves([70.5, 70.5]);
+    let shifted = |id: u32, by: DVec3| {
+        let mut placed = edge();
+        let feature = Arc::make_mut(&mut placed.feature);
+        feature.id = id;
+        if let FeatureShape::Segment { ends, .. } = &mut feature.shape {
+            ends.iter_mut().for_each(|p| *p += by);
+        }
+        placed
+    };
+    // Behind the camera, in view, and beside the image, in turn.
+    let by = |k: u32| [DVec3::X * -10.0, DVec3::ZERO, DVec3::Y * 40.0][k as usize % 3];
+    let placed: Vec<PlacedFeature> = (0..300).map(|k| shifted(k + 1, by(k))).collect();
+    for (sensor, count) in [(scenes::camera(200, 150), 200), (scenes::scanner(180, 31), 0), (scenes::lens(64, 48), 0)] {
+        let all = ask(&world, &sensor, &Pose::IDENTITY, &placed, Hidden::Full);
+        let told = out_of_view("three places", &world, &sensor, &Pose::IDENTITY, (&placed, &all));
+        assert!(10 * told >= 9 * count, "{told}");
+    }
 }
 
 #[test]
@@ -112,7 +160,7 @@ fn edge() -> PlacedFeature {
     let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-    PlacedFeature { feature, object: None, slots: vec![] }
+    PlacedFeature { feature: feature.into(), object: None, slots: vec![] }
 }
 
 /// A wall 2 m ahead of two halves, with a gap between these columns of pixels (the camera's focal length is 200 pixels).
@@ -164,7 +212,7 @@ fn reasons_alone() {
     let (camera, pose) = (scenes::camera(200, 150), Pose::IDENTITY);
     let shifted = |by: DVec3| {
         let mut placed = edge();
-        if let FeatureShape::Segment { ends, .. } = &mut placed.feature.shape {
+        if let FeatureShape::Segment { ends, .. } = &mut Arc::make_mut(&mut placed.feature).shape {
             ends.iter_mut().for_each(|p| *p += by);
         }
         placed
@@ -194,7 +242,8 @@ fn a_predictor_follows_changes() {
     let mut world = halves([70.5, 70.5]);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let mut on_wall = edge();
-    (on_wall.object, on_wall.feature.object) = (Some(0), Some("walls".into()));
+    on_wall.object = Some(0);
+    Arc::make_mut(&mut on_wall.feature).object = Some("walls".into());
     let one: presight::features::PlacedFeatures = vec![edge(), on_wall].into();
     let camera = scenes::camera(200, 150);
     let mut count = |world: &World, placed: &presight::features::PlacedFeatures| {

@@ -25,6 +25,7 @@ use presight::{
     Angles, Camera, Distortion, Environment, Geometry, Images, Pose, RayTable, Scanner, Sensor, SensorSpec, World,
 };
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Hits nearer than the sample by this part of its range hide: what is coplanar within rounding does not. Real scenes hold
 /// faces over each other, planar to f32 only.
@@ -55,14 +56,14 @@ fn edges(environment: &Environment, most: usize, random: &mut Random) -> Vec<Pla
         all.swap_remove(random.below(all.len()));
     }
     let place = |(i, (object, (ends, slots))): (usize, (Option<u32>, Edge))| PlacedFeature {
-        feature: Feature {
+        feature: Arc::new(Feature {
             id: i as u32 + 1,
             name: None,
             object: object.map(|o| environment.objects()[o as usize].name.clone()),
             shape: FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO },
             existence: Existence::default(),
             properties: Properties::default(),
-        },
+        }),
         object,
         slots,
     };
@@ -344,7 +345,7 @@ fn planted_faults_are_caught() {
     let aside = pose.rotation * (sensor.body_from_image() * DVec3::X);
     let mut moved = placed.clone();
     for (moved, seen) in moved.iter_mut().zip(&right.features) {
-        let FeatureShape::Segment { ends, .. } = &mut moved.feature.shape else { continue };
+        let FeatureShape::Segment { ends, .. } = &mut Arc::make_mut(&mut moved.feature).shape else { continue };
         *ends = [0, 1].map(|i| {
             let p = seen.points_world[i];
             p + aside * (2.0 / 320.0 * p.distance(pose.translation))

@@ -20,7 +20,7 @@ fn behind(occluder: &[Vec<glam::Vec3>]) -> (World, Vec<PlacedFeature>) {
     let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-    (World::new(environment), vec![PlacedFeature { feature, object: None, slots: vec![0] }])
+    (World::new(environment), vec![PlacedFeature { feature: feature.into(), object: None, slots: vec![0] }])
 }
 
 fn hidden_pixels_behind(occluder: &[Vec<glam::Vec3>]) -> (f64, Images) {
@@ -87,7 +87,7 @@ fn what_is_behind_their_own_wall_hides_features() {
         .into_iter()
         .map(|shape| {
             let mut placed = placed[0].clone();
-            placed.feature.shape = shape;
+            std::sync::Arc::make_mut(&mut placed.feature).shape = shape;
             placed
         })
         .collect();

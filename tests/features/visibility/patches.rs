@@ -21,7 +21,7 @@ pub(super) fn patches_and_points(environment: &Environment, random: &mut Random)
             let id = all.len() as u32 + 1;
             let (existence, properties) = (Existence::default(), Properties::default());
             let feature = Feature { id, name: None, object: None, shape, existence, properties };
-            all.push(PlacedFeature { feature, object: None, slots: vec![slot] });
+            all.push(PlacedFeature { feature: feature.into(), object: None, slots: vec![slot] });
         }
     }
     all
@@ -265,7 +265,7 @@ fn a_wall_behind_a_fence_is_seen_by_half() {
         let shape = FeatureShape::Patch { corners, covariance: DMat3::ZERO };
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-        let placed = [PlacedFeature { feature, object: None, slots: vec![object.first_slot + front] }];
+        let placed = [PlacedFeature { feature: feature.into(), object: None, slots: vec![object.first_slot + front] }];
         let (prediction, _) = predict(&world, &sensor, &Pose::IDENTITY, &placed);
         let fraction = prediction.features[0].visible_fraction;
         assert!((fraction - 0.5).abs() < 0.02, "{shift}: {fraction}");

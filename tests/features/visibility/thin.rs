@@ -25,7 +25,8 @@ fn world(polygons: Polygons<'_>) -> World {
 fn try_place(world: &World, shape: FeatureShape) -> presight::Result<Vec<PlacedFeature>> {
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
-    let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![feature], ..Default::default() };
+    let layer =
+        FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![feature.into()], ..Default::default() };
     place(world, &layer)
 }
 

@@ -22,7 +22,8 @@ fn layer() -> FeatureLayer {
         let corners = [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]].map(|[y, z]| DVec3::new(x, y, z));
         FeatureShape::Patch { corners: corners.to_vec(), covariance: DMat3::ZERO }
     };
-    let features = vec![feature(1, point(2.0)), feature(2, point(3.0)), feature(3, patch(2.0)), feature(4, patch(3.0))];
+    let shapes = [point(2.0), point(3.0), patch(2.0), patch(3.0)];
+    let features = (1..).zip(shapes).map(|(id, shape)| feature(id, shape).into()).collect();
     FeatureLayer { class: "laser".into(), tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() }
 }
 
@@ -30,10 +31,13 @@ fn layer() -> FeatureLayer {
 fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visibility) -> Vec<SeenFeature> {
     let (camera, _) = sensors().swap_remove(0);
     let pose = Pose { translation: from, ..Pose::IDENTITY };
-    let options = FeatureOptions::default().with_visibility(visibility).with_placed(place(world, &layer()).unwrap());
+    let placed = place(world, &layer()).unwrap();
+    let options = FeatureOptions::default().with_visibility(visibility).with_placed(placed.clone());
     let options = options.with_hidden(Hidden::Full);
     let request = Request::default().with_features(options);
-    predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap().features
+    let mut seen = predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap();
+    seen.spell_out(world.environment(), &placed);
+    seen.features
 }
 
 fn predictors() -> Vec<Predictor> {

@@ -8,10 +8,11 @@ use presight::features::{FeatureSettings, SeenFeature, place, predict_features};
 use presight::geometry::Pose;
 use presight::plan::Images;
 use presight::sensor::Sensor;
+use std::sync::Arc;
 
 /// An edge or a corner.
 pub struct NearbyFeature {
-    pub feature: Feature,
+    pub feature: Arc<Feature>,
     /// Metres from the point that the pixel sees.
     pub metres: f64,
     /// Pixels from the pixel to what the sensor sees of it; `None` if that is nothing, or not known.
@@ -31,7 +32,7 @@ impl PickView<'_> {
     /// first, then the others, nearest in space first.
     pub fn near(&self, layer: FeatureLayer, p_in_world: DVec3, pixel: DVec2, reach: f64) -> Result<Vec<NearbyFeature>> {
         let metres = |f: &Feature| distance(self.world, f, p_in_world).filter(|d| *d <= reach);
-        let (found, features): (Vec<f64>, Vec<Feature>) =
+        let (found, features): (Vec<f64>, Vec<Arc<Feature>>) =
             layer.features.into_iter().filter_map(|f| Some((metres(&f)?, f))).unzip();
         let layer = FeatureLayer { features, ..layer };
         let pixels = self.pixels(&layer, pixel)?;

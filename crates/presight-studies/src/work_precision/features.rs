@@ -152,7 +152,14 @@ impl FeaturePath {
             Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,
             found => *found = Some(predictor.predict(world, &self.sensor, pose, &request)?),
         }
-        Ok(self.found.as_ref().map(|found| found.stats.clone()).unwrap_or_default())
+        // One entry for each, as the truth has.
+        let found = self.found.as_mut();
+        Ok(found
+            .map(|found| {
+                found.features.iter_mut().for_each(|f| f.spell_out(world.environment(), &case.placed.features));
+                found.stats.clone()
+            })
+            .unwrap_or_default())
     }
 
     /// Adds the errors of one case.

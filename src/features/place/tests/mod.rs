@@ -67,7 +67,7 @@ fn patch(corners: &[[f64; 3]]) -> FeatureShape {
 }
 
 fn place_one(world: &World, object: Option<&str>, shape: FeatureShape) -> Result<PlacedFeature> {
-    let features = vec![feature(object, shape)];
+    let features = vec![feature(object, shape).into()];
     let layer = FeatureLayer { class: "video".into(), tolerance: TOLERANCE, features, ..FeatureLayer::default() };
     place(world, &layer).map(|mut placed| placed.remove(0))
 }

@@ -122,7 +122,7 @@ proptest! {
         let layer = FeatureLayer {
             class: "video".into(),
             tolerance,
-            features: features.collect(),
+            features: features.map(Into::into).collect(),
             // No order of their own: that of the layer is kept.
             pose_covariances: pose_covariances.rev().collect(),
         };
@@ -146,7 +146,10 @@ fn a_layer_that_could_not_be_read_is_not_written() {
         existence: Existence::default(),
         properties: Properties::default(),
     };
-    let layer = |features| FeatureLayer { class: "video".into(), tolerance: 1e-3, features, ..FeatureLayer::default() };
+    let layer = |features: Vec<Feature>| {
+        let features = features.into_iter().map(Into::into).collect();
+        FeatureLayer { class: "video".into(), tolerance: 1e-3, features, ..FeatureLayer::default() }
+    };
     let good = layer(vec![point(1, 1.0), point(2, 2.0)]);
     write(&path, &good).unwrap();
     assert_eq!(read(&path).unwrap().layer, good);

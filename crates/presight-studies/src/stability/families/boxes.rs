@@ -215,7 +215,7 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
         // The layer's tolerance only tells how near to a polygon a feature has to be when it is placed.
         world.apply_unchecked(Change::InsertFeature { class: "study".into(), feature: feature.clone() })?;
         features.push(SeenFeature::whole(&feature));
-        placed.push(PlacedFeature { feature, object: None, slots: Vec::new() });
+        placed.push(PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() });
     }
     let prediction = FeaturePrediction { features, ..FeaturePrediction::default() };
     let options =
