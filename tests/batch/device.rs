@@ -45,7 +45,8 @@ fn weighed(
     (all, bytes)
 }
 
-fn check(engine: &mut Predictor, sensor: &Sensor, headings: Option<Headings>) {
+/// How far apart sums are, and what came back.
+fn check(engine: &mut Predictor, sensor: &Sensor, headings: Option<Headings>) -> String {
     let (world, mut random) = (World::new(scenes::room(3, 40)), Random(7));
     let exact =
         single(&mut predictor(2), &world, sensor, &Pose::from_xyz_rpy(DVec3::new(0.1, 0.1, 1.4), 0.0, 0.0, 0.3)).0;
@@ -60,13 +61,13 @@ fn check(engine: &mut Predictor, sensor: &Sensor, headings: Option<Headings>) {
     assert!(ours.len() == theirs.len() && ours.len() >= 5, "{name}");
     let beams = sensed.iter().filter(|z| !z.is_nan()).count() as f64;
     let apart = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs() / beams).fold(0.0, f64::max);
-    println!("{name}: {:.1e} a beam apart, {bytes} bytes in place of {image_bytes}", apart(&ours, &theirs));
     assert!(apart(&ours, &theirs) < 2e-6, "{name}: {:?} {:?}", &ours[..5], &theirs[..5]);
     // Planted: the sensed image turned by one column.
     let mut turned = sensed.clone();
     turned.rotate_right(1);
     let (faulty, _) = weighed(engine, &world, sensor, &BatchRequest { likelihood: of(&turned), ..sums }, true);
     assert!(apart(&faulty, &theirs) > 1e-3, "{name}: the fault must be seen");
+    format!("{name}: {:.1e} a beam apart, {bytes} bytes in place of {image_bytes}", apart(&ours, &theirs))
 }
 
 #[test]
@@ -75,14 +76,14 @@ fn sums_of_the_device_are_those_of_its_images() {
     let noise = Noise { range_sigma: 0.02, range_sigma_quadratic: 1e-3, angle_sigma: 2e-3, ..Noise::default() };
     for preset in data::presets().iter().filter(|sensor| sensor.width() * sensor.height() < 1 << 18) {
         // One row level with the world is cut on the CPU; the poses lean.
-        check(&mut engine, &noisy(preset, noise), None);
+        println!("{}", check(&mut engine, &noisy(preset, noise), None));
     }
     let near = presight::preset("laser-range-camera").unwrap().spec().clone().with_limits(1.5, 3.0);
-    check(&mut engine, &noisy(&Sensor::new(near).unwrap(), noise), None);
-    check(&mut engine, &noisy(&scenes::lens(80, 60), noise), None);
+    println!("{}", check(&mut engine, &noisy(&Sensor::new(near).unwrap(), noise), None));
+    println!("{}", check(&mut engine, &noisy(&scenes::lens(80, 60), noise), None));
     let rows = noisy(&presight::preset("vlp-16").unwrap(), noise);
     let headings = Headings::new(&rows, 90).unwrap();
-    check(&mut engine, &rows, Some(headings));
+    println!("{}", check(&mut engine, &rows, Some(headings)));
 }
 
 /// Worked out by hand: a wall 2 m ahead, met squarely; the numbers are those of docs/batches.md.
