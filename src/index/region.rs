@@ -2,12 +2,12 @@
 
 use super::sector::Sector;
 use super::shapes::{
-    self, Axes, AxisPermuted, Cuboid, Frustum, Outside, Ray, RotatedShape, SLACK, Segment, Shape, UprightSector,
+    self, Axes, AxisPermuted, Cuboid, Frustum, Outside, Ray, RotatedShape, SLACK, Segment, Shape, UprightSector, Zone,
 };
 use crate::error::Result;
 use crate::geometry::{Aabb, Pose};
 use glam::{DMat3, DVec2, DVec3};
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Where polygons are asked for. All regions are closed, and answers are conservative: every box with a point in the
 /// region is found, and hardly any other.
@@ -30,10 +30,15 @@ pub struct Region {
     pub(super) form: Form,
 }
 
+/// From so many radians on a segment is tested as one of every azimuth, without looking at the gap that scanners of 360 degrees leave between
+/// their last column and the first: the tests saved are half of all, the polygons in the gap a hundredth.
+const NEARLY_ROUND: f64 = 0.99 * TAU;
+
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Form {
     Sector(UprightSector),
     Segment(Segment),
+    Zone(Zone),
     Frustum(Frustum),
     Outside(Outside),
     Cuboid(Cuboid),
@@ -81,17 +86,19 @@ impl Region {
             (0.0, rotation.transpose())
         };
         let (low, high) = elevations;
-        let segment = Segment {
-            azimuth: Sector::new(heading + turn, opening + 2.0 * SLACK, radius),
-            elevation: Sector::new(0.5 * (low + high), high - low + 2.0 * SLACK, radius),
+        let elevation = Sector::new(0.5 * (low + high), high - low + 2.0 * SLACK, radius);
+        let form = if opening >= NEARLY_ROUND {
+            Form::Zone(Zone(elevation))
+        } else {
+            Form::Segment(Segment { azimuth: Sector::new(heading + turn, opening + 2.0 * SLACK, radius), elevation })
         };
-        Self { origin: world_from_body.translation, region_from_world, form: Form::Segment(segment) }
+        Self { origin: world_from_body.translation, region_from_world, form }
     }
 
     /// A ball around a point: a segment of all directions.
     pub fn ball(center: DVec3, radius: f64) -> Self {
         let pose = Pose { translation: center, ..Pose::IDENTITY };
-        Self::around(&pose, 0.0, std::f64::consts::TAU, (-FRAC_PI_2, FRAC_PI_2), radius)
+        Self::around(&pose, 0.0, TAU, (-FRAC_PI_2, FRAC_PI_2), radius)
     }
 
     /// A pyramid with its apex at `apex`: inward unit normals (world axes) of planes through the apex, at most
@@ -173,6 +180,8 @@ impl Region {
             Form::Sector(shape) => visitor.visit(&shape),
             Form::Segment(shape) if shape_from_box == DMat3::IDENTITY => visitor.visit(&shape),
             Form::Segment(shape) => visitor.visit(&RotatedShape { shape, shape_from_box }),
+            Form::Zone(shape) if shape_from_box == DMat3::IDENTITY => visitor.visit(&shape),
+            Form::Zone(shape) => visitor.visit(&RotatedShape { shape, shape_from_box }),
             Form::Frustum(shape) => visitor.visit(&shape),
             Form::Outside(shape) => visitor.visit(&shape),
             Form::Cuboid(shape) => visitor.visit(&shape),
@@ -187,6 +196,7 @@ impl Region {
         match (self.form, axes) {
             (Form::Sector(shape), Some(axes)) => visit_lying(shape.in_axes(&axes), axes, visitor),
             (Form::Segment(shape), Some(axes)) => visit_lying(shape.in_axes(&axes), axes, visitor),
+            (Form::Zone(shape), Some(axes)) => visit_lying(shape.in_axes(&axes), axes, visitor),
             (form, _) => visit_turned(form, region_from_box, visitor),
         }
     }
@@ -213,6 +223,7 @@ fn visit_turned<V: ShapeVisitor>(form: Form, region_from_box: DMat3, visitor: V)
     match form {
         Form::Sector(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
         Form::Segment(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
+        Form::Zone(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
         Form::Frustum(shape) => visitor.visit(&shape.turned(region_from_box)),
         Form::Outside(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
         Form::Cuboid(shape) => visitor.visit(&RotatedShape { shape, shape_from_box: region_from_box }),
@@ -227,6 +238,7 @@ impl Region {
         match self.form {
             Form::Sector(UprightSector(s)) => around(DVec3::new(s.radius(), s.radius(), f64::INFINITY)),
             Form::Segment(s) => around(DVec3::splat(s.azimuth.radius())),
+            Form::Zone(Zone(s)) => around(DVec3::splat(s.radius())),
             Form::Frustum(f) => around(DVec3::splat(f.radius)),
             Form::Outside(o) => around(DVec3::splat(o.radius)),
             Form::Cuboid(c) => around(c.0),

@@ -37,6 +37,13 @@ pub(super) struct Segment {
     pub elevation: Sector,
 }
 
+/// A segment of every azimuth: scanners that look all round are many, and half of the tests are left out for them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Zone(
+    /// In the half plane of horizontal distance and height.
+    pub Sector,
+);
+
 /// A pyramid of rays: inward normals of planes through the apex, and a radius.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frustum {
@@ -207,6 +214,28 @@ impl Segment {
         let (near, far) = ((gx * gx + gy * gy).sqrt(), (fx * fx + fy * fy).sqrt());
         let slack = 4.0 * f64::EPSILON;
         Rect { min: DVec2::new(near * (1.0 - slack), b.min.z), max: DVec2::new(far * (1.0 + slack), b.max.z) }
+    }
+}
+
+impl Zone {
+    pub fn in_axes(&self, axes: &Axes) -> Self {
+        Self(self.0.in_axes(DMat2::IDENTITY, 1.0 / axes.scale))
+    }
+}
+
+impl Shape for Zone {
+    #[inline(always)]
+    fn meets(&self, b: &Aabb) -> bool {
+        self.0.meets(&Segment::upright(b))
+    }
+
+    #[inline(always)]
+    fn covers(&self, b: &Aabb) -> bool {
+        self.0.covers(&Segment::upright(b))
+    }
+
+    fn contains(&self, p: DVec3) -> bool {
+        self.0.contains(DVec2::new(p.truncate().length(), p.z))
     }
 }
 
