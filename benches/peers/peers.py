@@ -103,7 +103,7 @@ class Presight:
 def differ(ranges, embree, there, range_max):
     """Rays, and those of another range. Embree works in f32 in world coordinates: 1e-4 of the range is its error on flat surfaces."""
     mine = ranges[there]
-    theirs = np.where(embree <= range_max, embree, np.inf)
+    theirs = np.where(embree <= min(range_max, np.finfo(np.float32).max), embree, np.inf)
     # What is too near is told as minus infinity by presight.
     same = np.isclose(mine, theirs, rtol=1e-4, atol=1e-4) | np.isneginf(mine)
     return np.array([mine.size, (~same).sum()])
