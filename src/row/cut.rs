@@ -11,7 +11,10 @@ use glam::{DVec2, DVec3};
 const PLANE: f64 = 1e-10;
 
 /// Segments in a leaf.
-const LEAF: usize = 4;
+const LEAF: usize = 2;
+
+/// Below this depth of the tree segments are halved.
+const MOST_DEPTH: usize = 40;
 
 /// A version of the world at one height, for one sensor class.
 #[derive(Debug, Default)]
@@ -96,12 +99,12 @@ impl RowCut {
 
     fn grow(&mut self, segments: &mut [Segment]) {
         if !segments.is_empty() {
-            self.grow_from(segments, 0);
+            self.grow_from(segments, 0, 0);
         }
     }
 
     /// Sorts segments into a tree of nodes; `placed` counts those in leaves before.
-    fn grow_from(&mut self, segments: &mut [Segment], placed: usize) {
+    fn grow_from(&mut self, segments: &mut [Segment], placed: usize, depth: usize) {
         let (mut min, mut max) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for s in &*segments {
             (min, max) = (min.min(s.a.min(s.b)), max.max(s.a.max(s.b)));
@@ -111,16 +114,43 @@ impl RowCut {
         if segments.len() <= LEAF {
             return;
         }
-        let along_x = max.x - min.x >= max.y - min.y;
-        let key = |s: &Segment| if along_x { s.a.x + s.b.x } else { s.a.y + s.b.y };
-        let half = segments.len() / 2;
-        segments.select_nth_unstable_by(half, |a, b| key(a).total_cmp(&key(b)));
-        let (left, right) = segments.split_at_mut(half);
-        self.grow_from(left, placed);
+        let at = if depth < MOST_DEPTH { best_split(segments) } else { segments.len() / 2 };
+        let (left, right) = segments.split_at_mut(at);
+        self.grow_from(left, placed, depth + 1);
         let right_child = self.nodes.len() as u32;
-        self.grow_from(right, placed + half);
+        self.grow_from(right, placed + at, depth + 1);
         (self.nodes[node].at, self.nodes[node].count) = (right_child, 0);
     }
+}
+
+/// Sorts segments along an axis, and says where to part them: where boxes around both parts, each times its number of segments, have the
+/// least sides. A box is seen by as many beams as its sides are long.
+fn best_split(segments: &mut [Segment]) -> usize {
+    let key = |s: &Segment, axis: usize| s.a[axis] + s.b[axis];
+    let sides = |(min, max): (DVec2, DVec2)| (max - min).element_sum();
+    let hold = |(min, max): (DVec2, DVec2), s: &Segment| (min.min(s.a.min(s.b)), max.max(s.a.max(s.b)));
+    let nothing = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    let (mut best, mut rest) = ((f64::INFINITY, 0, segments.len() / 2), vec![0.0; segments.len()]);
+    for axis in 0..2 {
+        segments.sort_unstable_by(|a, b| key(a, axis).total_cmp(&key(b, axis)));
+        let mut held = nothing;
+        for (i, s) in segments.iter().enumerate().rev() {
+            held = hold(held, s);
+            rest[i] = sides(held) * (segments.len() - i) as f64;
+        }
+        held = nothing;
+        for (i, s) in segments.iter().enumerate().take(segments.len() - 1) {
+            held = hold(held, s);
+            let cost = sides(held) * (i + 1) as f64 + rest[i + 1];
+            if cost < best.0 {
+                best = (cost, axis, i + 1);
+            }
+        }
+    }
+    if best.1 == 0 {
+        segments.sort_unstable_by(|a, b| key(a, 0).total_cmp(&key(b, 0)));
+    }
+    best.2
 }
 
 /// The ends of a convex polygon's part at a height, if it has one of some length.

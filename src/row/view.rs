@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 use std::ops::Range;
 
 /// Beams whose farthest is kept.
-const BLOCK: usize = 16;
+const BLOCK: usize = 4;
 
 /// Nodes and segments this much nearer, relatively, than what they are compared with are not behind it.
 const SLACK: f64 = 1e-9;
@@ -17,10 +17,9 @@ const SLACK: f64 = 1e-9;
 pub(crate) struct RowView {
     /// Unit, in the sensor's frame.
     rays: Vec<DVec2>,
-    /// [`turn_of`] each ray less that of the first, rising, 0..4.
-    turns: Vec<f64>,
+    /// [`turn_of`] the first ray.
     first_turn: f64,
-    /// For each slice of the turn the first beam that is not before it.
+    /// For each of equal slices of 0..4, which [`turn_of`] rays rise through from the first on, the first beam that is not before it.
     slices: Vec<u32>,
     /// True if the last pixel is the first ray.
     reversed: bool,
@@ -52,14 +51,13 @@ impl RowView {
         let first_turn = turn_of(rays[0]);
         let mut turns: Vec<f64> = rays.iter().map(|ray| since(turn_of(*ray), first_turn)).collect();
         turns[0] = 0.0;
-        let count = (2 * n).next_power_of_two();
+        let count = (8 * n).next_power_of_two();
         let slices =
             (0..=count).map(|s| turns.partition_point(|t| *t < 4.0 * s as f64 / count as f64) as u32).collect();
         let (range_min, range_max) = (sensor.spec().range_min, sensor.spec().range_max);
         let blocks = n.div_ceil(BLOCK);
         Some(Self {
             rays,
-            turns,
             first_turn,
             slices,
             reversed,
@@ -147,21 +145,16 @@ impl RowView {
         [up, 0..end.saturating_sub(n).div_ceil(BLOCK)]
     }
 
-    /// The first beam and the number of beams from one turn counter-clockwise to another, and maybe a beam more.
+    /// The first beam and the number of beams from one turn counter-clockwise to another, and maybe a beam more at either end.
     fn between(&self, from: f64, to: f64) -> (usize, usize) {
         let margin = 1e-9;
         let from = since(from - margin, self.first_turn);
         let to = since(to + margin, self.first_turn);
-        let (first, end) = (self.not_before(from), self.not_before(to));
-        if from <= to { (first, end - first) } else { (first, self.rays.len() - first + end) }
-    }
-
-    /// The first beam whose turn is not before.
-    fn not_before(&self, turn: f64) -> usize {
         let slices = self.slices.len() - 1;
-        let slice = ((turn * (slices as f64 / 4.0)) as usize).min(slices - 1);
-        let (low, high) = (self.slices[slice] as usize, self.slices[slice + 1] as usize);
-        low + self.turns[low..high].iter().take_while(|t| **t < turn).count()
+        // Exact: the number of slices is a power of two.
+        let slice = |turn: f64| ((turn * (slices as f64 / 4.0)) as usize).min(slices - 1);
+        let (first, end) = (self.slices[slice(from)] as usize, self.slices[slice(to) + 1] as usize);
+        if from <= to { (first, end - first) } else { (first, self.rays.len() - first + end) }
     }
 
     fn draw(&mut self, eye: &ScannerView, cut: &RowCut, number: u32) {
@@ -186,13 +179,15 @@ impl RowView {
         let (first, count) = self.between(turn_of(a), turn_of(b));
         let n = self.rays.len();
         let mut drawn = false;
-        for i in 0..count {
-            let i = if first + i < n { first + i } else { first + i - n };
-            let ray = self.rays[i];
-            let inverse = m.dot(ray);
-            if inverse > self.inverse[i] && a.perp_dot(ray) >= 0.0 && ray.perp_dot(b) >= 0.0 {
-                (self.inverse[i], self.winner[i]) = (inverse, number);
-                drawn = true;
+        // Which may go round.
+        for beams in [first..(first + count).min(n), 0..(first + count).saturating_sub(n)] {
+            let so_far = self.inverse[beams.clone()].iter_mut().zip(&mut self.winner[beams.clone()]);
+            for (ray, (nearest, winner)) in self.rays[beams].iter().zip(so_far) {
+                let inverse = m.dot(*ray);
+                if inverse > *nearest && a.perp_dot(*ray) >= 0.0 && ray.perp_dot(b) >= 0.0 {
+                    (*nearest, *winner) = (inverse, number);
+                    drawn = true;
+                }
             }
         }
         if drawn {
