@@ -40,6 +40,7 @@ mod findings;
 mod fit;
 mod image;
 mod normal;
+mod offsets;
 mod prior;
 mod range;
 mod solve;

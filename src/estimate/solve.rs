@@ -5,6 +5,7 @@ use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_direct
 use super::descent::{LOOK, SEARCH, SETTLE, Schedule, descend, serves};
 use super::findings::{find_at, place_error};
 use super::normal::{CommonError, Freedom, Normal};
+use super::offsets::offset_variance;
 use super::range::{MeasuredPoint, measured_points};
 use crate::error::{Error, Result};
 use crate::extract::{Findings, MeasuredRanges};
@@ -76,14 +77,17 @@ pub struct Estimator {
     surfaces: Surfaces,
     features: FeatureOptions,
     pub(crate) options: EstimateOptions,
-    /// Learnt standard deviation of the offsets of polygon groups, metres.
-    offset_sigma: f64,
+    /// Learnt variance of the offsets of polygon groups, square metres; below 0 as noise has it.
+    offset_variance: f64,
 }
 
 /// Prior standard deviations that the first gate is wide.
 const GATE: f64 = 1.75;
 /// Starts that are drawn from the prior in one go.
 const DRAWS: usize = 16;
+
+/// Share of a frame in what is learnt of the offsets of polygon groups.
+const FORGET: f64 = 0.1;
 
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
 const LOOSE: (f64, f64) = (0.05, 0.05);
@@ -175,8 +179,8 @@ impl Run<'_> {
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
     pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
-        let offset_sigma = options.offset_sigma;
-        Self { predictor, surfaces: Surfaces::default(), features: FeatureOptions::default(), options, offset_sigma }
+        let offset_variance = options.offset_sigma.powi(2);
+        Self { predictor, surfaces: Surfaces::default(), features: FeatureOptions::default(), options, offset_variance }
     }
 
     /// With the features that are looked for in grey images, instead of the world's own layer for the sensor's class. They have to be
@@ -204,7 +208,12 @@ impl Estimator {
             best = self.restart(&mut run, &expected, best)?;
         }
         let others = self.other_minima(&mut run, &best)?;
-        self.learn_offsets(&best.normal);
+        if let Some(seen) =
+            offset_variance(&best.normal, &run.prior_information, self.options.freedom, self.offset_sigma())
+        {
+            // Less than nothing in one frame is as likely as too much, where there are no offsets.
+            self.offset_variance += FORGET * (seen - self.offset_variance);
+        }
         self.answer(&run, best, others)
     }
 
@@ -255,7 +264,7 @@ impl Estimator {
         if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
             return Ok(Vec::new());
         }
-        let (freedom, offset_sigma) = (self.options.freedom, self.offset_sigma);
+        let (freedom, offset_sigma) = (self.options.freedom, self.offset_sigma());
         let starts = far_ends(run, best, freedom);
         let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
         let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
@@ -312,7 +321,7 @@ impl Estimator {
             // Regions of interest get narrower with what was learnt, but it may be wrong.
             let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
             // What the model is off by moves features, too.
-            (0..3).for_each(|i| known[i][i] += self.offset_sigma.powi(2) + run.model_sigma.powi(2));
+            (0..3).for_each(|i| known[i][i] += self.offset_sigma().powi(2) + run.model_sigma.powi(2));
             self.expected(run, &found.pose, &known)?
         };
         Ok(self.descend(run, &expected, found.pose, &SETTLE))
@@ -322,7 +331,11 @@ impl Estimator {
     fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Expectation>, best: Minimum) -> Result<Minimum> {
         let mut best = best;
         let mut random = SplitMix64(0x5eed);
-        while run.predictions + 3 <= self.options.most_predictions {
+        // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
+        for _ in 0..self.options.most_predictions.div_ceil(3) {
+            if run.predictions + 3 > self.options.most_predictions {
+                break;
+            }
             let mut found: Vec<Minimum> = (0..DRAWS)
                 .map(|_| self.descend(run, expected, drawn(&run.prior, self.options.freedom, &mut random), &SEARCH))
                 .collect();
@@ -349,7 +362,7 @@ impl Estimator {
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
         let freedom = self.options.freedom;
-        let offset = self.offset_sigma * self.offset_sigma;
+        let offset = self.offset_sigma().powi(2);
         let stored =
             |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
         let place = |id: u32| place_error(&best.expected.findings, id, offset);
@@ -410,7 +423,7 @@ impl Estimator {
             explained: hypothesis.explained,
             cost: hypothesis.cost,
             spread: best.spread,
-            offset_sigma: self.offset_sigma,
+            offset_sigma: self.offset_sigma(),
             hypotheses: std::iter::once(hypothesis).chain(others.iter().map(Minimum::hypothesis)).collect(),
             state,
             predictions: run.predictions,
@@ -453,7 +466,7 @@ impl Estimator {
     }
 
     fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
-        let polygons = self.options.model_sigma.hypot(self.offset_sigma);
+        let polygons = self.options.model_sigma.hypot(self.offset_sigma());
         let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
             let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
             judge(m.frame, expected, &best.pose, &known)
@@ -462,25 +475,9 @@ impl Estimator {
         self.predictor.on_threads(all)?
     }
 
-    /// Offsets of groups show as their mean residuals, less what noise makes of these.
-    fn learn_offsets(&mut self, normal: &Normal) {
-        let (mut sum, mut count) = (0.0, 0.0);
-        let offsets =
-            normal.groups.iter().filter(|(error, g)| matches!(error, CommonError::Offset(_)) && g.weight > 0.0);
-        for (_, group) in offsets {
-            let mean = group.residual / group.weight;
-            let own = group.variance / (group.weight * group.weight);
-            // A group counts as far as its mean is known better than the offsets are wide.
-            let known = self.offset_sigma.powi(2) / (self.offset_sigma.powi(2) + own);
-            sum += known * (mean * mean - own);
-            count += known;
-        }
-        // The pose takes up six of the numbers.
-        if count > 12.0 {
-            let seen = (sum / (count - 6.0)).max(0.0);
-            const FORGET: f64 = 0.1;
-            self.offset_sigma = ((1.0 - FORGET) * self.offset_sigma.powi(2) + FORGET * seen).sqrt().max(1e-5);
-        }
+    /// Standard deviation of the offsets that polygons of one plane share, metres.
+    fn offset_sigma(&self) -> f64 {
+        self.offset_variance.max(0.0).sqrt().max(1e-5)
     }
 
     fn blind(&self, run: &Run<'_>) -> Estimate {
@@ -502,7 +499,7 @@ impl Estimator {
             explained: 0.0,
             cost: 0.0,
             spread: 1.0,
-            offset_sigma: self.offset_sigma,
+            offset_sigma: self.offset_sigma(),
             hypotheses: Vec::new(),
             state: EstimateState::Undetermined("no pixel measured a range within the sensor's limits".into()),
             predictions: 0,

@@ -35,6 +35,20 @@ fn floor_only() {
     assert!((answer.pose.translation.z - 1.5).abs() < 4.0 * sigma(&answer, 2));
 }
 
+/// A frame that no pose explains comes to an end, though every start leads to where the prediction at hand serves: a sensor ten times as noisy as
+/// it says.
+#[test]
+fn what_no_pose_explains_is_given_up() {
+    let world = room(Vec3::ZERO);
+    let truth = Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05);
+    let noisy = sense(&world, &camera(0.05), &truth, &mut Random(8));
+    let frame = Frame::new(0.0, camera(0.005), noisy.sensed().clone()).unwrap();
+    let answer = estimator(EstimateOptions::default())
+        .estimate(&world, &[&frame], &Prior::of_sigmas(truth, 0.03, 0.01))
+        .unwrap();
+    assert!(!answer.is_determined() && answer.predictions <= 12, "{:?}", answer.state);
+}
+
 /// Along an endless corridor a scanner knows everything but how far down it stands.
 #[test]
 fn corridor() {
