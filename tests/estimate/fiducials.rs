@@ -12,6 +12,7 @@ use presight::matching::Shape;
 use presight::placement::place_layer;
 use presight::simulate::GreySimulator;
 use presight_testkit::tags::add_tag;
+use std::sync::Arc;
 
 /// One standard deviation of the pose before, metres and radians.
 const KNOWN: (f64, f64) = (0.03, 0.01);
@@ -70,7 +71,7 @@ fn layer(world: &World, tags: &[Tag], corners: &[[DVec3; 4]], sigma: f64) -> Pla
         existence: Existence::default(),
         properties: Properties::default(),
     };
-    let features = tags.iter().enumerate().map(feature).collect();
+    let features = tags.iter().enumerate().map(feature).map(Arc::new).collect();
     place_layer(world, &FeatureLayer { class: "video".into(), tolerance: 1e-3, features, ..Default::default() })
         .unwrap()
 }
