@@ -16,12 +16,6 @@ const NOISE: f64 = 0.01;
 /// One standard deviation of the pose before, metres and radians.
 const KNOWN: (f64, f64) = (0.03, 0.01);
 
-/// 320 x 240 pixels, 65 degrees wide.
-fn video() -> Sensor {
-    let camera = Camera::pinhole(320, 240, 250.0, 250.0, 159.5, 119.5);
-    Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap()
-}
-
 /// Looks over the table to the shelf.
 fn place() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05)

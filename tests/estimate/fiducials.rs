@@ -7,21 +7,14 @@ use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Prop
 use presight::estimate::{Estimate, EstimateState, Prior, nees};
 use presight::extract::FeatureClass;
 use presight::features::PlacedFeatures;
-use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::localize::Phase;
 use presight::matching::Shape;
 use presight::placement::place_layer;
-use presight::simulate::GreySimulator;
 use presight_testkit::tags::add_tag;
 use std::sync::Arc;
 
 /// One standard deviation of the pose before, metres and radians.
 const KNOWN: (f64, f64) = (0.03, 0.01);
-
-/// 320 x 240 pixels, 65 degrees wide.
-fn video() -> Sensor {
-    let camera = Camera::pinhole(320, 240, 250.0, 250.0, 159.5, 119.5);
-    Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap()
-}
 
 /// Looks along x at the wall with tags, 3.8 m away; the pillar with another one is 1.4 m away.
 fn place() -> Pose {
@@ -76,17 +69,13 @@ fn layer(world: &World, tags: &[Tag], corners: &[[DVec3; 4]], sigma: f64) -> Pla
         .unwrap()
 }
 
-fn grey(world: &World, pose: &Pose, stamp: f64, seed: u64) -> Frame {
-    GreySimulator::new(predictor(), video(), 0.7, 0.01, seed).unwrap().frame(world, stamp, pose).unwrap()
-}
-
 /// The map has the tags where `TAGS` says; what is seen is another room's.
 fn seen_in(real: &World, tags: &[Tag], believed: &Pose, truth: &Pose, seed: u64) -> Estimate {
     let (map, corners) = with_tags(tags);
     let features = layer(&map, tags, &corners, 0.0);
     let prior = Prior::of_sigmas(*believed, KNOWN.0, KNOWN.1);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
-    estimator.estimate(&map, &[&grey(real, truth, 0.0, seed)], &prior).unwrap()
+    estimator.estimate(&map, &[&grey(&video(), real, truth, 0.0, seed)], &prior).unwrap()
 }
 
 /// By hand: a square of 0.4 m, 2 m ahead of a camera of focal length 250 pixels, is 50 pixels wide around the principal point, its top
@@ -99,7 +88,7 @@ fn a_tag_square_ahead() {
     let features = layer(&world, &[(3, [2.0, 0.0, 0.0], 0.4)], &[corners], 0.0);
     let prior = Prior::of_sigmas(Pose::IDENTITY, 0.01, 0.005);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
-    let found = estimator.estimate(&world, &[&grey(&world, &Pose::IDENTITY, 0.0, 1)], &prior).unwrap();
+    let found = estimator.estimate(&world, &[&grey(&video(), &world, &Pose::IDENTITY, 0.0, 1)], &prior).unwrap();
     let findings = &found.findings[0];
     let (finding, detection) = findings.matched().next().expect("the tag is matched");
     let Shape::Fiducial(seen) = &detection.shape else { panic!("{detection:?}") };
@@ -196,7 +185,7 @@ fn a_pose_is_known_no_better_than_its_tags() {
     let sigma_of = |sigma: f64| {
         let options = EstimateOptions { offset_sigma: 1e-4, ..EstimateOptions::default() };
         let mut estimator = estimator(options).with_features(layer(&world, &TAGS[..3], &corners, sigma));
-        let found = estimator.estimate(&world, &[&grey(&world, &place, 0.0, 1)], &prior).unwrap();
+        let found = estimator.estimate(&world, &[&grey(&video(), &world, &place, 0.0, 1)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);
         found.covariance[1][1].sqrt()
     };
@@ -210,21 +199,10 @@ fn a_pose_is_known_no_better_than_its_tags() {
 #[test]
 fn tags_are_followed() {
     let (world, corners) = with_tags(&TAGS);
-    let pose = |k: usize| Pose { translation: place().translation + 0.03 * k as f64 * DVec3::X, ..place() };
+    let features = layer(&world, &TAGS, &corners, 0.0);
     for with_ranges in [false, true] {
-        let features = layer(&world, &TAGS, &corners, 0.0);
-        let estimator = estimator(EstimateOptions::default()).with_features(features);
-        let mut robot = Localizer::new(estimator, Prior::of_sigmas(pose(0), 0.02, 0.01), LocalizeOptions::default());
-        for k in 0..4 {
-            let grey = grey(&world, &pose(k), k as f64, k as u64);
-            let mut ranges = sense(&world, &camera(0.01), &pose(k), &mut Random(k as u64));
-            ranges.stamp = k as f64;
-            let step = if with_ranges {
-                robot.step_together(&world, &ranges, &[&grey]).unwrap()
-            } else {
-                robot.step(&world, &grey).unwrap()
-            };
-            let (m, d) = apart(&step.pose, &pose(k));
+        for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
+            let (m, d) = apart(&step.pose, truth);
             assert!(m < if with_ranges { 0.004 } else { 0.02 } && d < 0.3, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.estimate.findings[0].count("matched"), 4);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });

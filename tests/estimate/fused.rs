@@ -8,9 +8,8 @@ use presight::extract::FeatureClass;
 use presight::features::PlacedFeatures;
 use presight::features::generate::{GenerateOptions, generate};
 use presight::frame::GreyImage;
-use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::localize::Phase;
 use presight::placement::place_layer;
-use presight::simulate::GreySimulator;
 
 /// 240 x 180 pixels, 65 degrees wide, 10 cm beside the range camera.
 fn video() -> Sensor {
@@ -29,10 +28,6 @@ fn edges(world: &World) -> PlacedFeatures {
     place_layer(world, &layer).unwrap()
 }
 
-fn grey(world: &World, pose: &Pose, stamp: f64, seed: u64) -> Frame {
-    GreySimulator::new(predictor(), video(), 0.7, 0.01, seed).unwrap().frame(world, stamp, pose).unwrap()
-}
-
 fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &Prior) -> Estimate {
     estimator(EstimateOptions::default()).with_features(features.clone()).estimate(world, frames, prior).unwrap()
 }
@@ -47,7 +42,7 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
         let truth = off_by(&place(), 0.2, 4.0, &mut random);
         let believed = off_by(&truth, 0.03, 0.6, &mut random);
         let prior = Prior::of_sigmas(believed, 0.03, 0.01);
-        let (grey, ranges) = (grey(real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
+        let (grey, ranges) = (grey(&video(), real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
         for (frames, sums) in [vec![&ranges], vec![&grey], vec![&ranges, &grey]].into_iter().zip(&mut all) {
             let found = estimate(map, &features, &frames, &prior);
             assert!(found.is_determined(), "{:?}", found.state);
@@ -81,7 +76,7 @@ fn features_are_classed_by_ranges() {
     environment.delete("table").unwrap();
     add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
     let real = World::new(environment);
-    let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&real, &place(), 0.0, 3)];
+    let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&video(), &real, &place(), 0.0, 3)];
     let prior = Prior::of_sigmas(place(), 0.01, 0.005);
     let options = EstimateOptions { least_explained: 0.4, ..EstimateOptions::default() };
     let mut estimator = estimator(options).with_features(features);
@@ -113,24 +108,9 @@ fn features_are_classed_by_ranges() {
 fn grey_images_are_followed() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
-    let pose = |k: usize| {
-        let mut pose = place();
-        pose.translation.x += 0.03 * k as f64;
-        pose
-    };
     for with_ranges in [false, true] {
-        let estimator = estimator(EstimateOptions::default()).with_features(features.clone());
-        let mut robot = Localizer::new(estimator, Prior::of_sigmas(pose(0), 0.02, 0.01), LocalizeOptions::default());
-        for k in 0..4 {
-            let grey = grey(&world, &pose(k), k as f64, k as u64);
-            let mut ranges = sense(&world, &camera(0.01), &pose(k), &mut Random(k as u64));
-            ranges.stamp = k as f64;
-            let step = if with_ranges {
-                robot.step_together(&world, &ranges, &[&grey]).unwrap()
-            } else {
-                robot.step(&world, &grey).unwrap()
-            };
-            let (m, d) = apart(&step.pose, &pose(k));
+        for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
+            let (m, d) = apart(&step.pose, truth);
             assert!(m < 0.02 && d < 0.4, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });
         }

@@ -18,8 +18,11 @@ mod verdicts;
 mod willow;
 
 use glam::{DVec3, Vec3};
-use presight::estimate::{EstimateOptions, Estimator, moved};
+use presight::estimate::{EstimateOptions, Estimator, Prior, moved};
+use presight::features::PlacedFeatures;
 use presight::frame::{Frame, Measurement};
+use presight::localize::{LocalizeOptions, Localizer, Step};
+use presight::simulate::GreySimulator;
 use presight::{
     Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Pose, Predictor, Request,
     Scanner, Sensor, SensorSpec, World,
@@ -105,4 +108,37 @@ pub fn off_by(pose: &Pose, metres: f64, degrees: f64, random: &mut Random) -> Po
 /// Metres and degrees between two poses.
 pub fn apart(a: &Pose, b: &Pose) -> (f64, f64) {
     ((a.translation - b.translation).length(), a.rotation.angle_between(b.rotation).to_degrees())
+}
+
+/// 320 x 240 pixels, 65 degrees wide.
+pub fn video() -> Sensor {
+    let camera = Camera::pinhole(320, 240, 250.0, 250.0, 159.5, 119.5);
+    Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap()
+}
+
+/// What a camera sees in grey.
+pub fn grey(video: &Sensor, world: &World, pose: &Pose, stamp: f64, seed: u64) -> Frame {
+    GreySimulator::new(predictor(), video.clone(), 0.7, 0.01, seed).unwrap().frame(world, stamp, pose).unwrap()
+}
+
+/// Four frames along x, 3 cm apart, localized by grey images alone or with ranges beside them: the true poses and the steps.
+pub fn drive(
+    video: &Sensor,
+    world: &World,
+    features: &PlacedFeatures,
+    from: &Pose,
+    with_ranges: bool,
+) -> Vec<(Pose, Step)> {
+    let estimator = estimator(EstimateOptions::default()).with_features(features.clone());
+    let mut robot = Localizer::new(estimator, Prior::of_sigmas(*from, 0.02, 0.01), LocalizeOptions::default());
+    let step = |k: u32| {
+        let stamp = f64::from(k);
+        let truth = Pose { translation: from.translation + 0.03 * stamp * DVec3::X, ..*from };
+        let grey = grey(video, world, &truth, stamp, k.into());
+        let mut ranges = sense(world, &camera(0.01), &truth, &mut Random(k.into()));
+        ranges.stamp = stamp;
+        let step = if with_ranges { robot.step_together(world, &ranges, &[&grey]) } else { robot.step(world, &grey) };
+        (truth, step.unwrap())
+    };
+    (0..4).map(step).collect()
 }
