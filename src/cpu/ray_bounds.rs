@@ -2,7 +2,7 @@
 
 use super::bounds::{Extent, Footprint, LANES, Lanes, NOTHING, SLACK};
 use crate::limits;
-use crate::sensor::{ConeTree, ForwardView, RayGrid, TILE_SIDE, TileLookup};
+use crate::sensor::{ConeTree, DirectionMap, ForwardView, RayGrid, TILE_SIDE, TileLookup};
 use glam::DVec3;
 use pulp::Simd;
 use std::ops::Range;
@@ -91,7 +91,9 @@ fn ahead<S: Simd>(
         let found = of_tiles(grid, [rows[0][l], rows[1][l]], [columns[0][l], columns[1][l]], e.least[1][l]);
         if !found.samples.is_empty() {
             let caps = caps.get_or_insert_with(|| Caps::around(corners));
-            footprints[l] = narrowed(simd, grid, found, caps.axis(l), caps.cosine[l]);
+            let (axis, cosine) = (caps.axis(l), caps.cosine[l]);
+            let found = mapped(grid.direction_map(), axis, cosine, found.nearest).unwrap_or(found);
+            footprints[l] = narrowed(simd, grid, found, axis, cosine);
         }
     }
     footprints
@@ -148,6 +150,15 @@ impl Caps {
     }
 }
 
+/// The footprint of a polygon if its cone is narrow enough for the map.
+#[inline(always)]
+fn mapped(map: Option<&DirectionMap>, axis: DVec3, cosine: f64, nearest: f64) -> Option<Footprint> {
+    let found = map?.pixels_in(axis, cosine)?;
+    let lines = u32::from(found.first_row)..u32::from(found.end_row);
+    let samples = u32::from(found.first_column)..u32::from(found.end_column);
+    Some(if lines.is_empty() { NOTHING } else { Footprint { lines: [lines, 0..0], samples, nearest } })
+}
+
 /// Most tiles of a footprint whose rays are looked at one by one.
 const FEW: usize = 4;
 
@@ -156,7 +167,8 @@ const FEW: usize = 4;
 #[inline(always)]
 fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3, cosine: f64) -> Footprint {
     let tiles = |range: &Range<u32>| range.start / TILE_SIDE..range.end.div_ceil(TILE_SIDE);
-    let (rows, columns) = (tiles(&footprint.lines[0]), tiles(&footprint.samples));
+    let lines = footprint.lines[0].clone();
+    let (rows, columns) = (tiles(&lines), tiles(&footprint.samples));
     let few = rows.len() * columns.len() <= FEW;
     // Written so that what is no number is kept.
     if !(few && cosine > WIDEST) {
@@ -168,9 +180,11 @@ fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3,
     let (mut held, none) = (simd.splat_u64s(0), simd.splat_u64s(0));
     for (row, column) in rows.clone().flat_map(|row| columns.clone().map(move |column| (row, column))) {
         let rays = grid.rays_of(row as usize * grid.tiles_across() + column as usize);
-        for line in 0..TILE_SIDE as usize {
-            let bit = simd.splat_u64s(1 << ((row - rows.start) * TILE_SIDE + line as u32));
-            let [x, y, z] = [&rays.x, &rays.y, &rays.z].map(|lanes| S::as_simd_f64s(&lanes[line]).0);
+        let first = row * TILE_SIDE;
+        for line in lines.start.max(first)..lines.end.min(first + TILE_SIDE) {
+            let bit = simd.splat_u64s(1 << (line - lines.start));
+            let within = (line - first) as usize;
+            let [x, y, z] = [&rays.x, &rays.y, &rays.z].map(|lanes| S::as_simd_f64s(&lanes[within]).0);
             for i in 0..LANES / S::F64_LANES {
                 let xy = simd.add_f64s(simd.mul_f64s(ax, x[i]), simd.mul_f64s(ay, y[i]));
                 let inside = simd.greater_than_or_equal_f64s(simd.add_f64s(xy, simd.mul_f64s(az, z[i])), least);
@@ -184,8 +198,8 @@ fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3,
     if bits == 0 {
         return NOTHING;
     }
-    let first = rows.start * TILE_SIDE;
-    Footprint { lines: [first + bits.trailing_zeros()..first + u64::BITS - bits.leading_zeros(), 0..0], ..footprint }
+    let held = lines.start + bits.trailing_zeros()..lines.start + u64::BITS - bits.leading_zeros();
+    Footprint { lines: [held, 0..0], ..footprint }
 }
 
 /// Cosine of the widest cone that is told from everything.
@@ -213,15 +227,19 @@ fn around<S: Simd>(
             continue;
         }
         let (axis, cosine) = (caps.axis(l), caps.cosine[l]);
-        if cosine > WIDEST {
-            let [rows, columns] = tree.tiles_met(simd, axis, cosine);
-            let found =
-                of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end], distance_squared[l].sqrt());
-            if !found.samples.is_empty() {
-                footprints[l] = narrowed(simd, grid, found, axis, cosine);
-            }
-        } else {
+        if !(cosine > WIDEST) {
             footprints[l] = everything(grid);
+            continue;
+        }
+        let nearest = distance_squared[l].sqrt();
+        let found = if let Some(found) = mapped(grid.direction_map(), axis, cosine, nearest) {
+            found
+        } else {
+            let [rows, columns] = tree.tiles_met(simd, axis, cosine);
+            of_tiles(grid, [rows.start, rows.end], [columns.start, columns.end], nearest)
+        };
+        if !found.samples.is_empty() {
+            footprints[l] = narrowed(simd, grid, found, axis, cosine);
         }
     }
     footprints

@@ -2,6 +2,7 @@
 
 mod camera;
 mod cone_tree;
+mod direction_map;
 mod directory;
 mod distortion;
 mod grid;
@@ -17,6 +18,7 @@ mod undistort;
 
 pub use camera::Camera;
 pub(crate) use cone_tree::ConeTree;
+pub(crate) use direction_map::DirectionMap;
 pub use distortion::Distortion;
 pub(crate) use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};

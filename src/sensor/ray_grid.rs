@@ -2,6 +2,7 @@
 //! sensor.
 
 use super::cone_tree::ConeTree;
+use super::direction_map::DirectionMap;
 use super::grid::{Octet, PositionFinder};
 use crate::error::Result;
 use crate::memory;
@@ -84,7 +85,10 @@ impl Cones {
     }
 }
 
-/// How the tiles that a polygon may cover are found.
+/// Half angle of the cone around all rays from which on there is a [`DirectionMap`], radians.
+const WIDE: f64 = 0.75;
+
+/// How the tiles that a polygon may cover are found but where the [`DirectionMap`] tells.
 #[derive(Clone, Debug)]
 pub(crate) enum TileLookup {
     /// All rays lie ahead of one plane.
@@ -243,6 +247,17 @@ impl Sides {
     }
 }
 
+/// Radians between neighbouring rays, in the middle of all tiles.
+fn spacing(tiles: &[Tile]) -> f64 {
+    let of_tile = |t: &Tile| {
+        let pixels = DVec2::new(f64::from(t.width - 1), f64::from(t.height - 1));
+        (t.half_angle > 0.0 && pixels.length() > 0.0).then(|| 2.0 * t.half_angle / pixels.length())
+    };
+    let mut all: Vec<f64> = tiles.iter().filter_map(of_tile).collect();
+    let middle = all.len() / 2;
+    if all.is_empty() { 0.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
 /// A table of rays in tiles of 8 x 8.
 #[derive(Clone, Debug)]
 pub struct RayGrid {
@@ -255,6 +270,7 @@ pub struct RayGrid {
     gaps: Vec<bool>,
     /// By row of tiles, then by eight tiles.
     cones: Vec<Cones>,
+    map: Option<DirectionMap>,
     view: TileLookup,
     sides: Sides,
 }
@@ -263,7 +279,8 @@ impl RayGrid {
     /// Bytes of a table of so many rays.
     pub(super) fn bytes_for(width: u32, height: u32) -> u64 {
         let tiles = u64::from(width.div_ceil(TILE_SIDE)) * u64::from(height.div_ceil(TILE_SIDE));
-        tiles * (size_of::<Tile>() + size_of::<TileRays>() + size_of::<Cones>() / Octet::LEN + 1) as u64
+        let tile = size_of::<Tile>() + size_of::<TileRays>() + size_of::<Cones>() / Octet::LEN + 1;
+        tiles * tile as u64 + DirectionMap::bytes_for(u64::from(width) * u64::from(height))
     }
 
     /// `directions` are unit, row-major, in the image frame; NaN is no ray.
@@ -302,7 +319,10 @@ impl RayGrid {
             }
             _ => (TileLookup::Around(ConeTree::new(&tiles, across)), Sides::of(&whole)),
         };
-        Ok(Self { width, height, tiles, rays, gaps, cones, view, sides })
+        // Of wide views rows and columns of tiles tell too little, and a tree takes its time.
+        let wide = matches!(view, TileLookup::Around(_)) || whole.half_angle > WIDE;
+        let map = if wide { Some(DirectionMap::new(width, directions, spacing(&tiles))?) } else { None };
+        Ok(Self { width, height, tiles, rays, gaps, cones, map, view, sides })
     }
 
     /// Columns.
@@ -355,7 +375,13 @@ impl RayGrid {
         &self.cones[row * eights..(row + 1) * eights]
     }
 
-    /// How the tiles that a polygon may cover are found.
+    /// Tells the pixels that a small polygon may cover, if the view is wide.
+    #[inline(always)]
+    pub(crate) fn direction_map(&self) -> Option<&DirectionMap> {
+        self.map.as_ref()
+    }
+
+    /// How the tiles are found that another polygon may cover.
     pub(crate) fn view(&self) -> &TileLookup {
         &self.view
     }
@@ -368,7 +394,8 @@ impl RayGrid {
     /// Bytes of memory that the tables take.
     pub fn bytes(&self) -> u64 {
         let tree = if let TileLookup::Around(tree) = &self.view { tree.bytes() } else { 0 };
+        let map = self.map.as_ref().map_or(0, DirectionMap::bytes);
         let own = size_of_val(&*self.rays) + size_of_val(&*self.tiles) + size_of_val(&*self.cones);
-        (own + tree) as u64
+        (own + tree + map) as u64
     }
 }
