@@ -45,6 +45,8 @@ pub(super) const SEARCH: Schedule =
     Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
 /// Likewise with few points, to see where a start leads.
 pub(super) const LOOK: Schedule = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
+/// From a start that is one of many: the others look elsewhere.
+pub(super) const NEAR: Schedule = Schedule { first: 0.3, ..SEARCH };
 /// In a prediction at the pose that a search found.
 pub(super) const SETTLE: Schedule =
     Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: (APPROACH_POINTS, usize::MAX) };

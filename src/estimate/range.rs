@@ -10,7 +10,8 @@ use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
 use crate::matrix::{Matrix, add_to, apply, product, sandwich};
 use crate::motion::turn;
-use crate::verdict::{ExpectedImage, ObjectError, body_from_image};
+use crate::threads::parallel_or_here;
+use crate::verdict::{ExpectedImage, LANES, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -62,34 +63,38 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
         let ray = inside.then(|| sensor.ray((i % width) as u32, (i / width) as u32)).flatten();
         ray.map_or(Vec3::NAN, |ray| (range * ray).as_vec3())
     };
-    let points: Vec<Vec3> = frame.ranges().iter().enumerate().map(point).collect();
+    let pixels = frame.ranges().par_iter().enumerate().with_min_len(CHUNK);
+    let points: Vec<Vec3> = parallel_or_here(|| pixels.map(point).collect());
+    let upright = height == 1 && !sensor.is_camera();
+    let rows = (0..height).into_par_iter().with_min_len(CHUNK.div_ceil(width.max(1)));
+    let rows: Vec<Vec<MeasuredPoint>> =
+        parallel_or_here(|| rows.map(|row| points_of_row(&points, width, row, upright)).collect());
+    rows.concat()
+}
+
+/// Those of one row. One row alone shows surfaces as lines: they are taken to stand `upright` on it.
+fn points_of_row(points: &[Vec3], width: usize, row: usize, upright: bool) -> Vec<MeasuredPoint> {
+    /// Columns and rows between a point and the neighbours that tell its normal.
+    const N: usize = 2;
+    let last = points.len() / width - 1;
     let at = |c: usize, r: usize| points[r * width + c];
-    let mut found = Vec::with_capacity(points.len());
-    for r in 0..height {
-        for c in 0..width {
-            let p = at(c, r);
-            if p.is_nan() {
-                continue;
-            }
-            let slope = |before: Vec3, after: Vec3| after - before;
-            const N: usize = 2;
-            let across = slope(at(c.saturating_sub(N), r), at((c + N).min(width - 1), r));
-            // One row shows surfaces as lines: they are taken to stand upright on it.
-            let down = if height == 1 && !sensor.is_camera() {
-                Vec3::Z
-            } else {
-                slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)))
-            };
-            let n = across.cross(down).normalize_or_zero();
-            let n = if n.is_nan() {
-                Vec3::ZERO
-            } else if n.dot(p) > 0.0 {
-                -n
-            } else {
-                n
-            };
-            found.push(MeasuredPoint { point: p, normal: n });
+    let mut found = Vec::with_capacity(width);
+    for c in 0..width {
+        let p = at(c, row);
+        if p.is_nan() {
+            continue;
         }
+        let across = at((c + N).min(width - 1), row) - at(c.saturating_sub(N), row);
+        let down = if upright { Vec3::Z } else { at(c, (row + N).min(last)) - at(c, row.saturating_sub(N)) };
+        let n = across.cross(down).normalize_or_zero();
+        let n = if n.is_nan() {
+            Vec3::ZERO
+        } else if n.dot(p) > 0.0 {
+            -n
+        } else {
+            n
+        };
+        found.push(MeasuredPoint { point: p, normal: n });
     }
     found
 }
@@ -146,6 +151,7 @@ impl<'a> RangeSource<'a> {
     }
 
     /// The expected pixel nearest to a point, both in the expected image's frame, and its distance squared.
+    #[inline(always)]
     fn nearest(&self, q: Vec3, m: Vec3, lambda2: f32, half: (i32, i32)) -> Option<(usize, f32)> {
         let e = self.expected;
         let (u, v) = self.project(q)?;
@@ -163,23 +169,31 @@ impl<'a> RangeSource<'a> {
             let (su, sv) = (su.max(1), sv.max(1));
             let (nu, nv) = (hu / su, hv / sv);
             let (mut bu, mut bv) = (cu, cv);
-            for j in -nv..=nv {
-                let row = cv + j * sv;
+            let first = cu - nu * su;
+            for n in 0..=2 * nv {
+                // From the middle on: what is near is found soon, and bounds the rest.
+                let row = cv + sv * if n % 2 == 0 { n / 2 } else { -(n / 2) - 1 };
                 if row < 0 || row >= h {
                     continue;
                 }
-                for i in -nu..=nu {
-                    let column = cu + i * su;
-                    if column < 0 || column >= w {
+                let [x, y, z] = e.strided.row(&e.pixels, e.width, (row as usize, first), su as usize);
+                let mut apart = [0.0f32; LANES];
+                for k in 0..LANES {
+                    let (dx, dy, dz) = (x[k] - q.x, y[k] - q.y, z[k] - q.z);
+                    apart[k] = dx * dx + dy * dy + dz * dz;
+                }
+                // Most pixels are too far off whatever their normals; those without a point are, too.
+                let nearer: u32 = apart.iter().map(|d| u32::from(*d < best.1)).sum();
+                if nearer == 0 {
+                    continue;
+                }
+                for (k, apart) in apart.iter().enumerate().take(2 * nu as usize + 1) {
+                    if !(*apart < best.1) {
                         continue;
                     }
+                    let column = first + k as i32 * su;
                     let at = (row * w + column) as usize;
                     let pixel = &e.pixels[at];
-                    let apart = pixel.point.distance_squared(q);
-                    // Most pixels are too far off whatever their normals; those without a point are, too.
-                    if !(apart < best.1) {
-                        continue;
-                    }
                     let agree = pixel.normal.dot(m);
                     let agree = if pixel.offset > 0.0 { -agree } else { agree };
                     let apart = apart + lambda2 * (1.0 - agree);
@@ -197,6 +211,7 @@ impl<'a> RangeSource<'a> {
         }
     }
 
+    #[inline(always)]
     fn project(&self, q: Vec3) -> Option<(f32, f32)> {
         if let crate::Geometry::Camera(c) = &self.expected.sensor.spec().geometry
             && c.distortion.is_none()
@@ -213,6 +228,7 @@ impl<'a> RangeSource<'a> {
     }
 
     /// The expected pixel that a point is compared with; [`NOWHERE`] without one.
+    #[inline(always)]
     fn matched(&self, p: &MeasuredPoint, moved: &FramePoses, gate: &Gate) -> u32 {
         let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
         let m = moved.expected_from_now.transform_vector3(p.normal.as_dvec3());
@@ -231,6 +247,7 @@ impl<'a> RangeSource<'a> {
     }
 
     /// Adds what a point says that is compared with the pixel `at`.
+    #[inline(always)]
     fn add_point(&self, sum: &mut Sum, p: &MeasuredPoint, at: u32, moved: &FramePoses, gate: &Gate) {
         let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
         let range = f64::from(p.point.length());
@@ -338,14 +355,19 @@ impl RangeSource<'_> {
         let unmatched = matches.len() != count;
         matches.resize(count, NOWHERE);
         let one = |(points, matches): (&[MeasuredPoint], &mut [u32])| {
-            let mut sum = Sum::default();
-            for (p, at) in points.iter().step_by(step).zip(matches) {
-                if unmatched {
-                    *at = self.matched(p, &moved, gate);
-                }
-                self.add_point(&mut sum, p, *at, &moved, gate);
-            }
-            sum
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    let mut sum = Sum::default();
+                    for (p, at) in points.iter().step_by(step).zip(matches) {
+                        if unmatched {
+                            *at = self.matched(p, &moved, gate);
+                        }
+                        self.add_point(&mut sum, p, *at, &moved, gate);
+                    }
+                    sum
+                },
+            )
         };
         let chunks = self.points.par_chunks(CHUNK * step).zip(matches.par_chunks_mut(CHUNK));
         let sums: Vec<Sum> = chunks.map(one).collect();

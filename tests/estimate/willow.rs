@@ -163,6 +163,13 @@ fn drives_through_an_outdated_model_are_followed() {
             let (metres, degrees) = apart(&step.pose, truth);
             assert!(step.is_known() && step.phase != Phase::Lost, "drive {seed} at {} s: {}", frame.stamp, step.reason);
             worst = worst.max(metres);
+            if std::env::var("NOASSERT").is_ok() {
+                let c = step.estimate.verdicts[0].counts();
+                println!(
+                    "D {seed} {} {:.2} {:.2} {} {} {:?}",
+                    frame.stamp, metres, step.estimate.explained, c[0], c[2], step.phase
+                );
+            }
             turned.push(degrees);
         }
         println!("drive {seed}: at most {worst:.2} m off");
@@ -205,17 +212,36 @@ fn single_scans_in_an_outdated_model() {
     assert!(at(&metres, 0.9) <= 0.6 && at(&degrees, 0.9) <= 4.0);
 }
 
-/// Sixty scans from all over the building as if the robot had not moved: places where beams pass through walls are not where it is.
+/// Scans from all over the building as if the robot had not moved since the first, which is where it is known to be: places where beams pass
+/// through walls, or where a frame or two fit by chance, are not where it is. Three starts, with two after which several frames fit by
+/// chance; PRESIGHT_WILLOW_STARTS=60 takes as many.
 #[test]
 fn scans_from_elsewhere_are_never_tracked() {
     let Some(model) = model() else { return };
-    let mut scans = log_of_scans().map(Result::unwrap);
-    let first = scans.next().unwrap();
-    let mut robot = robot(Prior::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
-    robot.step(&model, &first.frame).unwrap();
-    for log::Observation { frame, reference } in scans {
-        let step = robot.step(&model, &frame).unwrap();
-        let (metres, _) = apart(&step.pose, &reference.unwrap());
-        assert!(step.phase != Phase::Tracking || metres < 0.75, "{metres:.1} m off: {}", step.reason);
+    let count = presight_testkit::env_number("PRESIGHT_WILLOW_STARTS", 0) as usize;
+    let starts = if count == 0 { vec![0, 1, 41] } else { (0..count).collect() };
+    let (mut fitting, mut frames) = (0, 0);
+    for start in starts {
+        let mut scans = log_of_scans().map(Result::unwrap).skip(start);
+        let first = scans.next().unwrap();
+        let mut robot = robot(Prior::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
+        robot.step(&model, &first.frame).unwrap();
+        for log::Observation { frame, reference } in scans {
+            let step = robot.step(&model, &frame).unwrap();
+            let (metres, _) = apart(&step.pose, &reference.unwrap());
+            if std::env::var("NOASSERT").is_ok() {
+                let c = step.estimate.verdicts[0].counts();
+                println!(
+                    "E {start} {} {:.2} {:.2} {} {} {:?}",
+                    frame.stamp, metres, step.estimate.explained, c[0], c[2], step.phase
+                );
+            }
+            frames += 1;
+            fitting += usize::from(metres > 0.75 && step.phase == Phase::Candidates);
+            if std::env::var("NOASSERT").is_err() {
+                assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);
+            }
+        }
     }
+    println!("{fitting} of {frames} frames from elsewhere fit");
 }
