@@ -26,6 +26,8 @@ const TUKEY: f64 = 4.685;
 const PROBES: i32 = 6;
 /// Points of one task.
 const CHUNK: usize = 512;
+/// Points that tell the median of residuals: more tell no other.
+const SPREAD_POINTS: usize = 4096;
 /// The match of a point that has none.
 const NOWHERE: u32 = u32::MAX;
 
@@ -182,13 +184,11 @@ impl<'a> RangeSource<'a> {
                     let (dx, dy, dz) = (x[k] - q.x, y[k] - q.y, z[k] - q.z);
                     apart[k] = dx * dx + dy * dy + dz * dz;
                 }
-                // Most pixels are too far off whatever their normals; those without a point are, too.
-                let nearer: u32 = apart.iter().map(|d| u32::from(*d < best.1)).sum();
-                if nearer == 0 {
-                    continue;
-                }
-                for (k, apart) in apart.iter().enumerate().take(2 * nu as usize + 1) {
-                    if !(*apart < best.1) {
+                // The nearest one first: it bounds the rest. Most are too far off whatever their normals; those without a point are, too.
+                let apart = &apart[..2 * nu as usize + 1];
+                let nearest = (1..apart.len()).fold(0, |at, k| if apart[k] < apart[at] { k } else { at });
+                for k in std::iter::once(nearest).chain(0..apart.len()) {
+                    if !(apart[k] < best.1) {
                         continue;
                     }
                     let column = first + k as i32 * su;
@@ -196,7 +196,7 @@ impl<'a> RangeSource<'a> {
                     let pixel = &e.pixels[at];
                     let agree = pixel.normal.dot(m);
                     let agree = if pixel.offset > 0.0 { -agree } else { agree };
-                    let apart = apart + lambda2 * (1.0 - agree);
+                    let apart = apart[k] + lambda2 * (1.0 - agree);
                     if apart < best.1 {
                         best = (at, apart);
                         (bu, bv) = (column, row);
@@ -265,26 +265,25 @@ impl<'a> RangeSource<'a> {
         };
         let apart = pixel.point.distance_squared(q.as_vec3());
         let normal = pixel.normal.as_dvec3();
-        let sight = q - moved.centre;
-        let cos = normal.dot(sight).abs() / sight.length();
+        let cos = normal.dot(q - moved.centre).abs() / range;
         // A neighbour's point may be as far as the pixels are apart on the surface.
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
-        let sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt();
         let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
         if !(f64::from(apart) <= within * within) || cos < FLATTEST {
             sum.cost += constant;
             return;
         }
         let e = normal.dot(q) - f64::from(pixel.offset);
-        let normalized = e / sigma;
+        let per_sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt().recip();
+        let normalized = e * per_sigma;
         sum.normalized.push(normalized.abs() as f32);
-        let (weight, cost) = gate.kernel.weigh(normalized, reach / sigma);
+        let (weight, cost) = gate.kernel.weigh(normalized, reach * per_sigma);
         sum.cost += cost;
         sum.explained += usize::from(normalized.abs() <= EXPLAINED);
         if weight == 0.0 {
             return;
         }
-        let w = weight / (sigma * sigma);
+        let w = weight * per_sigma * per_sigma;
         let turned = (q - moved.robot).cross(normal);
         let j = [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z];
         for a in 0..6 {
@@ -397,6 +396,8 @@ impl RangeSource<'_> {
         }
         total.compared = normalized.len();
         if !normalized.is_empty() {
+            let step = normalized.len().div_ceil(SPREAD_POINTS);
+            let mut normalized: Vec<f32> = normalized.into_iter().step_by(step).collect();
             let middle = normalized.len() / 2;
             total.spread = f64::from(*normalized.select_nth_unstable_by(middle, f32::total_cmp).1);
         }

@@ -17,7 +17,7 @@ use crate::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scale
 use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
-use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
+use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, body_from_image, judge};
 use crate::world::World;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -79,6 +79,8 @@ pub struct Estimator {
     pub(crate) options: EstimateOptions,
     /// Of the offsets of polygon groups.
     offsets: OffsetVariance,
+    /// The prediction that the frame before ended with, and the version of the world that it is of.
+    before: Option<(u64, Arc<Expectation>)>,
 }
 
 /// Prior standard deviations that the first gate is wide.
@@ -189,7 +191,14 @@ impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
     pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
         let offsets = OffsetVariance::of_sigma(options.offset_sigma);
-        Self { predictor, surfaces: Surfaces::default(), features: FeatureOptions::default(), options, offsets }
+        Self {
+            predictor,
+            surfaces: Surfaces::default(),
+            features: FeatureOptions::default(),
+            options,
+            offsets,
+            before: None,
+        }
     }
 
     /// With the features that are looked for in grey images, instead of the world's own layer for the sensor's class. They have to be
@@ -209,7 +218,10 @@ impl Estimator {
         if run.is_blind() {
             return Ok(self.blind(&run));
         }
-        let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
+        let expected = match self.at_hand(&run) {
+            Some(before) => before,
+            None => self.expected(&mut run, &prior.pose, &prior.covariance)?,
+        };
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
@@ -222,7 +234,22 @@ impl Estimator {
         if best.normal.explained_share() >= self.options.least_explained {
             self.offsets.learn(&best.normal, &run.prior_information, self.options.freedom);
         }
+        self.before = Some((world.stamp(), best.expected.clone()));
         self.answer(&run, best, others)
+    }
+
+    /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
+    /// prediction of its own.
+    fn at_hand(&self, run: &Run<'_>) -> Option<Arc<Expectation>> {
+        let (_, before) = self.before.as_ref().filter(|(stamp, _)| *stamp == run.world.stamp())?;
+        let near = |(e, m): (&ExpectedImage, &FrameMeasurement<'_>)| {
+            let sensor = m.frame.sensor();
+            let off =
+                motion_between(&e.world_from_image, &(run.prior.pose * sensor.spec().mount * body_from_image(sensor)));
+            e.sensor.spec() == sensor.spec() && length(&off[..3]) < LOOSE.0 && length(&off[3..]) < LOOSE.1
+        };
+        let same = run.greys.is_empty() && before.images.len() == run.measured.len();
+        (same && before.images.iter().zip(&run.measured).all(near)).then(|| before.clone())
     }
 
     /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
@@ -320,7 +347,8 @@ impl Estimator {
         } else {
             found
         };
-        let expected = if serves(run, &found.expected, &found.pose) {
+        // A frame is judged by a prediction of its own.
+        let expected = if run.predictions > 0 && serves(run, &found.expected, &found.pose) {
             found.expected.clone()
         } else {
             let mut information = found.normal.information;

@@ -91,7 +91,7 @@ impl Localizer {
             Phase::Lost | Phase::Unknown | Phase::Candidates if estimate.is_determined() => {
                 if let Some(but) = self.disagrees(estimate) {
                     self.disagreed += 1;
-                    let given = self.is_coarse() && !self.is_anew && self.disagreed < self.agreeing();
+                    let given = self.is_coarse() && !self.is_anew && self.disagreed < self.options.patience;
                     self.restart_agreement();
                     self.is_anew = !given;
                     self.phase = if given { Phase::Candidates } else { Phase::Unknown };
