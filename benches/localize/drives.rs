@@ -203,21 +203,6 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
         let found = estimator.estimate(world, &all, &prior).expect("an estimate");
         errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
         errors.add(&found, &truth);
-        if std::env::var("VERBOSE").is_ok() {
-            let (e, m) = nees(&found.pose, &found.covariance, &truth);
-            let weak: Vec<_> = found.weak.iter().map(|w| format!("{} {:.3}", w.name, w.sigma)).collect();
-            let off = motion_between(&found.pose, &truth);
-            let sig: Vec<f64> = (0..6).map(|i| found.covariance[i][i].sqrt() * 1e3).collect();
-            println!(
-                "{k} nees {:.2} off {off:.4?} sig {sig:.2?} offset {:.5} expl {:.3} pred {} hyp {} weak {weak:?} spread {:.2}",
-                e / m as f64,
-                found.offset_sigma,
-                found.explained,
-                found.predictions,
-                found.hypotheses.len(),
-                found.spread
-            );
-        }
     }
     errors
 }
@@ -341,16 +326,6 @@ pub fn kidnapped() {
             let off = (step.pose.translation - truth.translation).length();
             let weak: Vec<&str> = step.estimate.weak.iter().map(|w| w.name.as_str()).collect();
             reason = format!("{}, {off:.2} m off, weak {weak:?}: {}", step.phase.name(), step.reason);
-            if std::env::var("VERBOSE").is_ok() && k >= 15 {
-                println!("  {drives} {k} {reason}");
-                for c in step.candidates.iter().take(8) {
-                    let m = motion_between(&c.pose, &truth);
-                    println!(
-                        "      {:.2} {:.2} {:.3} ll {:.1} ex {:.2} n {}",
-                        m[0], m[1], m[5], c.log_likelihood, c.explained, c.frames
-                    );
-                }
-            }
         }
         println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}; at last {reason}");
         lost += usize::from(lost_at.is_some_and(|k| k <= 5));

