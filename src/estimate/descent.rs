@@ -100,6 +100,9 @@ pub(super) fn descend(
         }
         let step = step(&end.normal, run, &end.pose, freedom);
         end.pose = moved(&end.pose, &step);
+        if schedule.settle == usize::MAX {
+            end.pose = run.within_reach(&end.pose);
+        }
         if known(&end.pose) {
             break;
         }

@@ -90,6 +90,8 @@ const DRAWS: usize = 16;
 
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
 const LOOSE: (f64, f64) = (0.05, 0.05);
+/// A pose as far from the prior as one in 100 is looked for anew, from elsewhere: standard normal deviate.
+const DOUBTFUL: f64 = 2.326;
 /// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
 const SETTLED: f64 = 3.0;
 /// A pose that grey images alone tell rests on at least so many features, or on so many fiducials: they are never taken for another, but of
@@ -169,9 +171,23 @@ pub(super) struct Run<'a> {
 }
 
 impl Run<'_> {
+    /// Squared deviations of a pose from the prior.
+    fn from_prior(&self, pose: &Pose) -> f64 {
+        quadratic(&self.prior_information, &motion_between(&self.prior.pose, pose))
+    }
+
     /// True if the robot hardly is at a pose, by what was known before.
     fn is_unlikely(&self, pose: &Pose) -> bool {
-        quadratic(&self.prior_information, &motion_between(&self.prior.pose, pose)) > self.unlikely
+        self.from_prior(pose) > self.unlikely
+    }
+
+    /// The pose, or the one on the way to it from the prior as far as the robot may be: a wide search leads far off where things repeat.
+    pub(super) fn within_reach(&self, pose: &Pose) -> Pose {
+        let most = (self.unlikely / self.from_prior(pose)).sqrt();
+        if most >= 1.0 {
+            return *pose;
+        }
+        moved(&self.prior.pose, &motion_between(&self.prior.pose, pose).map(|x| most * x))
     }
 
     /// The share of the points that a minimum explains, less what another may lead by if it is an unlikely one.
@@ -225,7 +241,8 @@ impl Estimator {
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
-        let doubtful = best.normal.explained_share() < self.options.least_explained || run.is_unlikely(&best.pose);
+        let doubtful = best.normal.explained_share() < self.options.least_explained
+            || run.from_prior(&best.pose) > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
         if !run.has_greys_only() && doubtful {
             best = self.restart(&mut run, &expected, best)?;
         }
