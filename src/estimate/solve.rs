@@ -172,18 +172,18 @@ pub(super) struct Run<'a> {
 
 impl Run<'_> {
     /// Squared deviations of a pose from the prior.
-    fn from_prior(&self, pose: &Pose) -> f64 {
+    fn deviations_squared(&self, pose: &Pose) -> f64 {
         quadratic(&self.prior_information, &motion_between(&self.prior.pose, pose))
     }
 
     /// True if the robot hardly is at a pose, by what was known before.
     fn is_unlikely(&self, pose: &Pose) -> bool {
-        self.from_prior(pose) > self.unlikely
+        self.deviations_squared(pose) > self.unlikely
     }
 
     /// The pose, or the one on the way to it from the prior as far as the robot may be: a wide search leads far off where things repeat.
     pub(super) fn within_reach(&self, pose: &Pose) -> Pose {
-        let most = (self.unlikely / self.from_prior(pose)).sqrt();
+        let most = (self.unlikely / self.deviations_squared(pose)).sqrt();
         if most >= 1.0 {
             return *pose;
         }
@@ -242,7 +242,8 @@ impl Estimator {
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
         let doubtful = best.normal.explained_share() < self.options.least_explained
-            || run.from_prior(&best.pose) > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
+            || run.deviations_squared(&best.pose)
+                > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
         if !run.has_greys_only() && doubtful {
             best = self.restart(&mut run, &expected, best)?;
         }

@@ -147,7 +147,7 @@ fn robot(start: Prior) -> Localizer {
     Localizer::new(estimator(options), start, LocalizeOptions::default())
 }
 
-/// Seldom far from the registered pose, and never lost. The first drive; PRESIGHT_WILLOW_DRIVES=20 takes as many.
+/// Seldom far from the registered pose, and seldom given up. The first drive; PRESIGHT_WILLOW_DRIVES=20 takes as many.
 #[test]
 fn drives_through_an_outdated_model_are_followed() {
     let Some(model) = model() else { return };
@@ -175,7 +175,8 @@ fn drives_through_an_outdated_model_are_followed() {
     turned.sort_by(f64::total_cmp);
     let p90 = turned[turned.len() * 9 / 10];
     println!("headings: p90 {p90:.2} deg");
-    // FIGURES
+    // Of 20 drives 17 (all were aimed at): two go 0.79 and 1.05 m off, and drive 11 begins where the model explains 3 % for two metres and is
+    // given up, 0.08 m off. 3.0 degrees, and 3.7 in the first drive alone.
     let most = if count < 20 { 4.0 } else { 3.5 };
     assert!(far <= count / 6 && p90 <= most, "{far} of {count} drives went farther off than 0.75 m, {p90} deg");
 }
