@@ -3,7 +3,8 @@
 use super::image::ImageSource;
 use super::normal::{Freedom, Normal};
 use super::range::RangeSource;
-use super::solve::{Expectation, FrameMeasurement, Minimum, Run, length};
+use super::run::{Expectation, FrameMeasurement, Minimum, Run};
+use super::solve::length;
 use super::{Gate, Kernel, Residuals};
 use crate::geometry::Pose;
 use crate::matrix::{add_to, apply, inverse, restricted};
