@@ -300,13 +300,17 @@ impl Estimator {
                 .collect();
             found.sort_by(|a, b| run.merit(b).total_cmp(&run.merit(a)));
             for start in found.iter().take(3) {
+                // What came to rest where the best one did needs no prediction.
+                if explains && run.is_same(&best.pose, &start.pose, self.offsets.sigma()) {
+                    continue;
+                }
                 let end = self.settle(run, start)?;
                 if run.merit(&end) > run.merit(&best) {
                     best = end;
                 }
-            }
-            if best.normal.explained_share() >= least && !run.is_unlikely(&best.pose) {
-                break;
+                if !explains && best.normal.explained_share() >= least && !run.is_unlikely(&best.pose) {
+                    return Ok(best);
+                }
             }
         }
         Ok(best)
