@@ -4,13 +4,15 @@
 use super::{map, predictor};
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight::estimate::{Estimate, EstimateOptions, Estimator, Prior, motion_between, nees};
+use presight::estimate::{
+    Estimate, EstimateOptions, Estimator, Freedom, Prior, measured_points, motion_between, moved, nees,
+};
 use presight::frame::{Frame, Measurement};
 use presight::free_poses::free_poses;
-use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight::simulate::{Disturbances, Simulator};
 use presight::{Backend, Camera, Distortion, Geometry, Options, Pose, Predictor, Sensor, World, preset};
-use presight_testkit::data;
+use presight_testkit::{Random, data};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Frames of one drive.
@@ -164,7 +166,7 @@ fn halls() -> Vec<(&'static str, World, Pose)> {
     worlds.into_iter().map(with_place).collect()
 }
 
-/// Frames of one drive by radar scan, laser range camera, and both together, each from a prior that odometry carried on.
+/// Frames of one drive by radar scan, laser range camera, and both together, each from a prior that is off by as much as it says.
 pub fn accuracy(frames: usize) {
     for (hall, world, place) in halls() {
         println!("{frames} frames in {hall}, exact map, around {:.1}\n{HEAD}", place.translation);
@@ -179,11 +181,6 @@ pub fn accuracy(frames: usize) {
     }
 }
 
-fn level_at(pose: &Pose, height: f64) -> Pose {
-    let yaw = pose.rotation.to_euler(glam::EulerRot::ZYX).0;
-    Pose::from_xyz_rpy(pose.translation.with_z(height), 0.0, 0.0, yaw)
-}
-
 fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Errors {
     let is_row = sensors.iter().all(|s| s.height() == 1);
     let simulator =
@@ -195,24 +192,32 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
         EstimateOptions::default()
     };
     let mut estimator = Estimator::new(single(), options);
-    let (mut believed, mut errors) = (on_the_way(place, 0), Errors::default());
+    let (mut random, mut errors) = (Random(7), Errors::default());
     for k in 0..frames {
         let truth = on_the_way(place, k);
         let seen: Vec<Frame> =
             simulators.iter_mut().map(|s| s.frame(world, k as f64, &truth).expect("a frame")).collect();
-        if let Some(motion) = &seen[0].motion {
-            believed = believed * motion.previous_from_current;
-            // A row stays on its floor.
-            believed = if is_row { level_at(&believed, truth.translation.z) } else { believed };
-        }
-        let start = ProcessTime::now();
         let all: Vec<&Frame> = seen.iter().collect();
-        let found = estimator.estimate(world, &all, &Prior::of_sigmas(believed, 0.02, 0.01)).expect("an estimate");
+        let prior = drawn_around(&truth, (0.02, 0.01), options.freedom, &mut random);
+        let start = ProcessTime::now();
+        let found = estimator.estimate(world, &all, &prior).expect("an estimate");
         errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
         errors.add(&found, &truth);
-        believed = found.pose;
     }
     errors
+}
+
+/// What is known of a pose to these deviations, metres and radians, and off by as much as they say: a prior that were better than it says
+/// would leave the estimate better than it says, too.
+fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, random: &mut Random) -> Prior {
+    let mut off = [0.0; 6];
+    for axis in freedom.axes() {
+        // Box and Muller.
+        let radius = (-2.0 * random.uniform(1e-300, 1.0).ln()).sqrt();
+        let normal = radius * random.uniform(0.0, std::f64::consts::TAU).cos();
+        off[*axis] = normal * if *axis < 3 { metres } else { radians };
+    }
+    Prior::of_sigmas(moved(truth, &off), metres, radians)
 }
 
 /// What a model of the sensor is worth: frames of a camera with lens distortion, noise that grows with the range and noise of
@@ -264,6 +269,22 @@ pub fn fidelity(frames: usize) {
     }
 }
 
+/// True if a step's pose is within 0.1 m of the truth but for directions that are named as weak (turns as lengths at the reach of the beams),
+/// and if in all directions it is where its covariance says: squared error within the 99.99 % quantile of three numbers.
+fn is_right(frame: &Frame, step: &Step, truth: &Pose) -> bool {
+    let squares = measured_points(frame).iter().map(|p| f64::from(p.point.length_squared())).collect::<Vec<f64>>();
+    let reach = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
+    let off = motion_between(&step.pose, truth);
+    let mut off: [f64; 6] = std::array::from_fn(|i| if i < 3 { off[i] } else { off[i] * reach });
+    // What beams tell well enough is not left out, however much better it was known before.
+    for weak in step.estimate.weak.iter().filter(|w| w.sigma > 0.05) {
+        let along: f64 = off.iter().zip(&weak.motion).map(|(a, b)| a * b).sum();
+        (0..6).for_each(|i| off[i] -= along * weak.motion[i]);
+    }
+    let (squared, _) = nees(&step.pose, &step.covariance, truth);
+    off[..3].iter().map(|x| x * x).sum::<f64>().sqrt() < 0.1 && squared < 21.1
+}
+
 /// From many places the robot is carried four metres away, its odometry at rest: frames until it says so, and until it is found.
 pub fn kidnapped() {
     let Some(world) = hall() else { return };
@@ -299,11 +320,12 @@ pub fn kidnapped() {
             if k >= 15 && step.phase == Phase::Lost {
                 lost_at.get_or_insert(k - 14);
             }
-            let near = (step.pose.translation - truth.translation).length() < 0.1;
-            if lost_at.is_some() && step.phase == Phase::Tracking && near {
+            if lost_at.is_some() && step.phase == Phase::Tracking && is_right(&frame, &step, &truth) {
                 found_at.get_or_insert(k - 14);
             }
-            reason = format!("{}: {}", step.phase.name(), step.reason);
+            let off = (step.pose.translation - truth.translation).length();
+            let weak: Vec<&str> = step.estimate.weak.iter().map(|w| w.name.as_str()).collect();
+            reason = format!("{}, {off:.2} m off, weak {weak:?}: {}", step.phase.name(), step.reason);
         }
         println!("drive {drives}: lost after {lost_at:?} frames, found after {found_at:?}; at last {reason}");
         lost += usize::from(lost_at.is_some_and(|k| k <= 5));

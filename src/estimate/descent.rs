@@ -3,7 +3,8 @@
 use super::image::ImageSource;
 use super::normal::{Freedom, Normal};
 use super::range::RangeSource;
-use super::solve::{Expectation, FrameMeasurement, Minimum, Run, length};
+use super::run::{Expectation, FrameMeasurement, Minimum, Run};
+use super::solve::length;
 use super::{Gate, Kernel, Residuals};
 use crate::geometry::Pose;
 use crate::matrix::{add_to, apply, inverse, restricted};
@@ -23,6 +24,8 @@ const AT_REST: f64 = 2e-6;
 const STILL: f64 = 0.05;
 /// By how much faster, as steps at once.
 const HASTE: i32 = 4;
+/// Steps in which the kernel redescends on few points. With all of them little is left to find.
+const FEW: usize = 3;
 /// A prediction serves for poses that its rays turn by less than this part of a pixel for.
 const SERVES: f64 = 0.5;
 /// Matches are kept while the measured points move less than this part of a pixel.
@@ -36,7 +39,7 @@ pub(super) struct Schedule {
     steps: usize,
     /// From this step on the kernel redescends.
     settle: usize,
-    /// Most points that steps before that look at, and those from there on.
+    /// Most points that steps look at, and those from [`FEW`] steps after `settle` on.
     points: (usize, usize),
 }
 
@@ -45,9 +48,11 @@ pub(super) const SEARCH: Schedule =
     Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
 /// Likewise with few points, to see where a start leads.
 pub(super) const LOOK: Schedule = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
+/// From a start that is one of many: the others look elsewhere.
+pub(super) const NEAR: Schedule = Schedule { first: 0.3, ..SEARCH };
 /// In a prediction at the pose that a search found.
 pub(super) const SETTLE: Schedule =
-    Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 10, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
+    Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 13, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
 
 /// Steps from a start to rest, or until they come to a pose that is `known`.
 pub(super) fn descend(
@@ -63,20 +68,21 @@ pub(super) fn descend(
     let images: Vec<ImageSource<'_>> =
         seen.map(|(found, grey)| ImageSource::of_findings(grey.sensor(), found)).collect();
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
-    let (mut factor, mut rests) = (schedule.first, false);
+    let (mut factor, mut rests, mut few) = (schedule.first, false, FEW);
     let mut matches: Vec<Vec<u32>> = vec![Vec::new(); sources.len()];
     let pitch = sources.iter().map(RangeSource::pitch).fold(f64::INFINITY, f64::min);
     // How far the measured points moved since they were matched, radians.
     let mut since = 0.0;
     for k in 0..schedule.steps {
         let settled = k >= schedule.settle;
+        let whole = settled && few == 0;
         let last = k + 1 == schedule.steps || rests;
         let kernel = if settled { Kernel::Redescending { spread: end.spread } } else { Kernel::Wide };
         let gate = Gate {
             translation: factor * run.extent.0,
             rotation: factor * run.extent.1,
             kernel,
-            points: if settled { schedule.points.1 } else { schedule.points.0 },
+            points: if whole { schedule.points.1 } else { schedule.points.0 },
             finally: last && schedule.settle < schedule.steps,
         };
         if k <= schedule.settle || since > KEPT * pitch {
@@ -95,6 +101,9 @@ pub(super) fn descend(
         }
         let step = step(&end.normal, run, &end.pose, freedom);
         end.pose = moved(&end.pose, &step);
+        if schedule.settle == usize::MAX {
+            end.pose = run.within_reach(&end.pose);
+        }
         if known(&end.pose) {
             break;
         }
@@ -104,7 +113,10 @@ pub(super) fn descend(
         // With the least gate every further step is like this one.
         let at_rest =
             if settled { step.iter().all(|x| x.abs() < AT_REST) } else { still && schedule.settle == usize::MAX };
-        rests = factor <= schedule.least && at_rest;
+        rests = factor <= schedule.least && at_rest && (whole || !settled);
+        if settled {
+            few = if at_rest { 0 } else { few.saturating_sub(1) };
+        }
         let narrower = if still { schedule.shrink.powi(HASTE) } else { schedule.shrink };
         factor = (factor * narrower).max(schedule.least);
     }

@@ -4,39 +4,86 @@ use super::normal::{CommonError, Freedom, GroupSum, Normal};
 use crate::matrix::{Matrix, add_to, apply, inverse, quadratic, restricted};
 use crate::motion::Vector;
 
-/// The variance is told by at least so many groups that count alike.
+/// Least standard deviation, metres.
+const LEAST: f64 = 1e-5;
+/// The variance is told by at least so many groups that count alike. What is stated counts as much as so many.
 const FEWEST: f64 = 6.0;
+/// Share of the frames before that is forgotten in each, and what each counts at least.
+const FORGET: f64 = 0.1;
 
-/// Variance of the offsets that polygons of one plane share, square metres, by one frame: without bias, so that it may be below 0 where there
-/// are none. `known` is the standard deviation by the frames before, which weighs groups. `None` if too few of them tell.
-///
-/// The mean residual m of a group has the variance n + f s^2, with s the deviation of the offsets, n what noise makes of it, and f what the
-/// pose leaves of an offset that it is free to follow: s^2 is the slope of m^2 - n over f.
-pub(super) fn offset_variance(normal: &Normal, prior: &Matrix, freedom: Freedom, known: f64) -> Option<f64> {
-    let mut information = restricted(&normal.information, freedom.axes());
-    add_to(&mut information, prior);
-    let solution = inverse(&information, freedom.axes());
-    let offsets = normal.groups.iter().filter(|(error, g)| matches!(error, CommonError::Offset(_)) && g.weight > 0.0);
-    let groups: Vec<(&GroupSum, Vector)> = offsets.map(|(_, g)| (g, std::array::from_fn(|i| -g.pull[i][0]))).collect();
-    let mut pulls = [[0.0; 6]; 6];
-    for (_, pull) in &groups {
-        (0..6).for_each(|i| (0..6).for_each(|j| pulls[i][j] += pull[i] * pull[j]));
+/// The variance of the offsets that polygons of one plane share, learnt frame by frame from what is stated.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OffsetVariance {
+    stated: f64,
+    /// Square metres, without bias: below 0 as noise has it.
+    variance: f64,
+    /// Groups that it rests on.
+    groups: f64,
+}
+
+/// What one frame tells of it.
+struct SeenOffsets {
+    variance: f64,
+    /// Groups that tell: one whose noise is as large as the offsets are taken to be counts a quarter.
+    groups: f64,
+}
+
+impl OffsetVariance {
+    /// The offsets have a standard deviation of `sigma`, metres, as far as is known.
+    pub fn of_sigma(sigma: f64) -> Self {
+        let stated = sigma.powi(2).max(LEAST * LEAST);
+        Self { stated, variance: stated, groups: FEWEST }
     }
-    let (mut sum, mut weight, mut squares) = (0.0, 0.0, 0.0);
-    for (group, pull) in &groups {
-        let mean = group.residual / group.weight;
-        // How the pose answers to an offset of this group.
-        let answer = apply(&solution, &pull.map(|p| p / group.weight));
-        let leverage: f64 = (0..6).map(|i| pull[i] * answer[i]).sum();
-        let alone = group.variance / group.weight;
-        let own = (alone - leverage).max(1e-3 * alone) / group.weight;
-        let seen = (1.0 - 2.0 * leverage + quadratic(&pulls, &answer)).max(0.0);
-        let certainty = seen * (own + known * known * seen).powi(-2);
-        sum += certainty * (mean * mean - own);
-        weight += certainty * seen;
-        squares += (certainty * seen).powi(2);
+
+    /// Standard deviation, metres.
+    pub fn sigma(&self) -> f64 {
+        self.variance.max(0.0).sqrt().max(LEAST)
     }
-    (weight * weight > FEWEST * squares).then(|| sum / weight)
+
+    /// Takes in the residuals of a frame at its best pose; `prior` is the information that the pose has beside them.
+    pub fn learn(&mut self, normal: &Normal, prior: &Matrix, freedom: Freedom) {
+        if let Some(seen) = self.seen(normal, prior, freedom) {
+            // Less than nothing in one frame is as likely as too much, where there are no offsets.
+            let gain = (seen.groups / (self.groups + seen.groups)).max(FORGET);
+            self.variance += gain * (seen.variance - self.variance);
+            self.groups = (1.0 - FORGET) * (self.groups + seen.groups);
+        }
+    }
+
+    /// The variance by one frame alone. `None` if too few groups tell.
+    ///
+    /// The mean residual m of a group has the variance n + f s^2, with s the deviation of the offsets, n what noise makes of it, and f what
+    /// the pose leaves of an offset that it is free to follow: s^2 is the slope of m^2 - n over f.
+    fn seen(&self, normal: &Normal, prior: &Matrix, freedom: Freedom) -> Option<SeenOffsets> {
+        let (known, scale) = (self.sigma().powi(2), self.variance.max(self.stated));
+        let mut information = restricted(&normal.information, freedom.axes());
+        add_to(&mut information, prior);
+        let solution = inverse(&information, freedom.axes());
+        let is_offset = |error: &CommonError| matches!(error, CommonError::Offset(_));
+        let offsets = normal.groups.iter().filter(|(error, g)| is_offset(error) && g.weight > 0.0);
+        let groups: Vec<(&GroupSum, Vector)> =
+            offsets.map(|(_, g)| (g, std::array::from_fn(|i| -g.pull[i][0]))).collect();
+        let mut pulls = [[0.0; 6]; 6];
+        for (_, pull) in &groups {
+            (0..6).for_each(|i| (0..6).for_each(|j| pulls[i][j] += pull[i] * pull[j]));
+        }
+        let (mut sum, mut weight, mut squares, mut count) = (0.0, 0.0, 0.0, 0.0);
+        for (group, pull) in &groups {
+            let mean = group.residual / group.weight;
+            // How the pose answers to an offset of this group.
+            let answer = apply(&solution, &pull.map(|p| p / group.weight));
+            let leverage: f64 = (0..6).map(|i| pull[i] * answer[i]).sum();
+            let alone = group.variance / group.weight;
+            let own = (alone - leverage).max(1e-3 * alone) / group.weight;
+            let left = (1.0 - 2.0 * leverage + quadratic(&pulls, &answer)).max(0.0);
+            let certainty = left * (own + known * left).powi(-2);
+            sum += certainty * (mean * mean - own);
+            weight += certainty * left;
+            squares += (certainty * left).powi(2);
+            count += (scale * left / (own + scale * left)).powi(2);
+        }
+        (weight * weight > FEWEST * squares).then(|| SeenOffsets { variance: sum / weight, groups: count })
+    }
 }
 
 #[cfg(test)]
@@ -44,31 +91,50 @@ mod tests {
     use super::*;
     use crate::random::SplitMix64;
 
-    /// Forty walls of all directions, each with 100 points of 1 cm: their offsets of 2 mm are told in the mean of many frames, though the pose
-    /// follows them, and none are told where there are none.
+    /// Walls of all directions that are off by so much, with 100 points of 1 cm each: derivatives and mean residuals.
+    fn walls(truth: f64, count: usize, random: &mut SplitMix64) -> Vec<(Vector, f64)> {
+        let mut normal_number = || (0..12).map(|_| random.unit()).sum::<f64>() - 6.0;
+        (0..count)
+            .map(|_| {
+                let j: Vector = std::array::from_fn(|_| normal_number());
+                (j, truth * normal_number() + 0.001 * normal_number())
+            })
+            .collect()
+    }
+
+    /// Offsets of 2 mm are told in the mean of many frames, though the pose follows them, and none are told where there are none.
     #[test]
     fn offsets_are_told_without_bias() {
         let mut random = SplitMix64(3);
-        let mut normal_number = move || (0..12).map(|_| random.unit()).sum::<f64>() - 6.0;
+        let stated = OffsetVariance::of_sigma(0.001);
         for truth in [0.0, 0.002] {
             let (mut sum, frames) = (0.0, 400);
             for _ in 0..frames {
-                let walls: Vec<(Vector, f64)> = (0..40)
-                    .map(|_| {
-                        let j: Vector = std::array::from_fn(|_| normal_number());
-                        (j, truth * normal_number() + 0.001 * normal_number())
-                    })
-                    .collect();
-                sum +=
-                    offset_variance(&fitted(&walls), &[[0.0; 6]; 6], Freedom::Full, 0.001).unwrap() / f64::from(frames);
+                let fitted = fitted(&walls(truth, 40, &mut random));
+                sum += stated.seen(&fitted, &[[0.0; 6]; 6], Freedom::Full).unwrap().variance / f64::from(frames);
             }
-            assert!(
-                (sum - truth * truth).abs() < 1e-7 + 0.04 * truth * truth,
-                "{sum:e} instead of {:e}",
-                truth * truth
-            );
+            let squared = truth * truth;
+            assert!((sum - squared).abs() < 1e-7 + 0.04 * squared, "{sum:e} instead of {squared:e}");
         }
-        assert!(offset_variance(&Normal::default(), &[[0.0; 6]; 6], Freedom::Full, 0.001).is_none());
+        assert!(stated.seen(&Normal::default(), &[[0.0; 6]; 6], Freedom::Full).is_none());
+    }
+
+    /// A stated deviation of 3 mm counts as much as six walls: after two frames of forty walls without offsets little is left of it, and of
+    /// offsets that are twice as large most is known. One that is stated as nothing counts like noise that hides offsets: it gives way slowly.
+    #[test]
+    fn what_is_stated_gives_way_to_what_is_seen() {
+        let (mut random, mut normal) = (SplitMix64(5), Normal::default());
+        for (truth, least, most) in [(0.0, 0.0, 0.0009), (0.006, 0.0045, 0.0075)] {
+            let mut learnt = OffsetVariance::of_sigma(0.003);
+            for _ in 0..2 {
+                normal = fitted(&walls(truth, 40, &mut random));
+                learnt.learn(&normal, &[[0.0; 6]; 6], Freedom::Full);
+            }
+            assert!((least..=most).contains(&learnt.sigma()), "{} instead of {truth}", learnt.sigma());
+        }
+        let mut none = OffsetVariance::of_sigma(0.0);
+        none.learn(&normal, &[[0.0; 6]; 6], Freedom::Full);
+        assert!((0.001..0.003).contains(&none.sigma()), "{}", none.sigma());
     }
 
     /// The normal equations at the best pose of walls with these derivatives and mean residuals, of 100 points of 1 cm each.

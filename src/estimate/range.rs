@@ -10,7 +10,8 @@ use crate::frame::{Frame, RangeNoise};
 use crate::geometry::Pose;
 use crate::matrix::{Matrix, add_to, apply, product, sandwich};
 use crate::motion::turn;
-use crate::verdict::{ExpectedImage, ObjectError, body_from_image};
+use crate::threads::parallel_or_here;
+use crate::verdict::{ExpectedImage, LANES, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -25,6 +26,8 @@ const TUKEY: f64 = 4.685;
 const PROBES: i32 = 6;
 /// Points of one task.
 const CHUNK: usize = 512;
+/// Points that tell the median of residuals: more tell no other.
+const SPREAD_POINTS: usize = 4096;
 /// The match of a point that has none.
 const NOWHERE: u32 = u32::MAX;
 
@@ -62,34 +65,38 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
         let ray = inside.then(|| sensor.ray((i % width) as u32, (i / width) as u32)).flatten();
         ray.map_or(Vec3::NAN, |ray| (range * ray).as_vec3())
     };
-    let points: Vec<Vec3> = frame.ranges().iter().enumerate().map(point).collect();
+    let pixels = frame.ranges().par_iter().enumerate().with_min_len(CHUNK);
+    let points: Vec<Vec3> = parallel_or_here(|| pixels.map(point).collect());
+    let upright = height == 1 && !sensor.is_camera();
+    let rows = (0..height).into_par_iter().with_min_len(CHUNK.div_ceil(width.max(1)));
+    let rows: Vec<Vec<MeasuredPoint>> =
+        parallel_or_here(|| rows.map(|row| points_of_row(&points, width, row, upright)).collect());
+    rows.concat()
+}
+
+/// Those of one row. One row alone shows surfaces as lines: they are taken to stand `upright` on it.
+fn points_of_row(points: &[Vec3], width: usize, row: usize, upright: bool) -> Vec<MeasuredPoint> {
+    /// Columns and rows between a point and the neighbours that tell its normal.
+    const N: usize = 2;
+    let last = points.len() / width - 1;
     let at = |c: usize, r: usize| points[r * width + c];
-    let mut found = Vec::with_capacity(points.len());
-    for r in 0..height {
-        for c in 0..width {
-            let p = at(c, r);
-            if p.is_nan() {
-                continue;
-            }
-            let slope = |before: Vec3, after: Vec3| after - before;
-            const N: usize = 2;
-            let across = slope(at(c.saturating_sub(N), r), at((c + N).min(width - 1), r));
-            // One row shows surfaces as lines: they are taken to stand upright on it.
-            let down = if height == 1 && !sensor.is_camera() {
-                Vec3::Z
-            } else {
-                slope(at(c, r.saturating_sub(N)), at(c, (r + N).min(height - 1)))
-            };
-            let n = across.cross(down).normalize_or_zero();
-            let n = if n.is_nan() {
-                Vec3::ZERO
-            } else if n.dot(p) > 0.0 {
-                -n
-            } else {
-                n
-            };
-            found.push(MeasuredPoint { point: p, normal: n });
+    let mut found = Vec::with_capacity(width);
+    for c in 0..width {
+        let p = at(c, row);
+        if p.is_nan() {
+            continue;
         }
+        let across = at((c + N).min(width - 1), row) - at(c.saturating_sub(N), row);
+        let down = if upright { Vec3::Z } else { at(c, (row + N).min(last)) - at(c, row.saturating_sub(N)) };
+        let n = across.cross(down).normalize_or_zero();
+        let n = if n.is_nan() {
+            Vec3::ZERO
+        } else if n.dot(p) > 0.0 {
+            -n
+        } else {
+            n
+        };
+        found.push(MeasuredPoint { point: p, normal: n });
     }
     found
 }
@@ -146,6 +153,7 @@ impl<'a> RangeSource<'a> {
     }
 
     /// The expected pixel nearest to a point, both in the expected image's frame, and its distance squared.
+    #[inline(always)]
     fn nearest(&self, q: Vec3, m: Vec3, lambda2: f32, half: (i32, i32)) -> Option<(usize, f32)> {
         let e = self.expected;
         let (u, v) = self.project(q)?;
@@ -163,26 +171,32 @@ impl<'a> RangeSource<'a> {
             let (su, sv) = (su.max(1), sv.max(1));
             let (nu, nv) = (hu / su, hv / sv);
             let (mut bu, mut bv) = (cu, cv);
-            for j in -nv..=nv {
-                let row = cv + j * sv;
+            let first = cu - nu * su;
+            for n in 0..=2 * nv {
+                // From the middle on: what is near is found soon, and bounds the rest.
+                let row = cv + sv * if n % 2 == 0 { n / 2 } else { -(n / 2) - 1 };
                 if row < 0 || row >= h {
                     continue;
                 }
-                for i in -nu..=nu {
-                    let column = cu + i * su;
-                    if column < 0 || column >= w {
+                let [x, y, z] = e.strided.row(&e.pixels, e.width, (row as usize, first), su as usize);
+                let mut apart = [0.0f32; LANES];
+                for k in 0..LANES {
+                    let (dx, dy, dz) = (x[k] - q.x, y[k] - q.y, z[k] - q.z);
+                    apart[k] = dx * dx + dy * dy + dz * dz;
+                }
+                // The nearest one first: it bounds the rest. Most are too far off whatever their normals; those without a point are, too.
+                let apart = &apart[..2 * nu as usize + 1];
+                let nearest = (1..apart.len()).fold(0, |at, k| if apart[k] < apart[at] { k } else { at });
+                for k in std::iter::once(nearest).chain(0..apart.len()) {
+                    if !(apart[k] < best.1) {
                         continue;
                     }
+                    let column = first + k as i32 * su;
                     let at = (row * w + column) as usize;
                     let pixel = &e.pixels[at];
-                    let apart = pixel.point.distance_squared(q);
-                    // Most pixels are too far off whatever their normals; those without a point are, too.
-                    if !(apart < best.1) {
-                        continue;
-                    }
                     let agree = pixel.normal.dot(m);
                     let agree = if pixel.offset > 0.0 { -agree } else { agree };
-                    let apart = apart + lambda2 * (1.0 - agree);
+                    let apart = apart[k] + lambda2 * (1.0 - agree);
                     if apart < best.1 {
                         best = (at, apart);
                         (bu, bv) = (column, row);
@@ -197,6 +211,7 @@ impl<'a> RangeSource<'a> {
         }
     }
 
+    #[inline(always)]
     fn project(&self, q: Vec3) -> Option<(f32, f32)> {
         if let crate::Geometry::Camera(c) = &self.expected.sensor.spec().geometry
             && c.distortion.is_none()
@@ -213,6 +228,7 @@ impl<'a> RangeSource<'a> {
     }
 
     /// The expected pixel that a point is compared with; [`NOWHERE`] without one.
+    #[inline(always)]
     fn matched(&self, p: &MeasuredPoint, moved: &FramePoses, gate: &Gate) -> u32 {
         let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
         let m = moved.expected_from_now.transform_vector3(p.normal.as_dvec3());
@@ -231,6 +247,7 @@ impl<'a> RangeSource<'a> {
     }
 
     /// Adds what a point says that is compared with the pixel `at`.
+    #[inline(always)]
     fn add_point(&self, sum: &mut Sum, p: &MeasuredPoint, at: u32, moved: &FramePoses, gate: &Gate) {
         let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
         let range = f64::from(p.point.length());
@@ -248,26 +265,25 @@ impl<'a> RangeSource<'a> {
         };
         let apart = pixel.point.distance_squared(q.as_vec3());
         let normal = pixel.normal.as_dvec3();
-        let sight = q - moved.centre;
-        let cos = normal.dot(sight).abs() / sight.length();
+        let cos = normal.dot(q - moved.centre).abs() / range;
         // A neighbour's point may be as far as the pixels are apart on the surface.
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
-        let sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt();
         let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
         if !(f64::from(apart) <= within * within) || cos < FLATTEST {
             sum.cost += constant;
             return;
         }
         let e = normal.dot(q) - f64::from(pixel.offset);
-        let normalized = e / sigma;
+        let per_sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt().recip();
+        let normalized = e * per_sigma;
         sum.normalized.push(normalized.abs() as f32);
-        let (weight, cost) = gate.kernel.weigh(normalized, reach / sigma);
+        let (weight, cost) = gate.kernel.weigh(normalized, reach * per_sigma);
         sum.cost += cost;
         sum.explained += usize::from(normalized.abs() <= EXPLAINED);
         if weight == 0.0 {
             return;
         }
-        let w = weight / (sigma * sigma);
+        let w = weight * per_sigma * per_sigma;
         let turned = (q - moved.robot).cross(normal);
         let j = [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z];
         for a in 0..6 {
@@ -338,14 +354,19 @@ impl RangeSource<'_> {
         let unmatched = matches.len() != count;
         matches.resize(count, NOWHERE);
         let one = |(points, matches): (&[MeasuredPoint], &mut [u32])| {
-            let mut sum = Sum::default();
-            for (p, at) in points.iter().step_by(step).zip(matches) {
-                if unmatched {
-                    *at = self.matched(p, &moved, gate);
-                }
-                self.add_point(&mut sum, p, *at, &moved, gate);
-            }
-            sum
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    let mut sum = Sum::default();
+                    for (p, at) in points.iter().step_by(step).zip(matches) {
+                        if unmatched {
+                            *at = self.matched(p, &moved, gate);
+                        }
+                        self.add_point(&mut sum, p, *at, &moved, gate);
+                    }
+                    sum
+                },
+            )
         };
         let chunks = self.points.par_chunks(CHUNK * step).zip(matches.par_chunks_mut(CHUNK));
         let sums: Vec<Sum> = chunks.map(one).collect();
@@ -375,6 +396,8 @@ impl RangeSource<'_> {
         }
         total.compared = normalized.len();
         if !normalized.is_empty() {
+            let step = normalized.len().div_ceil(SPREAD_POINTS);
+            let mut normalized: Vec<f32> = normalized.into_iter().step_by(step).collect();
             let middle = normalized.len() / 2;
             total.spread = f64::from(*normalized.select_nth_unstable_by(middle, f32::total_cmp).1);
         }

@@ -2,11 +2,12 @@
 
 use super::Prior;
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
-use super::descent::{LOOK, SEARCH, SETTLE, Schedule, descend, serves};
+use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
 use super::findings::{find_at, place_error};
 use super::normal::{CommonError, Freedom, Normal};
-use super::offsets::offset_variance;
-use super::range::{MeasuredPoint, measured_points};
+use super::offsets::OffsetVariance;
+use super::range::measured_points;
+use super::run::{Expectation, FrameMeasurement, LEAD, Minimum, Run};
 use crate::error::{Error, Result};
 use crate::extract::{Findings, MeasuredRanges};
 use crate::features::{FeatureOptions, PlacedFeatures};
@@ -17,7 +18,7 @@ use crate::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scale
 use crate::motion::{Vector, motion_between, moved};
 use crate::predict::Predictor;
 use crate::random::SplitMix64;
-use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, judge};
+use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, body_from_image, judge};
 use crate::world::World;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -77,8 +78,10 @@ pub struct Estimator {
     surfaces: Surfaces,
     features: FeatureOptions,
     pub(crate) options: EstimateOptions,
-    /// Learnt variance of the offsets of polygon groups, square metres; below 0 as noise has it.
-    offset_variance: f64,
+    /// Of the offsets of polygon groups.
+    offsets: OffsetVariance,
+    /// The prediction that the frame before ended with, and the version of the world that it is of.
+    before: Option<(u64, Arc<Expectation>)>,
 }
 
 /// Prior standard deviations that the first gate is wide.
@@ -86,11 +89,10 @@ const GATE: f64 = 1.75;
 /// Starts that are drawn from the prior in one go.
 const DRAWS: usize = 16;
 
-/// Share of a frame in what is learnt of the offsets of polygon groups.
-const FORGET: f64 = 0.1;
-
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
 const LOOSE: (f64, f64) = (0.05, 0.05);
+/// A pose as far from the prior as one in 100 is looked for anew, from elsewhere: standard normal deviate.
+const DOUBTFUL: f64 = 2.326;
 /// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
 const SETTLED: f64 = 3.0;
 /// A pose that grey images alone tell rests on at least so many features, or on so many fiducials: they are never taken for another, but of
@@ -101,86 +103,19 @@ const LEAST_MATCHED: f64 = 0.55;
 /// And the pose has to be one that was to be expected: standard normal deviates of the probability of one as far from the prior, 1 in 10,000,
 /// and of one as far from where all but one fiducial lead, 1 in 1,000.
 const UNLIKELY: (f64, f64) = (3.719, 3.09);
-/// The best pose has to explain more of the points than any other by this share.
-const LEAD: f64 = 0.05;
-
-/// A frame of ranges as the iteration needs it.
-pub(super) struct FrameMeasurement<'a> {
-    pub(super) frame: &'a Frame,
-    pub(super) points: Vec<MeasuredPoint>,
-    pub(super) noise: RangeNoise,
-}
-
-/// What one prediction expects of the frames.
-#[derive(Default)]
-pub(super) struct Expectation {
-    /// Of each frame of ranges.
-    pub(super) images: Vec<ExpectedImage>,
-    /// What each grey image shows of the features that were predicted.
-    pub(super) findings: Vec<Findings>,
-}
-
-/// Where an iteration came to rest.
-#[derive(Clone)]
-pub(super) struct Minimum {
-    pub(super) pose: Pose,
-    /// What was expected in the prediction that it was found with.
-    pub(super) expected: Arc<Expectation>,
-    pub(super) normal: Normal,
-    pub(super) spread: f64,
-}
-
-impl Run<'_> {
-    /// True if no frame says anything.
-    fn is_blind(&self) -> bool {
-        self.greys.is_empty() && self.measured.iter().all(|m| m.points.is_empty())
-    }
-
-    /// True if the pose rests on grey images alone.
-    fn has_greys_only(&self) -> bool {
-        self.measured.iter().all(|m| m.points.is_empty())
-    }
-}
-
-impl Minimum {
-    fn hypothesis(&self) -> Hypothesis {
-        let n = self.normal.measured.max(1) as f64;
-        Hypothesis { pose: self.pose, explained: self.normal.explained_share(), cost: self.normal.chi2 / n }
-    }
-}
-
-/// One estimate under way.
-pub(super) struct Run<'a> {
-    world: &'a World,
-    pub(super) measured: Vec<FrameMeasurement<'a>>,
-    /// Frames that are grey images.
-    pub(super) greys: Vec<&'a Frame>,
-    pub(super) model_sigma: f64,
-    pub(super) prior: Prior,
-    pub(super) prior_information: Matrix,
-    /// Metres and radians that the pose may be off.
-    pub(super) extent: (f64, f64),
-    /// The object whose surfaces count.
-    pub(super) only: Option<u32>,
-    /// How far away points are measured, root of the mean square, metres.
-    pub(super) reach: f64,
-    predictions: usize,
-}
-
-impl Run<'_> {
-    /// True if two minima differ by no more than an estimate errs.
-    fn is_same(&self, a: &Pose, b: &Pose, offset_sigma: f64) -> bool {
-        let off = motion_between(a, b);
-        let (metres, radians) = (length(&off[..3]), length(&off[3..]));
-        metres < 0.1 * self.extent.0 + 3.0 * offset_sigma && radians < 0.1 * self.extent.1
-    }
-}
 
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
     pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
-        let offset_variance = options.offset_sigma.powi(2);
-        Self { predictor, surfaces: Surfaces::default(), features: FeatureOptions::default(), options, offset_variance }
+        let offsets = OffsetVariance::of_sigma(options.offset_sigma);
+        Self {
+            predictor,
+            surfaces: Surfaces::default(),
+            features: FeatureOptions::default(),
+            options,
+            offsets,
+            before: None,
+        }
     }
 
     /// With the features that are looked for in grey images, instead of the world's own layer for the sensor's class. They have to be
@@ -200,21 +135,40 @@ impl Estimator {
         if run.is_blind() {
             return Ok(self.blind(&run));
         }
-        let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
+        let expected = match self.at_hand(&run) {
+            Some(before) => before,
+            None => self.expected(&mut run, &prior.pose, &prior.covariance)?,
+        };
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
-        if !run.has_greys_only() && best.normal.explained_share() < self.options.least_explained {
+        let doubtful = best.normal.explained_share() < self.options.least_explained
+            || run.deviations_squared(&best.pose)
+                > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
+        if !run.has_greys_only() && doubtful {
             best = self.restart(&mut run, &expected, best)?;
         }
         let others = self.other_minima(&mut run, &best)?;
-        if let Some(seen) =
-            offset_variance(&best.normal, &run.prior_information, self.options.freedom, self.offset_sigma())
-        {
-            // Less than nothing in one frame is as likely as too much, where there are no offsets.
-            self.offset_variance += FORGET * (seen - self.offset_variance);
+        // Of what is not explained nobody knows which polygons it was.
+        if best.normal.explained_share() >= self.options.least_explained {
+            self.offsets.learn(&best.normal, &run.prior_information, self.options.freedom);
         }
+        self.before = Some((world.stamp(), best.expected.clone()));
         self.answer(&run, best, others)
+    }
+
+    /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
+    /// prediction of its own.
+    fn at_hand(&self, run: &Run<'_>) -> Option<Arc<Expectation>> {
+        let (_, before) = self.before.as_ref().filter(|(stamp, _)| *stamp == run.world.stamp())?;
+        let near = |(e, m): (&ExpectedImage, &FrameMeasurement<'_>)| {
+            let sensor = m.frame.sensor();
+            let off =
+                motion_between(&e.world_from_image, &(run.prior.pose * sensor.spec().mount * body_from_image(sensor)));
+            e.sensor.spec() == sensor.spec() && length(&off[..3]) < LOOSE.0 && length(&off[3..]) < LOOSE.1
+        };
+        let same = run.greys.is_empty() && before.images.len() == run.measured.len();
+        (same && before.images.iter().zip(&run.measured).all(near)).then(|| before.clone())
     }
 
     /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
@@ -229,21 +183,19 @@ impl Estimator {
         self.answer(&run, end, Vec::new())
     }
 
-    fn start<'a>(&self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {
+    fn start<'a>(&mut self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {
         prior.check(self.options.freedom)?;
         if frames.is_empty() {
             return Err(Error::usage("an estimate without a frame", "give at least one"));
         }
         let (greys, ranges): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|f| f.grey().is_some());
-        let measured = ranges.into_iter().map(|frame| FrameMeasurement {
-            frame,
-            points: measured_points(frame),
-            noise: RangeNoise::of(frame.sensor()),
-        });
+        let one =
+            |frame| FrameMeasurement { frame, points: measured_points(frame), noise: RangeNoise::of(frame.sensor()) };
+        let measured: Vec<FrameMeasurement<'a>> =
+            self.predictor.on_threads(|| ranges.into_iter().map(one).collect())?;
         let axes = self.options.freedom.axes();
         let sigma =
             |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
-        let measured: Vec<FrameMeasurement<'a>> = measured.collect();
         Ok(Run {
             world,
             reach: reach_of(&measured, std::iter::empty()),
@@ -252,6 +204,7 @@ impl Estimator {
             model_sigma: self.options.model_sigma,
             prior: *prior,
             prior_information: inverse(&prior.covariance, axes),
+            unlikely: chi_squared_quantile(axes.len() as u32, UNLIKELY.0),
             extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
             only: self.options.only,
             predictions: 0,
@@ -264,7 +217,7 @@ impl Estimator {
         if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
             return Ok(Vec::new());
         }
-        let (freedom, offset_sigma) = (self.options.freedom, self.offset_sigma());
+        let (freedom, offset_sigma) = (self.options.freedom, self.offsets.sigma());
         let starts = far_ends(run, best, freedom);
         let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
         let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
@@ -313,7 +266,8 @@ impl Estimator {
         } else {
             found
         };
-        let expected = if serves(run, &found.expected, &found.pose) {
+        // A frame is judged by a prediction of its own.
+        let expected = if run.predictions > 0 && serves(run, &found.expected, &found.pose) {
             found.expected.clone()
         } else {
             let mut information = found.normal.information;
@@ -321,31 +275,40 @@ impl Estimator {
             // Regions of interest get narrower with what was learnt, but it may be wrong.
             let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
             // What the model is off by moves features, too.
-            (0..3).for_each(|i| known[i][i] += self.offset_sigma().powi(2) + run.model_sigma.powi(2));
+            (0..3).for_each(|i| known[i][i] += self.offsets.sigma().powi(2) + run.model_sigma.powi(2));
             self.expected(run, &found.pose, &known)?
         };
         Ok(self.descend(run, &expected, found.pose, &SETTLE))
     }
 
-    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew.
+    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew. A pose that explains
+    /// enough, but hardly is where the robot was known to be, gives way to a likely one that explains as much, if there is one.
     fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Expectation>, best: Minimum) -> Result<Minimum> {
+        let least = self.options.least_explained;
+        // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
+        let explains = best.normal.explained_share() >= least;
+        let (rounds, schedule) =
+            if explains { (1, &NEAR) } else { (self.options.most_predictions.div_ceil(3), &SEARCH) };
         let mut best = best;
         let mut random = SplitMix64(0x5eed);
-        // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
-        for _ in 0..self.options.most_predictions.div_ceil(3) {
+        for _ in 0..rounds {
             if run.predictions + 3 > self.options.most_predictions {
                 break;
             }
             let mut found: Vec<Minimum> = (0..DRAWS)
-                .map(|_| self.descend(run, expected, drawn(&run.prior, self.options.freedom, &mut random), &SEARCH))
+                .map(|_| self.descend(run, expected, drawn(&run.prior, self.options.freedom, &mut random), schedule))
                 .collect();
-            found.sort_by(|a, b| b.normal.explained_share().total_cmp(&a.normal.explained_share()));
+            found.sort_by(|a, b| run.merit(b).total_cmp(&run.merit(a)));
             for start in found.iter().take(3) {
+                // What came to rest where the best one did needs no prediction.
+                if explains && run.is_same(&best.pose, &start.pose, self.offsets.sigma()) {
+                    continue;
+                }
                 let end = self.settle(run, start)?;
-                if end.normal.explained_share() > best.normal.explained_share() {
+                if run.merit(&end) > run.merit(&best) {
                     best = end;
                 }
-                if best.normal.explained_share() >= self.options.least_explained {
+                if !explains && best.normal.explained_share() >= least && !run.is_unlikely(&best.pose) {
                     return Ok(best);
                 }
             }
@@ -362,7 +325,7 @@ impl Estimator {
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
         let freedom = self.options.freedom;
-        let offset = self.offset_sigma().powi(2);
+        let offset = self.offsets.sigma().powi(2);
         let stored =
             |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
         let place = |id: u32| place_error(&best.expected.findings, id, offset);
@@ -423,7 +386,7 @@ impl Estimator {
             explained: hypothesis.explained,
             cost: hypothesis.cost,
             spread: best.spread,
-            offset_sigma: self.offset_sigma(),
+            offset_sigma: self.offsets.sigma(),
             hypotheses: std::iter::once(hypothesis).chain(others.iter().map(Minimum::hypothesis)).collect(),
             state,
             predictions: run.predictions,
@@ -442,8 +405,7 @@ impl Estimator {
             return Some(format!("{matched} features are matched, fewer than {fewest}, or {fewest_tags} fiducials"));
         }
         let off = motion_between(&run.prior.pose, &best.pose);
-        let most = chi_squared_quantile(self.options.freedom.axes().len() as u32, UNLIKELY.0);
-        (quadratic(&run.prior_information, &off) > most).then(|| {
+        run.is_unlikely(&best.pose).then(|| {
             let (metres, degrees) = (length(&off[..3]), length(&off[3..]).to_degrees());
             format!("the features lead {metres:.3} m and {degrees:.2} deg away, where the robot hardly is by what was known before")
         })
@@ -466,18 +428,13 @@ impl Estimator {
     }
 
     fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
-        let polygons = self.options.model_sigma.hypot(self.offset_sigma());
+        let polygons = self.options.model_sigma.hypot(self.offsets.sigma());
         let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
             let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
             judge(m.frame, expected, &best.pose, &known)
         };
         let all = || run.measured.iter().zip(&best.expected.images).map(one).collect();
         self.predictor.on_threads(all)?
-    }
-
-    /// Standard deviation of the offsets that polygons of one plane share, metres.
-    fn offset_sigma(&self) -> f64 {
-        self.offset_variance.max(0.0).sqrt().max(1e-5)
     }
 
     fn blind(&self, run: &Run<'_>) -> Estimate {
@@ -499,7 +456,7 @@ impl Estimator {
             explained: 0.0,
             cost: 0.0,
             spread: 1.0,
-            offset_sigma: self.offset_sigma(),
+            offset_sigma: self.offsets.sigma(),
             hypotheses: Vec::new(),
             state: EstimateState::Undetermined("no pixel measured a range within the sensor's limits".into()),
             predictions: 0,

@@ -80,6 +80,12 @@ impl Cusum {
         false
     }
 
+    /// The least share that is usual: so far below the mean that the sum begins to grow. `None` before the first share.
+    pub(super) fn least_usual(&self) -> Option<f64> {
+        let sigma = self.variance.sqrt().max(self.least_sigma);
+        (self.count > 0.0).then_some(self.mean - SLACK * sigma)
+    }
+
     /// Forgets what speaks for being lost; what is usual stays.
     pub fn restart(&mut self) {
         self.sum = 0.0;

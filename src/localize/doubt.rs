@@ -2,7 +2,7 @@
 
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
-use super::{COARSE, Localizer, Phase, Step};
+use super::{Localizer, Phase, Step};
 use crate::error::Result;
 use crate::estimate::{Estimate, EstimateState, Freedom, Prior};
 use crate::frame::{Frame, Motion};
@@ -20,7 +20,7 @@ impl Localizer {
         let spec = frame.sensor().spec();
         let level = is_level(&spec.mount) && !frame.sensor().is_camera();
         let weighable = self.estimator.options.freedom == Freedom::Planar && level && spec.range_max.is_finite();
-        let coarse = self.estimator.options.model_sigma >= COARSE;
+        let coarse = self.is_coarse();
         let little = coarse || estimate.explained < self.options.little || !estimate.is_determined();
         followed && weighable && estimate.predictions > 0 && little
     }
@@ -59,7 +59,7 @@ impl Localizer {
         self.hypotheses = Some(hypotheses);
         let decided = self.decide(&estimate);
         self.belief = known;
-        let coarse = self.estimator.options.model_sigma >= COARSE;
+        let coarse = self.is_coarse();
         let hand_back = !coarse && self.agreed_again >= self.options.agreeing && estimate.is_determined();
         if hand_back {
             self.belief = Prior { pose: estimate.pose, covariance: estimate.covariance };

@@ -45,6 +45,7 @@
 //! ```
 
 mod cusum;
+mod decide;
 mod doubt;
 mod hypotheses;
 mod likelihood;
@@ -57,13 +58,13 @@ use hypotheses::Hypotheses;
 pub use search::{Candidate, Search, SearchOptions};
 
 use crate::error::{Error, Result};
-use crate::estimate::{Estimate, EstimateState, Estimator, Freedom, Prior};
+use crate::estimate::{Estimate, Estimator, Freedom, Prior};
 use crate::frame::{Frame, Motion};
 use crate::geometry::Pose;
 use crate::matrix::{Matrix, add_to, restricted, sandwich};
 use crate::motion::{motion_between, moved, turn};
 use crate::sensor::Sensor;
-use crate::verdict::{Verdict, Verdicts};
+
 use crate::world::World;
 
 /// A model that is off by so much, metres, always explains points by the wrong surfaces, too.
@@ -131,7 +132,8 @@ pub struct LocalizeOptions {
     pub search: f64,
     /// Likewise, radians.
     pub search_turn: f64,
-    /// Frames in a row that have to agree before a pose counts as found.
+    /// Frames in a row that have to agree before a pose that was given counts as tracked. One that is found anew takes
+    /// [`LocalizeOptions::least_frames`].
     pub agreeing: usize,
     /// In these frames: of the surfaces that are decided on, the share that has to be where the map has it. Elsewhere in the map beams pass
     /// through walls, however little is known of what stands before them.
@@ -151,7 +153,8 @@ pub struct LocalizeOptions {
     pub spread: f64,
     /// After an unknown start: by how much the likeliest candidate has to lead, natural logarithm of the odds.
     pub lead: f64,
-    /// Likewise: the share of the measured points that it has to explain, in the mean over the frames.
+    /// Likewise: the share of the measured points that it has to explain, in the mean over the frames. A pose around the last known one
+    /// that is found anew has to explain as much, or what was usual before.
     pub least_found: f64,
     /// Likewise: frames that it takes at least.
     pub least_frames: usize,
@@ -191,6 +194,12 @@ pub struct Localizer {
     /// Of the frame before, in the robot's frame of then.
     motion: Pose,
     agreed: usize,
+    /// Sum of the shares that they explain.
+    agreed_shares: f64,
+    /// Frames that spoke against the pose since it was given.
+    disagreed: usize,
+    /// Nothing speaks for the pose but the frames that agree: it is not the one that was given, nor carried on from it.
+    is_anew: bool,
     /// Confirmed, and all that is decided on, in the frames that agree.
     agreed_points: (usize, usize),
     explained: Cusum,
@@ -217,6 +226,9 @@ impl Localizer {
             phase: Phase::Candidates,
             motion: Pose::IDENTITY,
             agreed: 0,
+            agreed_shares: 0.0,
+            disagreed: 0,
+            is_anew: false,
             agreed_points: (0, 0),
             // Two tests, each with half of the false alarms.
             explained: Cusum::new(2.0 * options.frames_per_false_alarm),
@@ -331,98 +343,6 @@ impl Localizer {
             covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 })),
         })
     }
-
-    /// Whether what was usual no longer is. A coarse model leaves much out: there only what it has and is not there counts.
-    fn alarm(&mut self, estimate: &Estimate) -> Option<String> {
-        if tells_of_surfaces(estimate) && self.standing.add(share(standing(estimate))) {
-            return Some(format!(
-                "the share of surfaces that are still there has left its distribution ({})",
-                self.standing
-            ));
-        }
-        let coarse = self.estimator.options.model_sigma >= COARSE;
-        let usual = coarse || !self.explained.add(estimate.explained);
-        (!usual).then(|| format!("the share of explained points has left its distribution ({})", self.explained))
-    }
-
-    /// Why a frame may fit by chance, together with those that agreed before it.
-    fn disagrees(&mut self, estimate: &Estimate) -> Option<String> {
-        let (confirmed, decided) = standing(estimate);
-        self.agreed_points.0 += confirmed;
-        self.agreed_points.1 += decided;
-        let standing = share(self.agreed_points);
-        if tells_of_surfaces(estimate) && standing < self.options.least_standing {
-            return Some(format!("{:.0} % of the surfaces are not where the map has them", 100.0 * (1.0 - standing)));
-        }
-        (estimate.explained < self.options.least_agreeing).then(|| "that is too little to tell a place by".to_owned())
-    }
-
-    fn restart_agreement(&mut self) {
-        self.agreed = 0;
-        self.agreed_points = (0, 0);
-    }
-
-    fn restart_tests(&mut self) {
-        self.explained.restart();
-        self.standing.restart();
-    }
-
-    /// The next phase, and why.
-    fn decide(&mut self, estimate: &Estimate) -> String {
-        let explained = format!("{:.0} % explained", 100.0 * estimate.explained);
-        let why = match &estimate.state {
-            EstimateState::Determined => explained,
-            EstimateState::Undetermined(why) => why.clone(),
-        };
-        match self.phase {
-            Phase::Tracking => match self.alarm(estimate) {
-                Some(alarm) => {
-                    self.phase = Phase::Lost;
-                    self.restart_agreement();
-                    format!("{why}; {alarm}")
-                }
-                None => why,
-            },
-            Phase::Lost | Phase::Unknown | Phase::Candidates if estimate.is_determined() => {
-                if let Some(but) = self.disagrees(estimate) {
-                    self.restart_agreement();
-                    self.phase = Phase::Unknown;
-                    return format!("{why}; {but}");
-                }
-                self.agreed += 1;
-                if self.agreed >= self.options.agreeing {
-                    self.phase = Phase::Tracking;
-                    self.restart_tests();
-                    return format!("{why}; {} frames in a row agree", self.agreed);
-                }
-                self.phase = Phase::Candidates;
-                format!("{why}; {} of {} frames agree", self.agreed, self.options.agreeing)
-            }
-            Phase::Lost | Phase::Unknown | Phase::Candidates => {
-                self.restart_agreement();
-                self.phase = Phase::Unknown;
-                why
-            }
-        }
-    }
-}
-
-/// False for grey images alone: they do not say which surfaces are there.
-fn tells_of_surfaces(estimate: &Estimate) -> bool {
-    estimate.findings.is_empty() || !estimate.verdicts.is_empty()
-}
-
-/// How many measured surfaces are where the map has them, and how many are decided on.
-fn standing(estimate: &Estimate) -> (usize, usize) {
-    let counts = estimate.verdicts.iter().map(Verdicts::counts);
-    counts.fold((0, 0), |(confirmed, decided), n| {
-        let c = n[Verdict::Confirmed as usize];
-        (confirmed + c, decided + c + n[Verdict::Farther as usize])
-    })
-}
-
-fn share((part, whole): (usize, usize)) -> f64 {
-    if whole > 0 { part as f64 / whole as f64 } else { 0.0 }
 }
 
 /// A robot on a level floor neither rises nor tilts, whatever its odometry says, and if it leans it goes on leaning: at 40 m a tilt of a

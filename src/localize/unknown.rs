@@ -88,12 +88,16 @@ impl Localizer {
             self.motion = Pose::IDENTITY;
             return Ok(why);
         }
+        if frames % options.least_frames.max(1) == 0 && lead < options.lead {
+            // None of them may be right: a place that the first frame did not tell may fit this one better.
+            self.add_rivals(world, frame)?;
+        }
         let given_up = !enough && frames >= options.patience;
         self.phase = if given_up { Phase::Unknown } else { Phase::Candidates };
         Ok(if given_up { format!("{why}: less than {:.0} %, none is right", 100.0 * options.least_found) } else { why })
     }
 
-    /// Looks through the whole map once more before a candidate is believed: places that fit this frame better join the candidates.
+    /// Looks through the whole map once more: places that fit this frame better than the best candidate join them.
     fn add_rivals(&mut self, world: &World, frame: &Frame) -> Result<bool> {
         let Some(search) = &self.search else { return Ok(false) };
         let best = self.candidates[0].clone();

@@ -1,6 +1,7 @@
 //! What is expected of each pixel: the predicted point and the exact plane of its polygon.
 
 use super::Surfaces;
+use super::strided::StridedPoints;
 use super::surfaces::ObjectErrors;
 use crate::error::Result;
 use crate::geometry::Pose;
@@ -31,7 +32,7 @@ pub struct ExpectedPixel {
 /// Fewest pixels of one task.
 const TASK: usize = 512;
 
-const NOTHING: ExpectedPixel = ExpectedPixel {
+pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
     point: Vec3::NAN,
     range: f32::INFINITY,
     normal: Vec3::NAN,
@@ -48,6 +49,7 @@ pub struct ExpectedImage {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) pixels: Vec<ExpectedPixel>,
+    pub(crate) strided: StridedPoints,
     /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
     pub(crate) spacing: (f64, f64),
     /// Of the objects whose poses' covariances are stored.
@@ -101,7 +103,16 @@ impl ExpectedImage {
         };
         let pixels = (0..width * height).into_par_iter().with_min_len(TASK);
         let pixels: Vec<ExpectedPixel> = predictor.on_threads(|| pixels.map(pixel).collect())?;
-        Ok(Self { sensor: sensor.clone(), world_from_image, width, height, pixels, spacing: spacing(sensor), errors })
+        Ok(Self {
+            sensor: sensor.clone(),
+            world_from_image,
+            width,
+            height,
+            pixels,
+            strided: StridedPoints::default(),
+            spacing: spacing(sensor),
+            errors,
+        })
     }
 
     /// The pixels, row by row.

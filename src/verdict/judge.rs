@@ -258,6 +258,12 @@ impl<'a> PixelJudge<'a> {
         let ray = self.expected_from_now.rotation * ray;
         let here = self.on_plane(at, ray, z);
         let predicted = here.map_or(f64::from(e.pixels[at].range), |(range, _)| range);
+        // The window holds the pixel itself: what it confirms is neither nearer nor farther than all of them.
+        if let Some((range, sigma)) = here
+            && (z - range).abs() <= BOUND * sigma
+        {
+            return (Verdict::Confirmed, predicted);
+        }
         let window = self.window(column, row, ray, z);
         let empty = window.nearest == f64::INFINITY;
         let verdict = if z.is_nan() {
@@ -283,10 +289,7 @@ impl<'a> PixelJudge<'a> {
         } else if z > window.farthest && !window.open {
             Verdict::Farther
         } else {
-            match here {
-                Some((range, sigma)) if (z - range).abs() <= BOUND * sigma => Verdict::Confirmed,
-                _ => Verdict::Undecidable,
-            }
+            Verdict::Undecidable
         };
         (verdict, predicted)
     }

@@ -36,9 +36,11 @@
 
 mod expected;
 mod judge;
+mod strided;
 mod surfaces;
 
 pub(crate) use expected::body_from_image;
 pub use expected::{ExpectedImage, ExpectedPixel};
 pub use judge::{Uncertainty, Verdict, Verdicts, judge};
+pub(crate) use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};

@@ -85,12 +85,43 @@ fn objects_that_are_off_show_in_the_covariance() {
     assert!(off.mean_nees < 3.0 && off.worst_nees < 6.0, "{} {}", off.mean_nees, off.worst_nees);
 }
 
+#[cfg(feature = "script")]
+fn scripted_hall() -> World {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
+    World::new(presight::io::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
+}
+
+/// Where things repeat every few decimetres: from priors of 2 cm and 0.6 degrees an axis that are off by as much, the search comes to rest 15 cm
+/// away in two of these 14 frames, with 97 % explained. That is seven deviations of what was known before, and a place near it explains as
+/// much: that one is told.
+#[cfg(feature = "script")]
+#[test]
+fn a_pose_is_told_where_the_robot_may_be() {
+    let (map, mut random) = (scripted_hall(), Random(7));
+    let floor = map.environment().bounds().min.z;
+    let places = free_poses(&map, 60, 11).unwrap();
+    let low = |place: &&Pose| (0.8..2.5).contains(&(place.translation.z - floor));
+    let place = places.iter().step_by(2).find(low).unwrap();
+    let yaw = place.rotation.to_euler(glam::EulerRot::ZYX).0;
+    let mut simulator = Simulator::new(predictor(), laser(), Disturbances::default(), 3).unwrap();
+    let mut estimator = estimator(EstimateOptions::default());
+    for k in 0..14 {
+        let a = 0.1 * f64::from(k);
+        let at = place.translation + DVec3::new(0.125 * a.cos() - 0.125, 0.125 * a.sin(), 0.0);
+        let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
+        let frame = simulator.frame(&map, f64::from(k), &truth).unwrap();
+        let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
+        let found = estimator.estimate(&map, &[&frame], &Prior::of_sigmas(moved(&truth, &off), 0.02, 0.01)).unwrap();
+        let (metres, degrees) = apart(&found.pose, &truth);
+        assert!(found.is_determined() && metres < 0.02 && degrees < 0.1, "{k}: {metres} m {degrees} deg");
+    }
+}
+
 /// Radar scan and laser range camera in the scripted hall, alone and together: no worse together than the better one alone.
 #[cfg(feature = "script")]
 #[test]
 fn two_sensors_in_a_scripted_hall() {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
-    let map = World::new(presight::io::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment);
+    let map = scripted_hall();
     let mut spec = presight::preset("microwave-radar-scan").unwrap().spec().clone();
     spec.noise.range_sigma = 0.03;
     let radar = Sensor::new(spec).unwrap();

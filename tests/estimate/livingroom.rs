@@ -4,7 +4,8 @@ use super::*;
 use presight::environment::{Polygon, PolygonOrder};
 use presight::estimate::Prior;
 use presight::io::gltf::import;
-use presight::localize::{LocalizeOptions, Localizer, Phase};
+use presight::io::log::Frames;
+use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use std::path::Path;
 
 fn map() -> Option<World> {
@@ -172,4 +173,33 @@ fn the_flight_is_followed() {
         off.sort_unstable_by(f32::total_cmp);
         assert!(off[off.len() / 2] <= 0.002, "{k}: {} m", off[off.len() / 2]);
     }
+}
+
+/// From an unknown start at frame 30, where the camera leans by 16.6 degrees: nothing is claimed of the first four frames, within ten it is
+/// tracked (the fifth was reached), and then it is where the data's poses say.
+#[test]
+fn an_unknown_start_is_found() {
+    let Some(map) = map() else { return };
+    let log = presight_testkit::data::file("rgbd/livingroom").unwrap();
+    let frames = Frames::open(&log, None, &Default::default()).unwrap().map(Result::unwrap);
+    let frames = frames.skip_while(|o| o.frame.stamp < 30.0);
+    let mut frames = frames.map(|o| (o.frame.thinned(4).unwrap(), o.reference.unwrap())).take(10).peekable();
+    let (floor, floor_to, lean) = (0.75, 1.3, [0.0, 16.6f64.to_radians()]);
+    // Coarser than by default, and with half of the candidates: 5 seconds instead of 14.
+    let options =
+        SearchOptions { cell: 0.5, candidates: 20, floor, floor_to, lean, margin: 1.0, ..SearchOptions::default() };
+    let options = SearchOptions { surrounded: 0.02, ..options };
+    let mut estimator = estimator(EstimateOptions::default());
+    let search = Search::new(&mut estimator, &map, frames.peek().unwrap().0.sensor(), options).unwrap();
+    let mut robot = Localizer::unknown(estimator, search, LocalizeOptions::default());
+    for (k, (frame, truth)) in frames.enumerate() {
+        let step = robot.step(&map, &frame).unwrap();
+        assert!(k >= 4 || step.phase != Phase::Tracking, "{k}: {}", step.reason);
+        if step.phase == Phase::Tracking {
+            let (metres, degrees) = apart(&step.pose, &truth);
+            assert!(metres < 0.05 && degrees < 1.5, "{metres} m {degrees} deg");
+            return;
+        }
+    }
+    panic!("it is not tracked within ten frames");
 }

@@ -78,6 +78,23 @@ fn mirrored(frame: &Frame) -> Frame {
     there
 }
 
+/// A scanner whose beams are read the wrong way round, from its true pose on: a corridor mirrored looks like one, and half of its points are
+/// explained for many frames, but it is never tracked.
+#[test]
+fn a_mirrored_robot_is_not_tracked_from_where_it_was_said_to_be() {
+    let Some(map) = map() else { return };
+    let frames = frames();
+    let start = Prior::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
+    let mut robot = Localizer::new(estimator(EstimateOptions::planar()), start, LocalizeOptions::default());
+    for (k, Observation { frame, .. }) in frames.iter().enumerate() {
+        let ranges = frame.ranges().iter().rev().copied().collect();
+        let mut there = Frame::new(frame.stamp, frame.sensor().clone(), Measurement::Range(ranges)).unwrap();
+        there.motion = frame.motion;
+        let step = robot.step(&map, &there).unwrap();
+        assert!(step.phase != Phase::Tracking, "{k}: {}", step.reason);
+    }
+}
+
 fn search(map: &World, frame: &Frame) -> Search {
     Search::new(&mut estimator(EstimateOptions::planar()), map, frame.sensor(), SearchOptions::default()).unwrap()
 }

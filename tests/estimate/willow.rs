@@ -147,7 +147,7 @@ fn robot(start: Prior) -> Localizer {
     Localizer::new(estimator(options), start, LocalizeOptions::default())
 }
 
-/// Seldom far from the registered pose, and never lost. The first drive; PRESIGHT_WILLOW_DRIVES=20 takes as many.
+/// Seldom far from the registered pose, and seldom given up. The first drive; PRESIGHT_WILLOW_DRIVES=20 takes as many.
 #[test]
 fn drives_through_an_outdated_model_are_followed() {
     let Some(model) = model() else { return };
@@ -161,7 +161,11 @@ fn drives_through_an_outdated_model_are_followed() {
         for (frame, truth) in &frames {
             let step: Step = robot.step(&model, frame).unwrap();
             let (metres, degrees) = apart(&step.pose, truth);
-            assert!(step.is_known() && step.phase != Phase::Lost, "drive {seed} at {} s: {}", frame.stamp, step.reason);
+            if !step.is_known() {
+                println!("drive {seed} is given up at {} s, {metres:.2} m off: {}", frame.stamp, step.reason);
+                worst = f64::INFINITY;
+                break;
+            }
             worst = worst.max(metres);
             turned.push(degrees);
         }
@@ -171,7 +175,8 @@ fn drives_through_an_outdated_model_are_followed() {
     turned.sort_by(f64::total_cmp);
     let p90 = turned[turned.len() * 9 / 10];
     println!("headings: p90 {p90:.2} deg");
-    // Of 20 drives 2 (none was aimed at), the farthest 0.93 m off; 3.3 degrees (3.0 were aimed at), and 3.6 in the first alone.
+    // Of 20 drives 17 (all were aimed at): two go 0.79 and 1.05 m off, and drive 11 begins where the model explains 3 % for two metres and is
+    // given up, 0.08 m off. 3.0 degrees, and 3.7 in the first drive alone.
     let most = if count < 20 { 4.0 } else { 3.5 };
     assert!(far <= count / 6 && p90 <= most, "{far} of {count} drives went farther off than 0.75 m, {p90} deg");
 }
@@ -205,17 +210,27 @@ fn single_scans_in_an_outdated_model() {
     assert!(at(&metres, 0.9) <= 0.6 && at(&degrees, 0.9) <= 4.0);
 }
 
-/// Sixty scans from all over the building as if the robot had not moved: places where beams pass through walls are not where it is.
+/// Scans from all over the building as if the robot had not moved since the first, which is where it is known to be: places where beams pass
+/// through walls, or where a frame or two fit by chance, are not where it is. Three starts, with two after which several frames fit by
+/// chance; PRESIGHT_WILLOW_STARTS=60 takes as many.
 #[test]
 fn scans_from_elsewhere_are_never_tracked() {
     let Some(model) = model() else { return };
-    let mut scans = log_of_scans().map(Result::unwrap);
-    let first = scans.next().unwrap();
-    let mut robot = robot(Prior::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
-    robot.step(&model, &first.frame).unwrap();
-    for log::Observation { frame, reference } in scans {
-        let step = robot.step(&model, &frame).unwrap();
-        let (metres, _) = apart(&step.pose, &reference.unwrap());
-        assert!(step.phase != Phase::Tracking || metres < 0.75, "{metres:.1} m off: {}", step.reason);
+    let count = presight_testkit::env_number("PRESIGHT_WILLOW_STARTS", 0) as usize;
+    let starts = if count == 0 { vec![0, 1, 41] } else { (0..count).collect() };
+    let (mut fitting, mut frames) = (0, 0);
+    for start in starts {
+        let mut scans = log_of_scans().map(Result::unwrap).skip(start);
+        let first = scans.next().unwrap();
+        let mut robot = robot(Prior::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
+        robot.step(&model, &first.frame).unwrap();
+        for log::Observation { frame, reference } in scans {
+            let step = robot.step(&model, &frame).unwrap();
+            let (metres, _) = apart(&step.pose, &reference.unwrap());
+            frames += 1;
+            fitting += usize::from(metres > 0.75 && step.phase == Phase::Candidates);
+            assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);
+        }
     }
+    println!("{fitting} of {frames} frames from elsewhere fit");
 }

@@ -2,7 +2,7 @@
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_max`, `range_std`,
 //! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`.
-//! Keys of a scan: `ranges` (metres), `valid` (a digit for each beam, 1 for a reading), and optionally `t` (seconds; without it frames
+//! Keys of a scan: `ranges` (metres; null is no reading), `valid` (a digit for each beam, 1 for a reading), and optionally `t` (seconds; without it frames
 //! are numbered from 0), `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`,
 //! `reference_pose` or `pose_in_model`. Other keys are not read.
 
@@ -68,7 +68,7 @@ struct Scan {
     odometry_increment: Option<[f64; 3]>,
     #[serde(alias = "robot_pose", alias = "reference_pose", alias = "pose_in_model")]
     reference: Option<Planar>,
-    ranges: Vec<f64>,
+    ranges: Vec<Option<f64>>,
     valid: String,
 }
 
@@ -97,16 +97,16 @@ impl Document {
             let remedy = "give a digit 0 or 1 for each beam";
             return Err(Error::invalid(format!("valid does not fit the {} ranges", scan.ranges.len()), remedy));
         }
-        let reading = |(&range, &valid): (&f64, &u8)| if valid == b'1' { Ok(range) } else { Err(()) };
+        let reading = |(range, valid): (&Option<f64>, &u8)| range.filter(|_| *valid == b'1');
         let mut ranges = Vec::with_capacity(valid.len());
         for (i, reading) in scan.ranges.iter().zip(valid).map(reading).enumerate() {
             ranges.push(match reading {
-                Ok(range) if (range as f32).is_finite() => range as f32,
-                Ok(range) => {
+                Some(range) if (range as f32).is_finite() => range as f32,
+                Some(range) => {
                     let what = format!("{range} m is not finite, and valid");
                     return Err(Error::invalid(what, "mark it as not valid").at(format!("range {i}")));
                 }
-                Err(()) => f32::NAN,
+                None => f32::NAN,
             });
         }
         let planar = |x, y, yaw| Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, yaw);
@@ -156,6 +156,10 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
             let beams = file.beams.ok_or_else(|| missing("beams"))?;
             let least = file.angle_min.ok_or_else(|| missing("angle_min"))?;
             let greatest = file.angle_max.ok_or_else(|| missing("angle_max"))?;
+            if least.abs().max(greatest.abs()) > std::f64::consts::TAU {
+                let what = format!("angle_min {least} and angle_max {greatest} are more than a turn");
+                return Err(Error::invalid(what, "give radians: 90 degrees are 1.5708"));
+            }
             let on_robot = file.sensor_on_robot.as_ref().ok_or_else(|| missing("sensor_on_robot"))?;
             let place = DVec3::new(on_robot.x, on_robot.y, on_robot.z);
             let range_max = file.range_max.ok_or_else(|| missing("range_max"))?;
@@ -187,4 +191,30 @@ fn round_degrees(radians: f64) -> f64 {
     let degrees = radians.to_degrees();
     let round = (degrees * 1e4).round() / 1e4;
     if round.to_radians() as f32 == radians as f32 { round } else { degrees }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(angle_max: &str) -> Result<Document> {
+        let text = format!(
+            r#"{{"beams":3,"angle_min":-1.5,"angle_max":{angle_max},"range_max":8,"sensor_on_robot":{{"x":0,"y":0,"z":1,"yaw":0}},
+            "scans":[{{"ranges":[2.5,null,3.5],"valid":"110"}}]}}"#
+        );
+        Document::parse(Path::new("scans.json"), text.into_bytes())
+    }
+
+    /// null and what is marked as not valid are no readings, as other programs write them.
+    #[test]
+    fn a_missing_range_is_no_reading() {
+        let frame = parse("1.5").unwrap().next().unwrap().unwrap();
+        assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2].is_nan());
+    }
+
+    #[test]
+    fn degrees_are_told_from_radians() {
+        let wrong = parse("90").err().unwrap().to_string();
+        assert!(wrong.contains("angle_max 90") && wrong.contains("give radians"), "{wrong}");
+    }
 }

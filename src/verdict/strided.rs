@@ -1,0 +1,101 @@
+//! Predicted points in the order in which windows of an image are looked through: every so many columns, side by side.
+
+use super::ExpectedPixel;
+use std::sync::OnceLock;
+
+/// Points that are looked at in one go.
+pub(crate) const LANES: usize = 16;
+/// Wider steps find too little in an image to be worth an order of their own.
+const WIDEST: usize = 16;
+/// Places before and after a row, so that no window ends outside: windows reach seven steps beyond an image, and their middles as far.
+const AROUND: usize = 16;
+
+/// The points of an image, ordered anew when first asked for. Columns that the image has not are NaN, as pixels without a point are.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct StridedPoints {
+    by_stride: [OnceLock<Strided>; WIDEST],
+}
+
+/// All columns that leave one remainder by the stride, side by side, then those of the next.
+#[derive(Clone, Debug)]
+struct Strided {
+    /// Places of one row and remainder.
+    length: usize,
+    axes: [Vec<f32>; 3],
+}
+
+impl Strided {
+    fn new(pixels: &[ExpectedPixel], width: usize, stride: usize) -> Self {
+        let length = AROUND + width.div_ceil(stride) + AROUND + LANES;
+        let mut axes = [(); 3].map(|()| vec![f32::NAN; pixels.len() / width.max(1) * stride * length]);
+        for (i, pixel) in pixels.iter().enumerate() {
+            let (row, column) = (i / width, i % width);
+            let at = (row * stride + column % stride) * length + AROUND + column / stride;
+            (0..3).for_each(|k| axes[k][at] = pixel.point[k]);
+        }
+        Self { length, axes }
+    }
+}
+
+impl StridedPoints {
+    /// x, y and z of the points of a row from a column on, each `stride` columns after the one before.
+    #[inline(always)]
+    pub fn row(
+        &self,
+        pixels: &[ExpectedPixel],
+        width: usize,
+        (row, first): (usize, i32),
+        stride: usize,
+    ) -> [[f32; LANES]; 3] {
+        let (step, phase) = (first.div_euclid(stride as i32), first.rem_euclid(stride as i32) as usize);
+        let from = AROUND as i32 + step;
+        if stride <= WIDEST && from >= 0 {
+            let ordered = self.by_stride[stride - 1].get_or_init(|| Strided::new(pixels, width, stride));
+            let from = from as usize;
+            if from + LANES <= ordered.length {
+                let at = (row * stride + phase) * ordered.length + from;
+                return ordered
+                    .axes
+                    .each_ref()
+                    .map(|axis| axis[at..at + LANES].try_into().unwrap_or([f32::NAN; LANES]));
+            }
+        }
+        let mut found = [[f32::NAN; LANES]; 3];
+        for lane in 0..LANES {
+            let column = first + (lane * stride) as i32;
+            if (0..width as i32).contains(&column) {
+                let point = pixels[row * width + column as usize].point;
+                (0..3).for_each(|k| found[k][lane] = point[k]);
+            }
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::verdict::expected::NOTHING;
+    use glam::Vec3;
+
+    /// Whatever the stride, and wherever the window begins: each lane has the point of its column, and NaN where there is none.
+    #[test]
+    fn lanes_have_the_points_of_their_columns() {
+        let (width, height) = (37, 3);
+        let pixel = |i: usize| ExpectedPixel { point: Vec3::new(i as f32, -(i as f32), 0.5), ..NOTHING };
+        let pixels: Vec<ExpectedPixel> = (0..width * height).map(pixel).collect();
+        let strided = StridedPoints::default();
+        for stride in 1..40 {
+            for first in -300..300 {
+                let [x, y, _] = strided.row(&pixels, width, (1, first), stride);
+                for lane in 0..LANES {
+                    let column = first + (lane * stride) as i32;
+                    let inside = (0..width as i32).contains(&column);
+                    let expected = if inside { (width as i32 + column) as f32 } else { f32::NAN };
+                    assert_eq!(x[lane].to_bits(), expected.to_bits(), "stride {stride}, from {first}, lane {lane}");
+                    assert!(!inside || y[lane] == -expected);
+                }
+            }
+        }
+    }
+}
