@@ -331,11 +331,13 @@ impl<'a> SupportFinder<'a> {
 fn boxes_around(frame: &FeatureFrame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
     /// Most boxes along a segment.
     const MOST: f64 = 16.0;
+    /// They are not cut shorter, metres: each is a query.
+    const SHORT: f64 = 0.5;
     let points: Vec<DVec3> = shape.points().iter().map(|p| frame.to_world(*p)).collect();
     let FeatureShape::Segment { .. } = shape else { return vec![Aabb::of(points)] };
     let mut sides = (points[1] - points[0]).abs().to_array();
     sides.sort_by(f64::total_cmp);
-    let count = (MOST * sides[1] / sides[2]).clamp(1.0, MOST) as usize;
+    let count = (MOST * sides[1] / sides[2]).min(sides[2] / SHORT).clamp(1.0, MOST) as usize;
     let at = |k: usize| points[0].lerp(points[1], k as f64 / count as f64);
     (0..count).map(|k| Aabb::of([at(k), at(k + 1)])).collect()
 }
