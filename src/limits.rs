@@ -41,6 +41,8 @@ pub const MAX_FEATURE_STEPS: u64 = 1 << 29;
 pub const MAX_CONTOUR_STEPS: u64 = 1 << 27;
 /// Most polygons of all contours of a feature layer together.
 pub const MAX_CONTOUR_FACETS: u64 = 1 << 22;
+/// Most polygons within a layer's tolerance of its features, counted for each feature: a minute or two.
+pub const MAX_PLACING_PAIRS: u64 = 1 << 28;
 /// Most places of a grid at which a layer's worth is asked for.
 pub const MAX_WORTH_PLACES: u64 = 1 << 20;
 /// Most facets around a round solid, or steps of stairs.

@@ -128,7 +128,8 @@ impl Predictor {
         let mut start = Instant::now();
         let tree = self.take_tree(world, &sensor.spec().class, placed)?;
         let of_tree = (&placed[..], Some(tree.parts()));
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, of_tree, settings)?;
+        let prepare = || PreparedFeatures::new(world, sensor, world_from_sensor, images, of_tree, settings);
+        let prepared = self.on_threads(prepare)??;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }

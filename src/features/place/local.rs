@@ -76,11 +76,28 @@ impl Local {
         t.0 <= t.1 && (t.0 < from - more || t.1 > to + more)
     }
 
+    /// True only if two points are on one side of its plane, or beyond one side of it, by far more than the tolerance and roundings:
+    /// so then is all between them.
+    fn is_beside(&self, p: DVec3, q: DVec3) -> bool {
+        let Some(normal) = self.normal else { return false };
+        let far = 2.0 * (self.reach + self.warp);
+        let are_off = |p: f64, q: f64, far: f64| (p > far && q > far) || (p < -far && q < -far);
+        are_off(self.height(normal, p), self.height(normal, q), far)
+            || self.sides().any(|(u, v)| {
+                let inward = normal.cross(v - u);
+                let outside = (inward.dot(p - u)).max(inward.dot(q - u));
+                outside < 0.0 && outside * outside > far * far * inward.length_squared()
+            })
+    }
+
     /// Where the segment from `a` along `d` (t in 0..=1) is on it, within the tolerance.
     ///
     /// All points within a distance of a convex polygon are a convex body, made of the polygon's prism, a cylinder
     /// around each side and a ball around each corner; the interval is the hull of those inside each part.
     pub fn stretch(&self, a: DVec3, d: DVec3) -> Option<(f64, f64)> {
+        if self.is_beside(a, a + d) {
+            return None;
+        }
         let r = self.reach;
         let prism = self.over(a, d);
         if prism == Some((0.0, 1.0)) {

@@ -28,6 +28,7 @@ use crate::environment::{Environment, Feature, FeatureLayer, FeatureShape, Objec
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose, plane_of_polygon};
 use crate::index::{QueryResult, Region};
+use crate::limits;
 use crate::threads::parallel;
 use crate::world::World;
 use glam::DVec3;
@@ -35,6 +36,7 @@ use local::Local;
 pub(super) use plane::clip;
 use rayon::prelude::*;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
 /// tolerance cannot tell.
@@ -124,6 +126,8 @@ struct SupportFinder<'a> {
     tolerance: f64,
     found: QueryResult,
     contours: ContourFinder<'a>,
+    /// [`limits::MAX_PLACING_PAIRS`].
+    most_pairs: u64,
 }
 
 /// The frame a feature is given in.
@@ -175,7 +179,8 @@ impl<'a> SupportFinder<'a> {
             environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
         }
         let contours = ContourFinder::new(environment, &layer.class);
-        Ok(Self { world, environment, tolerance: layer.tolerance, found: QueryResult::default(), contours })
+        let (tolerance, most_pairs) = (layer.tolerance, limits::MAX_PLACING_PAIRS);
+        Ok(Self { world, environment, tolerance, found: QueryResult::default(), contours, most_pairs })
     }
 
     fn place(&mut self, feature: &Arc<Feature>, lying: Result<Lying<'a>>) -> Result<PlacedFeature> {
@@ -186,11 +191,22 @@ impl<'a> SupportFinder<'a> {
     }
 
     /// What each feature of a layer lies on, of contours their anchors, in order.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if [`limits::MAX_PLACING_PAIRS`] is met.
     fn lie_all(&self, layer: &'a FeatureLayer) -> Result<Vec<Result<Lying<'a>>>> {
         /// Features that a worker takes at a time, at least.
         const BATCH: usize = 256;
         let features = layer.features.par_iter().with_min_len(BATCH);
-        parallel(|| features.map_init(|| self.another(), |finder, feature| finder.lie(feature)).collect())
+        let pairs = AtomicU64::new(0);
+        let lying = parallel(|| features.map_init(|| self.another(), |finder, f| finder.lie(f, &pairs)).collect())?;
+        if pairs.into_inner() > self.most_pairs { Err(self.too_many()) } else { Ok(lying) }
+    }
+
+    fn too_many(&self) -> Error {
+        let (most, tolerance) = (self.most_pairs, short(self.tolerance));
+        let what = format!("over {most} polygons lie within the layer's tolerance of {tolerance} m of its features");
+        Error::invalid(what, "give a smaller tolerance, or fewer features")
     }
 
     /// One that knows nothing of contours yet.
@@ -210,8 +226,8 @@ impl<'a> SupportFinder<'a> {
         }
     }
 
-    /// The frame of a feature, and what it lies on, or a contour's anchor.
-    fn lie(&mut self, feature: &Feature) -> Result<Lying<'a>> {
+    /// The frame of a feature, and what it lies on, or a contour's anchor. The polygons near it are counted.
+    fn lie(&mut self, feature: &Feature, pairs: &AtomicU64) -> Result<Lying<'a>> {
         let environment = self.environment;
         let object = match &feature.object {
             Some(path) => Some(environment.index_of(path)?),
@@ -222,7 +238,11 @@ impl<'a> SupportFinder<'a> {
         let boxes = boxes_around(&frame, &feature.shape);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
         let tolerance = self.tolerance;
+        if pairs.load(Ordering::Relaxed) > self.most_pairs {
+            return Err(self.too_many());
+        }
         let slots = self.slots_near(&boxes);
+        pairs.fetch_add(slots.len() as u64, Ordering::Relaxed);
         let within = |tolerance: f64| lie(&self.locals(&frame, &slots, tolerance), &about, &|_| Ok(()));
         let lie = match within(tolerance.min(ROUNDING))? {
             Support::Off(_) if tolerance > ROUNDING => within(tolerance)?,
@@ -331,11 +351,13 @@ impl<'a> SupportFinder<'a> {
 fn boxes_around(frame: &FeatureFrame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
     /// Most boxes along a segment.
     const MOST: f64 = 16.0;
+    /// They are not cut shorter, metres: each is a query.
+    const SHORT: f64 = 0.5;
     let points: Vec<DVec3> = shape.points().iter().map(|p| frame.to_world(*p)).collect();
     let FeatureShape::Segment { .. } = shape else { return vec![Aabb::of(points)] };
     let mut sides = (points[1] - points[0]).abs().to_array();
     sides.sort_by(f64::total_cmp);
-    let count = (MOST * sides[1] / sides[2]).clamp(1.0, MOST) as usize;
+    let count = (MOST * sides[1] / sides[2]).min(sides[2] / SHORT).clamp(1.0, MOST) as usize;
     let at = |k: usize| points[0].lerp(points[1], k as f64 / count as f64);
     (0..count).map(|k| Aabb::of([at(k), at(k + 1)])).collect()
 }

@@ -66,7 +66,7 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
     };
     if query.frame.options.regions {
         let ends = spans.iter().flat_map(|span| [(span, span.samples.start), (span, span.samples.end - 1)]);
-        pixels.tally.windows = Some(Windows::new(ends.map(|(span, sample)| pixels.pixel_at(span, sample))));
+        pixels.tally.windows = Some(Windows::new(ends.map(|(span, sample)| pixels.pixel_at(span, sample))).into());
     }
     for span in &spans {
         pixels.decide_span(span);

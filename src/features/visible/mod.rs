@@ -158,7 +158,7 @@ pub(crate) struct PreparedFeatures<'a> {
     images: &'a Images,
     placed: &'a [PlacedFeature],
     feature_id: bool,
-    /// Numbers of the features that are looked at one by one, rising.
+    /// Numbers of the features that are looked at one by one.
     some: Vec<usize>,
     /// Numbers of those that are told of without a look, rising, and why they are out of view.
     out_of_view: Vec<(u32, Reason)>,
@@ -239,7 +239,7 @@ impl<'a> PreparedFeatures<'a> {
         let surfaces = known.unwrap_or(&contours);
         let (some, out_of_view) = match tree {
             Some(tree) if options.hidden == Hidden::Count => {
-                let some = select::select(&frame, tree, (placed, surfaces));
+                let some = select::select(&frame, tree, (placed, surfaces))?;
                 (some.into_iter().map(|i| i as usize).collect(), Vec::new())
             }
             Some(tree) => {
@@ -274,6 +274,7 @@ impl<'a> PreparedFeatures<'a> {
     pub fn finish(mut self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let mut marks = self.marks();
         let mut prediction = self.part(&self.some, told, &mut marks);
+        sort_as_given(&mut prediction);
         let is_each_once = self.contours.set().is_empty() && self.out_of_view.is_empty();
         if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count && is_each_once) {
             prediction.given = Vec::new();
@@ -331,6 +332,19 @@ impl<'a> PreparedFeatures<'a> {
         };
         self.placed.par_iter().enumerate().with_min_len(BATCH).map(one).collect()
     }
+}
+
+/// Puts features in the order in which they were given; the curves of one keep theirs.
+fn sort_as_given(prediction: &mut FeaturePrediction) {
+    let given = &prediction.given;
+    if given.is_sorted() {
+        return;
+    }
+    let mut order: Vec<u32> = (0..given.len() as u32).collect();
+    order.sort_by_key(|i| given[*i as usize]);
+    let mut features: Vec<_> = std::mem::take(&mut prediction.features).into_iter().map(Some).collect();
+    prediction.features = order.iter().filter_map(|i| features[*i as usize].take()).collect();
+    prediction.given = order.iter().map(|i| given[*i as usize]).collect();
 }
 
 /// About how long the image of an outline through points is, pixels. Parts beside the image have no length.

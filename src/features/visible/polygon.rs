@@ -51,6 +51,11 @@ impl PreparedPolygon {
         }
     }
 
+    /// True if nothing is known of its distance.
+    pub fn is_unknown(&self) -> bool {
+        self.off[0].is_infinite()
+    }
+
     /// True if it is nearer than all points up to the range `far`, in its cone, of which none has a lesser share than `least`.
     pub fn hides_all(&self, least: f64, far: f64, rounding: f64) -> bool {
         // What is behind it is no nearer than its plane.

@@ -103,7 +103,7 @@ impl Samples {
         let mut tally = Tally::default();
         if query.frame.options.regions && query.shape.is_area() {
             let place = |piece: &Piece| if let Piece::Inside(sample) = piece { Some(sample.pixel) } else { None };
-            tally.windows = Some(Windows::new(self.pieces.iter().filter_map(place)));
+            tally.windows = Some(Windows::new(self.pieces.iter().filter_map(place)).into());
         }
         for (piece, state) in self.pieces.iter().zip(&self.states) {
             tally.take(query.frame, piece, *state);

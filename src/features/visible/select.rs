@@ -8,13 +8,19 @@
 
 use super::VisibilityContext;
 use super::polygon::{PolygonCache, PreparedPolygon};
+use super::tiles::Tiles;
+use crate::error::Result;
 use crate::features::contour::ContourSet;
 use crate::features::place::clip;
 use crate::features::tree::{FeatureTree, Group, Node};
 use crate::features::view::View;
 use crate::features::{PlacedFeature, Reason};
 use crate::sensor::Geometry;
+use crate::threads::parallel;
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use std::cmp::Reverse;
+use std::collections::VecDeque;
 
 /// By this part of its size something has to be inside a cone: samples on it may be off by rounding.
 const INSIDE: f64 = 1e-12;
@@ -22,20 +28,45 @@ const INSIDE: f64 = 1e-12;
 /// Parts of a feature that are looked at, at most.
 const MOST_PARTS: usize = 24;
 
-/// Numbers of the features that may be seen, rising.
+/// Boxes that are handed to the threads, at least, if there are as many.
+const MANY_BOXES: usize = 64;
+
+/// Numbers of the features that may be seen: neighbours in the image together, so that a worker looks into few tiles, the farthest
+/// first, so that it looks once.
 pub(super) fn select(
     frame: &VisibilityContext<'_>,
     tree: &FeatureTree,
     of: (&[PlacedFeature], &ContourSet),
-) -> Vec<u32> {
-    let view = View::new(frame.sensor);
-    let (polygons, points, some) = (PolygonCache::new(frame), Vec::new(), Vec::new());
-    let (placed, contours) = of;
-    let mut selection = Selection { frame, tree, placed, contours, view, polygons, points, some };
-    tree.groups.iter().for_each(|group| selection.group(group));
-    let mut some = selection.some;
+) -> Result<Vec<u32>> {
+    let (view, tiles) = (View::new(frame.sensor), Tiles::of_sensor(frame));
+    let begin = || {
+        let (polygons, points, some) = (PolygonCache::new(frame), Vec::new(), Vec::new());
+        let (placed, contours) = of;
+        Selection { frame, tree, placed, contours, view: &view, tiles: &tiles, polygons, points, some }
+    };
+    let mut first = begin();
+    let mut boxes: VecDeque<(&Group, u32)> = tree.groups.iter().map(|group| (group, group.root)).collect();
+    while boxes.len() < MANY_BOXES
+        && let Some((group, node)) = boxes.pop_front()
+    {
+        boxes.extend(first.step(group, node).into_iter().flatten().map(|node| (group, node)));
+    }
+    let mut some = first.some;
+    if !boxes.is_empty() {
+        let boxes = Vec::from(boxes);
+        let parts = parallel(|| {
+            let share = boxes.len().div_ceil(2 * rayon::current_num_threads());
+            let parts = boxes.par_chunks(share).map(|boxes| {
+                let mut selection = begin();
+                boxes.iter().for_each(|(group, node)| selection.below(group, *node));
+                selection.some
+            });
+            parts.collect::<Vec<_>>()
+        })?;
+        some.extend(parts.into_iter().flatten());
+    }
     some.sort_unstable();
-    some
+    Ok(some.into_iter().map(|(.., feature)| feature).collect())
 }
 
 /// Why features are out of view as a whole, by number: of those in a box of the tree that is. Others, and contours, of which each
@@ -94,31 +125,44 @@ struct Selection<'s, 'a> {
     tree: &'s FeatureTree,
     placed: &'s [PlacedFeature],
     contours: &'s ContourSet,
-    view: View,
+    view: &'s View,
+    tiles: &'s Tiles,
     polygons: PolygonCache,
     points: Vec<DVec3>,
-    some: Vec<u32>,
+    /// The tile of its middle, the range of that, the farthest first, and the number of each feature that may be seen.
+    some: Vec<(u32, Reverse<u32>, u32)>,
 }
 
 impl Selection<'_, '_> {
-    fn group(&mut self, group: &Group) {
+    /// All of a node.
+    fn below(&mut self, group: &Group, node: u32) {
+        let mut nodes = vec![node];
+        while let Some(node) = nodes.pop() {
+            nodes.extend(self.step(group, node).into_iter().flatten());
+        }
+    }
+
+    /// The two nodes below one of which something may be seen; of a leaf its features are looked at.
+    fn step(&mut self, group: &Group, number: u32) -> Option<[u32; 2]> {
         let tree = self.tree;
         let (image_from_object, shift) = self.frame.image_from(group.object);
-        let mut nodes = vec![group.root];
-        while let Some(number) = nodes.pop() {
-            let node = &tree.nodes[number as usize];
-            if self.is_out(node, group, image_from_object, shift) {
-                continue;
+        let node = &tree.nodes[number as usize];
+        if self.is_out(node, group, image_from_object, shift) {
+            return None;
+        }
+        if node.second.is_none() {
+            for feature in &tree.order[node.some.start as usize..node.some.end as usize] {
+                self.take(*feature, image_from_object, shift);
             }
-            match node.second {
-                Some(second) => nodes.extend([second, number + 1]),
-                None => node.some.clone().for_each(|at| {
-                    let feature = tree.order[at as usize];
-                    if !self.is_hidden(feature, image_from_object, shift) {
-                        self.some.push(feature);
-                    }
-                }),
-            }
+        }
+        node.second.map(|second| [second, number + 1])
+    }
+
+    fn take(&mut self, feature: u32, image_from_object: DMat3, shift: DVec3) {
+        if !self.is_hidden(feature, image_from_object, shift) {
+            let middle = self.points.iter().sum::<DVec3>() / self.points.len().max(1) as f64;
+            // As integers these rise like the ranges.
+            self.some.push((self.tiles.of(middle).0, Reverse((middle.length() as f32).to_bits()), feature));
         }
     }
 
@@ -150,19 +194,16 @@ impl Selection<'_, '_> {
         if !self.view.meets(middle, &axes) {
             return true;
         }
-        if self.hides_whole(middle, placed, rounding) {
+        // The polygon that the image shows in the middle.
+        let number = self.polygon_at(middle).filter(|n| !placed.slots.contains(&self.polygons.get(*n).slot));
+        if let Some(known) = number.map(|number| self.polygons.get(number))
+            && hides_points(known, self.polygons.planes_of(known), &self.points, rounding)
+        {
             return true;
         }
-        // The corners of a surface's box are no outline.
-        surface.is_none() && self.is_hidden_in_parts(placed, rounding)
-    }
-
-    /// True if the polygon that the image shows in the middle of the points hides all of them.
-    fn hides_whole(&mut self, middle: DVec3, placed: &PlacedFeature, rounding: f64) -> bool {
-        let Some(number) = self.polygon_at(middle) else { return false };
-        let known = self.polygons.get(number);
-        !placed.slots.contains(&known.slot)
-            && hides_points(known, self.polygons.planes_of(known), &self.points, rounding)
+        // The corners of a surface's box are no outline. A segment has but this middle, an area another.
+        let is_line = self.points.len() < 3;
+        surface.is_none() && !(is_line && number.is_none()) && self.is_hidden_in_parts(placed, rounding)
     }
 
     /// True if polygons that the image shows in front of parts of the hull of the points hide all of it together.

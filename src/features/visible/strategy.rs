@@ -53,7 +53,7 @@ impl Workspace {
     pub fn new(frame: &VisibilityContext<'_>) -> Self {
         Self {
             polygons: PolygonCache::new(frame),
-            tiles: Tiles::new(frame.sampler.pixel_angle()),
+            tiles: Tiles::of_sensor(frame),
             candidates: Candidates::default(),
             near: Vec::new(),
             samples: Samples::default(),

@@ -28,7 +28,7 @@ pub(super) struct Tally {
     pub nearest: Option<(f64, DVec3)>,
     pub pixels: Vec<u32>,
     /// Where a patch is seen, if that is asked for.
-    pub windows: Option<Windows>,
+    pub windows: Option<Box<Windows>>,
 }
 
 impl Tally {

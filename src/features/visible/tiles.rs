@@ -13,8 +13,10 @@ use crate::index::{QueryResult, Region};
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// About how wide the tiles are for which the index is asked, pixels.
+/// About how wide the tiles of a camera are for which the index is asked, pixels.
 const PIXELS: f64 = 128.0;
+/// Those of a scanner, whose pixels are wide and which sees all around: large ones would hold much of a building.
+const SCANNER_PIXELS: f64 = 32.0;
 /// Most of them along a side of the cube: their numbers fit in 32 bits.
 const MAX_ACROSS: f64 = 16_384.0;
 /// How far a tile reaches over its sides, in coordinates on the cube: places between two in a tile may be out of it by
@@ -36,14 +38,34 @@ struct TilePolygon {
     inverse: DVec3,
     /// Number in the cache.
     number: u32,
+    /// Nothing of it in the tile is nearer, along the axis of the side.
+    near: f32,
 }
 
 impl TilePolygon {
     fn new(polygons: &PolygonCache, number: u32, square: &Square) -> Self {
         let known = polygons.get(number);
-        let bounds = Bounds::of(polygons.corners_of(known), square);
-        Self { bounds, inverse: known.inverse, number }
+        let corners = polygons.corners_of(known);
+        let bounds = Bounds::of(corners, square);
+        let (mut nearest, mut reach) = (f64::INFINITY, 0f64);
+        for corner in corners {
+            nearest = nearest.min(square.coordinates(*corner)[2]);
+            reach = reach.max(corner.abs().max_element());
+        }
+        let near = if known.is_unknown() { 0.0 } else { before(nearest - BEHIND * BEHIND * reach) };
+        Self { bounds, inverse: known.inverse, number, near }
     }
+
+    /// With what its plane tells of how near it is, by the greatest product with a corner of the tile.
+    fn beyond(self, greatest: f64, known: &PreparedPolygon) -> Self {
+        let is_told = greatest > 0.0 && !known.is_unknown();
+        Self { near: if is_told { self.near.max(before(greatest.recip())) } else { self.near }, ..self }
+    }
+}
+
+/// A little less than a distance, at least 0.
+fn before(distance: f64) -> f32 {
+    (distance * (1.0 - BEHIND)).max(0.0) as f32
 }
 
 /// A box on a side of the cube: x0, x1, y0, y1.
@@ -136,7 +158,7 @@ impl Square {
     }
 }
 
-/// Polygons of a tile, with the cells that each reaches over: many are passed over by these, at once.
+/// Polygons of a tile, the nearest first, with the cells that each reaches over: many are passed over by these, at once.
 #[derive(Default)]
 struct TilePolygons {
     all: Vec<TilePolygon>,
@@ -145,15 +167,17 @@ struct TilePolygons {
 }
 
 impl TilePolygons {
-    fn new(all: Vec<TilePolygon>, square: &Square) -> Self {
+    fn new(mut all: Vec<TilePolygon>, square: &Square) -> Self {
+        all.sort_by(|a, b| a.near.total_cmp(&b.near));
         Self { cells: all.iter().map(|polygon| polygon.bounds.cells(square)).collect(), all }
     }
 
-    /// Visits those that may share columns and rows, in order.
-    fn visit(&self, cells: u64, mut visit: impl FnMut(&TilePolygon)) {
+    /// Visits those that may share columns and rows, and are nearer than a distance along the axis in part, in order.
+    fn visit(&self, cells: u64, far: f32, mut visit: impl FnMut(&TilePolygon)) {
         const AT_ONCE: usize = 16;
         let meets = |of: u64| (of & cells) as u32 != 0 && (of & cells) >> 32 != 0;
-        for (some, of) in self.all.chunks(AT_ONCE).zip(self.cells.chunks(AT_ONCE)) {
+        let nearer = self.all.partition_point(|polygon| polygon.near < far);
+        for (some, of) in self.all[..nearer].chunks(AT_ONCE).zip(self.cells[..nearer].chunks(AT_ONCE)) {
             if of.iter().fold(false, |any, of| any | meets(*of)) {
                 some.iter().zip(of).filter(|(_, of)| meets(**of)).for_each(|(polygon, _)| visit(polygon));
             }
@@ -198,7 +222,7 @@ impl Tile {
                     nearest = Some((least, at, candidate.number));
                 }
             }
-            candidates.push(candidate);
+            candidates.push(candidate.beyond(at.into_iter().fold(0.0, f64::max), known));
         }
         let (mut cover, mut behind, mut most_behind) = (NONE, Vec::new(), 0.0);
         if let Some((_, cover_at, number)) = nearest {
@@ -224,9 +248,15 @@ fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
 }
 
 impl Tiles {
-    /// For a sensor whose neighbouring rays are about that far apart, radians.
-    pub fn new(pixel_angle: f64) -> Self {
-        let across = (2.0 / (PIXELS * pixel_angle)).ceil().clamp(1.0, MAX_ACROSS);
+    /// For the sensor of a prediction.
+    pub fn of_sensor(frame: &VisibilityContext<'_>) -> Self {
+        let pixels = if frame.sensor.is_camera() { PIXELS } else { SCANNER_PIXELS };
+        Self::new(pixels * frame.sampler.pixel_angle())
+    }
+
+    /// Of about that angle, radians.
+    fn new(angle: f64) -> Self {
+        let across = (2.0 / angle).ceil().clamp(1.0, MAX_ACROSS);
         Self { across, numbers: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
     }
 
@@ -282,6 +312,8 @@ impl Tiles {
         let tile = &self.tiles[tile as usize];
         let bounds = Bounds::of(places, &tile.square);
         let cells = bounds.cells(&tile.square);
+        let farthest = places.iter().map(|p| tile.square.coordinates(*p)[2]).fold(0.0, f64::max);
+        let far = (farthest * (1.0 + BEHIND)) as f32;
         let Aabb { min, max } = Aabb::of(places.iter().copied());
         let reach = min.abs().max(max.abs()).max_element();
         let look_behind =
@@ -292,9 +324,9 @@ impl Tiles {
                 near.push(c.number);
             }
         };
-        tile.candidates.visit(cells, &mut take);
+        tile.candidates.visit(cells, far, &mut take);
         if look_behind {
-            tile.behind.visit(cells, &mut take);
+            tile.behind.visit(cells, far, &mut take);
         }
     }
 
@@ -334,10 +366,10 @@ mod tests {
             a in proptest::array::uniform3(-1.0..1.0f64),
             near in proptest::array::uniform3(-0.1..0.1f64),
             share in 0.0..=1.0f64,
-            angle in 1e-4..0.5f64,
+            angle in 0.01..64.0f64,
         ) {
             let tiles = Tiles::new(angle);
-            let (a, b) = (DVec3::from(a), 3.0 * (DVec3::from(a) + angle * DVec3::from(near)));
+            let (a, b) = (DVec3::from(a), 3.0 * (DVec3::from(a) + angle / 128.0 * DVec3::from(near)));
             prop_assume!(a.length() > 0.1 && tiles.of(a).0 == tiles.of(b).0);
             let corners = tiles.of(a).1.corners();
             let middle: DVec3 = corners.iter().sum();
@@ -355,7 +387,7 @@ mod tests {
         fn tiles_are_left_at_their_sides(
             a in proptest::array::uniform3(-1.0..1.0f64),
             b in proptest::array::uniform3(-1.0..1.0f64),
-            angle in 1e-3..0.5f64,
+            angle in 0.1..64.0f64,
         ) {
             let (a, b) = (DVec3::from(a), DVec3::from(b));
             prop_assume!(a.length() > 0.1 && b.length() > 0.1);
@@ -368,9 +400,26 @@ mod tests {
         }
     }
 
+    /// Of three polygons those before a distance are visited, the nearest first.
+    #[test]
+    fn what_is_farther_is_passed_over() {
+        let square = Tiles::new(1.28).of(DVec3::Z).1;
+        let bounds = Bounds([-1.0, 1.0, -1.0, 1.0]);
+        let polygon = |(number, near)| TilePolygon { bounds, inverse: DVec3::Z, number, near };
+        let polygons = TilePolygons::new([(0, 3.0), (1, 1.0), (2, 2.0)].map(polygon).to_vec(), &square);
+        let visited = |far: f32| {
+            let mut numbers = Vec::new();
+            polygons.visit(bounds.cells(&square), far, |polygon| numbers.push(polygon.number));
+            numbers
+        };
+        assert_eq!([2.5, 9.0, 1.0].map(visited), [vec![1, 2], vec![1, 2, 0], vec![]]);
+        // A bound is never beyond what it bounds.
+        assert!([1e-3, 1.0, 33.3, 5e6].iter().all(|d| f64::from(before(*d)) < *d) && before(-1.0) == 0.0);
+    }
+
     #[test]
     fn all_tiles_are_different() {
-        let tiles = Tiles::new(0.01);
+        let tiles = Tiles::new(1.28);
         let across = tiles.across as u32;
         let mut seen = std::collections::HashSet::new();
         for axis in 0..3 {

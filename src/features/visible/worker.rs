@@ -92,7 +92,7 @@ impl<'a> Worker<'a> {
 }
 
 /// The windows of a patch, with what is seen along its sides: between samples a patch is seen as far as its outline is.
-fn seen_in(mut windows: Windows, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Vec<[DVec2; 2]> {
+fn seen_in(mut windows: Box<Windows>, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Vec<[DVec2; 2]> {
     /// Pieces of what is seen of a side whose image is curved.
     const PIECES: u32 = 8;
     let (frame, middle) = (query.frame, windows.middle());

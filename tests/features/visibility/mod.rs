@@ -9,6 +9,7 @@
 
 use presight_testkit as common;
 mod counted;
+mod fractions;
 mod occluders;
 mod patches;
 mod thin;
@@ -389,6 +390,38 @@ fn generated_layers_agree_with_rays_in_space() {
     }
 }
 
+/// Of a segment: its length in the image and within the sensor's ranges, what the oracle sees of it, and what it sees or not within
+/// [`ASIDE`], pixels.
+fn seen_length(
+    oracle: &Oracle,
+    sensor: &Sensor,
+    pose: &Pose,
+    (placed, seen): (&PlacedFeature, &SeenFeature),
+    careful: bool,
+) -> (f64, f64, f64) {
+    let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
+    let [a, b] = [0, 1].map(|i| world_from_image.transpose() * (seen.points_world[i] - pose.translation));
+    let (mut length, mut clear, mut unsure) = (0.0, 0.0, 0.0);
+    Sampler::new(sensor).segment(a, b, &mut |piece| {
+        let Piece::Inside(s) = piece else { return };
+        let range = s.at.length();
+        if range < sensor.spec().range_min || range > sensor.spec().range_max {
+            return;
+        }
+        let end = range * (1.0 - SHORT_IN_F32);
+        let hides = |ray: DVec3| oracle.hides(pose.translation, world_from_image * ray, end, &placed.slots);
+        let hidden = hides(s.at / range);
+        let mut rays = around().filter_map(|by| sensor.ray_at(s.pixel.x + by.x, s.pixel.y + by.y));
+        length += s.weight;
+        if careful && rays.any(|ray| hides(ray) != hidden) {
+            unsure += s.weight;
+        } else if !hidden {
+            clear += s.weight;
+        }
+    });
+    (length, clear, unsure)
+}
+
 /// Shares of the image length that are seen, against the oracle's, in the five environments: within 0.02 for features longer than 50
 /// pixels, within a pixel of length below that.
 #[test]
@@ -403,28 +436,8 @@ fn visible_fractions_agree_in_five_environments() {
             let placed = near_edges(&world, &pose, 1500, &mut random);
             let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
             let (prediction, _) = predict(&world, &sensor, &pose, &placed);
-            let world_from_image = pose.rotation_matrix() * sensor.body_from_image();
             for (placed, seen) in placed.iter().zip(&prediction.features) {
-                let [a, b] = [0, 1].map(|i| world_from_image.transpose() * (seen.points_world[i] - pose.translation));
-                // Length, what the oracle sees of it, and what it sees or not within [`ASIDE`].
-                let lengths = |careful: bool| {
-                    let (mut length, mut clear, mut unsure) = (0.0, 0.0, 0.0);
-                    Sampler::new(&sensor).segment(a, b, &mut |piece| {
-                        let Piece::Inside(s) = piece else { return };
-                        let end = s.at.length() * (1.0 - SHORT_IN_F32);
-                        let hides =
-                            |ray: DVec3| oracle.hides(pose.translation, world_from_image * ray, end, &placed.slots);
-                        let hidden = hides(s.at.normalize());
-                        let mut rays = around().filter_map(|by| sensor.ray_at(s.pixel.x + by.x, s.pixel.y + by.y));
-                        length += s.weight;
-                        if careful && rays.any(|ray| hides(ray) != hidden) {
-                            unsure += s.weight;
-                        } else if !hidden {
-                            clear += s.weight;
-                        }
-                    });
-                    (length, clear, unsure)
-                };
+                let lengths = |careful: bool| seen_length(&oracle, &sensor, &pose, (placed, seen), careful);
                 let (length, clear, _) = lengths(false);
                 if length == 0.0 {
                     continue;

@@ -282,6 +282,22 @@ prop_compose! {
     }
 }
 
+/// Two points, each within the tolerance of all 48 triangles of a box.
+#[test]
+fn tolerances_that_reach_very_many_polygons_are_refused() {
+    let world = world_of(vec![NewObject::new("box", Pose::IDENTITY, cuboid(DVec3::ONE, 4, true))]);
+    let numbered = |id| Arc::new(Feature { id, ..feature(Some("box"), point(DVec3::ZERO)) });
+    let features = vec![numbered(1), numbered(2)];
+    let layer = FeatureLayer { class: "video".into(), tolerance: 10.0, features, ..Default::default() };
+    let mut finder = SupportFinder::new(&world, &layer).unwrap();
+    finder.most_pairs = 96;
+    assert_eq!(finder.lie_all(&layer).unwrap().len(), 2);
+    finder.most_pairs = 95;
+    let refused = finder.lie_all(&layer).map(|all| all.len()).unwrap_err();
+    assert_eq!(refused.kind(), ErrorKind::Invalid);
+    assert!(refused.to_string().contains("tolerance of 10 m"), "{refused}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 

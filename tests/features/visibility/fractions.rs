@@ -1,0 +1,92 @@
+//! How much is seen of segments over 25 pixels, against dense rays in f64, on every model and for every preset and lens:
+//! `cargo test --release --test features fractions_on_every_model -- --ignored --nocapture` prints a row for each model and sensor.
+//!
+//! `PRESIGHT_FRACTION_SCENES` names models, `PRESIGHT_FRACTION_POSES` how many poses.
+
+use super::common::oracle::Oracle;
+use super::common::{Random, data, env_number};
+use super::{near_edges, seen_length, sensors};
+use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
+use presight::{Backend, Geometry, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World};
+use rayon::prelude::*;
+
+/// Pixels above which a segment counts.
+const LONG: f64 = 25.0;
+/// How far its visible fraction may be off.
+const OFF: f64 = 0.02;
+const SCENES: &str = "room_cube,room_cylinder,room_sphere,room_tray,room_trays,room_corridor,warehouse_small,factory_hall,\
+    agriculture_clearpath,office_clearpath,office_construction_clearpath,office_willowgarage,hospital,city";
+
+#[derive(Default)]
+struct Row {
+    segments: usize,
+    /// Off by more, and off by more whatever the rays beside say.
+    off: usize,
+    surely: usize,
+    worst: f64,
+}
+
+impl Row {
+    fn take(&mut self, world: &World, sensor: &Sensor, pose: &Pose, random: &mut Random) {
+        let placed = PlacedFeatures::from(near_edges(world, pose, 300, random));
+        let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
+        let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
+        let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
+        let mut features = predictor.predict(world, sensor, pose, &request).unwrap().features.unwrap();
+        features.spell_out(world.environment(), &placed.features);
+        let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
+        let both: Vec<_> = placed.features.iter().zip(&features.features).collect();
+        assert_eq!(both.len(), features.features.len());
+        let off = |(placed, seen)| {
+            let (length, clear, _) = seen_length(&oracle, sensor, pose, (placed, seen), false);
+            if length <= LONG {
+                return None;
+            }
+            let off = (clear / length - seen.visible_fraction).abs();
+            if off <= OFF {
+                return Some([off; 2]);
+            }
+            let (_, clear, unsure) = seen_length(&oracle, sensor, pose, (placed, seen), true);
+            let (low, high) = (clear / length, (clear + unsure) / length);
+            Some([off, (low - seen.visible_fraction).max(seen.visible_fraction - high).max(0.0)])
+        };
+        let all: Vec<[f64; 2]> = both.into_par_iter().filter_map(off).collect();
+        self.segments += all.len();
+        for [off, surely] in all {
+            self.off += usize::from(off > OFF);
+            self.surely += usize::from(surely > OFF);
+            self.worst = self.worst.max(surely);
+        }
+    }
+}
+
+#[test]
+#[ignore = "a study of minutes"]
+fn fractions_on_every_model() {
+    let names = std::env::var("PRESIGHT_FRACTION_SCENES").unwrap_or_else(|_| SCENES.to_owned());
+    let poses = env_number("PRESIGHT_FRACTION_POSES", 2) as usize;
+    let lenses = sensors().into_iter().filter(|s| s.spec().name == "lens");
+    // What is seen too flat no oracle here knows.
+    let plain = data::presets().into_iter().filter(|s| s.spec().max_incidence.is_none());
+    let all: Vec<Sensor> = plain.chain(lenses).filter(|s| !matches!(s.spec().geometry, Geometry::Rays(_))).collect();
+    eprintln!("| model | sensor | segments | off by more than {OFF} | along another's edge | worst |");
+    eprintln!("|---|---|---|---|---|---|");
+    let mut sum = Row::default();
+    for name in names.split(',') {
+        let Some(world) = data::scene(name, true) else { return };
+        let poses = data::poses(&world, poses, 5);
+        for sensor in &all {
+            let (mut row, mut random) = (Row::default(), Random(7));
+            poses.iter().for_each(|pose| row.take(&world, sensor, pose, &mut random));
+            let Row { segments, off, surely, worst } = row;
+            eprintln!("| {name} | {} | {segments} | {surely} | {} | {worst:.3} |", sensor.spec().name, off - surely);
+            sum.segments += segments;
+            sum.off += off;
+            sum.surely += surely;
+            sum.worst = sum.worst.max(worst);
+        }
+    }
+    let Row { segments, off, surely, worst } = sum;
+    eprintln!("| all | | {segments} | {surely} | {} | {worst:.3} |", off - surely);
+    assert!(segments > 100 && 100 * surely <= segments, "{surely} of {segments}");
+}
