@@ -8,7 +8,6 @@ use std::ops::Range;
 
 /// All rays of a sensor, in the image frame.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "there is one for each sensor, and it lives behind an Arc")]
 pub enum PixelGrid {
     /// Pinhole cameras and scanners.
     Lines(LineGrid),
