@@ -182,16 +182,10 @@ impl Cells {
 }
 
 impl DirectionMap {
-    /// At most so many bytes for so many rays.
-    pub fn bytes_for(rays: u64) -> u64 {
-        // Each level has about a quarter of the cells of the one before.
-        2 * size_of::<PixelBox>() as u64 * (CELLS_A_RAY as u64 * rays + LEAST_CELLS as u64)
-    }
-
     /// For unit vectors, row-major; NaN is no ray. Neighbours are about `spacing` radians apart, which decides how fine the map is.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    /// [`crate::ErrorKind::System`] if the system refuses the memory, at most 12 bytes a ray.
     pub fn new(width: u32, directions: &[DVec3], spacing: f64) -> Result<Self> {
         let pixel = |i: u32| PixelBox::of_pixel(i / width, i % width);
         let rays = || directions.iter().zip(0u32..).filter(|(d, _)| !d.is_nan()).map(|(d, i)| (*d, pixel(i)));

@@ -276,11 +276,10 @@ pub struct RayGrid {
 }
 
 impl RayGrid {
-    /// Bytes of a table of so many rays.
+    /// Bytes of a table of so many rays, but for the map of a wide view.
     pub(super) fn bytes_for(width: u32, height: u32) -> u64 {
         let tiles = u64::from(width.div_ceil(TILE_SIDE)) * u64::from(height.div_ceil(TILE_SIDE));
-        let tile = size_of::<Tile>() + size_of::<TileRays>() + size_of::<Cones>() / Octet::LEN + 1;
-        tiles * tile as u64 + DirectionMap::bytes_for(u64::from(width) * u64::from(height))
+        tiles * (size_of::<Tile>() + size_of::<TileRays>() + size_of::<Cones>() / Octet::LEN + 1) as u64
     }
 
     /// `directions` are unit, row-major, in the image frame; NaN is no ray.
