@@ -227,12 +227,40 @@ fn oracle_share(corners: &[DVec3], a: DVec3, b: DVec3, tolerance: f64) -> f64 {
     on.count() as f64 / f64::from(SAMPLES + 1)
 }
 
-/// What brute force has against the polygons that a segment (world) is said to lie on; thresholds are left the width of
-/// two samples.
+/// How much of a segment is within a distance of a polygon, metres. The distance from a convex body is a convex function along a line, so
+/// that this is one interval around the nearest place.
+fn oracle_stretch(corners: &[DVec3], a: DVec3, b: DVec3, reach: f64) -> f64 {
+    const HALVINGS: u32 = 60;
+    let distance = |t: f64| oracle_distance(corners, a.lerp(b, t));
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..2 * HALVINGS {
+        let [p, q] = [low + (high - low) / 3.0, high - (high - low) / 3.0];
+        if distance(p) <= distance(q) { high = q } else { low = p }
+    }
+    let nearest = 0.5 * (low + high);
+    if distance(nearest) > reach {
+        return 0.0;
+    }
+    let end = |mut out: f64| {
+        let mut inner = nearest;
+        if distance(out) <= reach {
+            return out;
+        }
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (inner + out);
+            if distance(middle) <= reach { inner = middle } else { out = middle }
+        }
+        inner
+    };
+    (end(1.0) - end(0.0)) * (b - a).length()
+}
+
+/// What brute force has against the polygons that a segment (world) is said to lie on; thresholds of what is counted by samples are
+/// left the width of two of them. Where polygons hold the segment within rounding, a stretch of twice that is enough.
 fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option<String> {
     let length = (b - a).length();
     let margin = 2.0 * length / f64::from(SAMPLES) + 1e-6;
-    let least = (2.0 * TOLERANCE).min(0.5 * length);
+    let [least, least_closely] = [TOLERANCE, ROUNDING].map(|tolerance| (2.0 * tolerance).min(0.5 * length));
     let held_within = |tolerance: f64| {
         (0..=SAMPLES).all(|k| {
             let p = a.lerp(b, f64::from(k) / f64::from(SAMPLES));
@@ -244,13 +272,15 @@ fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option
         let stretch = length * oracle_share(corners, a, b, TOLERANCE);
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         let rise = normal.dot(b - a).abs() / length;
+        let held = |reach: f64| oracle_stretch(corners, a, b, reach);
         if slots.contains(&slot) {
-            let sound = stretch > (least - margin).max(0.0) && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
+            let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > least_closely - 1e-6;
+            let sound = lies && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
             (!sound).then(|| format!("slot {slot} holds only {stretch} m of {length} m, rising by {rise}"))
         } else {
             // Where others hold it within rounding, what is merely near may hide it; and so may what it passes through.
-            let near = length * oracle_share(corners, a, b, 0.5 * ROUNDING) < least + margin;
-            let excused = closely && near || somehow && passes_through(corners, a, b);
+            let near = || held(0.5 * ROUNDING) < 2.0 * least_closely;
+            let excused = closely && near() || somehow && passes_through(corners, a, b);
             let sound = stretch < least + margin || rise > 0.99 * LYING || excused;
             (!sound).then(|| format!("slot {slot}, which holds {stretch} m of {length} m, is missing"))
         }
@@ -358,6 +388,14 @@ proptest! {
         }
         if let Some(apart) = (0..environment.slot_count()).find(|s| share(s) == 0.0) {
             prop_assert!(disagreement(&[&placed.slots[..], &[apart]].concat(), &all, a, b).is_some());
+        }
+        // One that has nothing but the tolerance in common with it.
+        let touches = |s: &u32| {
+            let [wide, close] = [TOLERANCE, 2.0 * ROUNDING].map(|reach| oracle_stretch(&all[*s as usize], a, b, reach));
+            wide > 0.0 && wide < TOLERANCE.min(0.25 * (b - a).length()) && close == 0.0
+        };
+        if let Some(touching) = (0..environment.slot_count()).find(touches) {
+            prop_assert!(disagreement(&[&placed.slots[..], &[touching]].concat(), &all, a, b).is_some());
         }
         // Its first end alone.
         let first = place_one(&world, None, point(a));
