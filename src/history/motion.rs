@@ -45,30 +45,30 @@ impl PointMotion {
 
     /// `interval` seconds later, at most a jerk of spectral density `jerk` (pixels squared by s^5) disturbing it.
     pub fn propagated(&self, interval: f64, jerk: f64) -> Self {
+        let mut moved = *self;
+        moved.advance(interval, jerk);
+        moved
+    }
+
+    /// The same in place.
+    pub fn advance(&mut self, interval: f64, jerk: f64) {
         let t = interval;
         let half = 0.5 * t * t;
         let twice = |m: DMat2| m + m.transpose();
-        let pp = self.pp
+        self.pp = self.pp
             + twice(self.pv) * t
             + twice(self.pa) * half
             + self.vv * (t * t)
             + twice(self.va) * (t * half)
             + self.aa * (half * half);
-        let pv =
+        self.pv =
             self.pv + (self.pa + self.vv) * t + self.va * (t * t) + self.va.transpose() * half + self.aa * (t * half);
-        let mut moved = Self {
-            position: self.position + self.speed * t + self.acceleration * half,
-            speed: self.speed + self.acceleration * t,
-            acceleration: self.acceleration,
-            pp,
-            pv,
-            pa: self.pa + self.va * t + self.aa * half,
-            vv: self.vv + twice(self.va) * t + self.aa * (t * t),
-            va: self.va + self.aa * t,
-            aa: self.aa,
-        };
-        moved.disturb(interval, jerk);
-        moved
+        self.pa = self.pa + self.va * t + self.aa * half;
+        self.vv = self.vv + twice(self.va) * t + self.aa * (t * t);
+        self.va += self.aa * t;
+        self.position = self.position + self.speed * t + self.acceleration * half;
+        self.speed += self.acceleration * t;
+        self.disturb(interval, jerk);
     }
 
     /// Adds what white jerk does in `interval` seconds.

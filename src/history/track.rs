@@ -144,8 +144,9 @@ impl Track {
         }
         let flow = &self.flow;
         let has_flow = !flow.next.is_empty() && flow.last.len() == flow.next.len();
-        for (i, motion) in self.motions.iter().enumerate() {
-            let mut motion = *motion;
+        let first = into.len();
+        into.extend_from_slice(&self.motions);
+        for (i, motion) in into[first..].iter_mut().enumerate() {
             let was = flow.speed.get(i).copied();
             let mut shift = DVec2::ZERO;
             if has_flow {
@@ -165,9 +166,8 @@ impl Track {
             } else if let Some(was) = was {
                 motion.speed += was;
             }
-            let mut moved = motion.propagated(interval, jerk);
-            moved.position += shift;
-            into.push(moved);
+            motion.advance(interval, jerk);
+            motion.position += shift;
         }
     }
 

@@ -1,18 +1,18 @@
 //! The smallest box that holds points with a stated probability.
 
-use crate::features::normal::{Tails, apart, tail_quantile};
+use crate::features::normal::{TAIL_CELLS, Tails, apart, tail_quantile};
 use glam::{DMat2, DVec2};
 
 /// Events that a box of one point may be left by: four sides.
 const SIDES: f64 = 4.0;
-/// Right, left, bottom, top: which way a side lies.
-const SIGNS: [f64; 4] = [1.0, -1.0, 1.0, -1.0];
 /// Largest sum of events that is tabulated; beyond, boxes stay as they are there.
 const MOST: usize = 40;
 /// Table rows an event.
 const ROWS: usize = 8;
 /// Points whose distance to a side is this many standard deviations more than its maker's do not count.
 const MARGIN: f64 = 1.0;
+/// Points of a feature as a rule at most.
+const FEW: usize = 4;
 
 /// What a confidence says about boxes, made once.
 ///
@@ -25,13 +25,17 @@ pub(super) struct BoxLevel {
     first: f64,
     /// k by the number of events, from 1 on.
     by_events: Vec<f64>,
+    /// Share of a tail at `first` that happens together with another, by how far apart they are ([`apart`]) from 0 to 1.
+    together: Vec<f64>,
 }
 
 impl BoxLevel {
     pub fn new(confidence: f64) -> Self {
         let of = |events: f64| tail_quantile((1.0 - confidence) / events);
         let by_events = (0..=(MOST - 1) * ROWS).map(|i| of(1.0 + i as f64 / ROWS as f64)).collect();
-        Self { first: of(SIDES), by_events }
+        let first = of(SIDES);
+        let together = (0..=TAIL_CELLS).map(|i| Tails::get().shared(first, i as f64 / TAIL_CELLS as f64)).collect();
+        Self { first, by_events, together }
     }
 
     /// Standard deviations at the sides of a box of one point whose coordinates are independent.
@@ -41,30 +45,35 @@ impl BoxLevel {
 
     /// x0, y0, x1, y1 of the box that holds all the points, of these covariances, together.
     pub fn bounds(&self, points: &[DVec2], covariances: &[DMat2]) -> [f64; 4] {
-        let sigma = |i: usize| {
-            let c = &covariances[i];
-            DVec2::new(c.x_axis.x.max(0.0).sqrt(), c.y_axis.y.max(0.0).sqrt())
+        let of = |c: &DMat2| DVec2::new(c.x_axis.x.max(0.0).sqrt(), c.y_axis.y.max(0.0).sqrt());
+        let mut few = [DVec2::ZERO; FEW];
+        let more: Vec<DVec2>;
+        let sigma = if let Some(few) = few.get_mut(..covariances.len()) {
+            few.iter_mut().zip(covariances).for_each(|(s, c)| *s = of(c));
+            &*few
+        } else {
+            more = covariances.iter().map(of).collect();
+            &more
         };
         let k = self.first;
         let mut makers = [0; 4];
         let mut limits = [f64::NEG_INFINITY; 4];
-        for i in 0..points.len() {
-            let (p, s) = (points[i], sigma(i) * k);
-            for (side, reach) in [p.x + s.x, s.x - p.x, p.y + s.y, s.y - p.y].into_iter().enumerate() {
+        for (i, (p, s)) in points.iter().zip(sigma).enumerate() {
+            for (side, reach) in sides(*p, *s * k).into_iter().enumerate() {
                 if reach > limits[side] {
                     (limits[side], makers[side]) = (reach, i);
                 }
             }
         }
-        let events = SIDES + self.others(points, &sigma, &makers, &limits) - joint(k, covariances, &makers);
+        let events = SIDES + self.others(points, sigma, &makers, &limits) - self.joint(covariances, &makers);
         let k = self.deviations_for(events);
-        let reach = |side: usize| {
-            let axis = side / 2;
-            let sign = SIGNS[side];
-            let of = |i: usize| sign * points[i][axis] + k * sigma(i)[axis];
-            sign * (0..points.len()).map(of).fold(f64::NEG_INFINITY, f64::max)
-        };
-        [reach(1), reach(3), reach(0), reach(2)]
+        let mut most = [f64::NEG_INFINITY; 4];
+        for (p, s) in points.iter().zip(sigma) {
+            for (most, reach) in most.iter_mut().zip(sides(*p, *s * k)) {
+                *most = most.max(reach);
+            }
+        }
+        [-most[1], -most[3], most[0], most[2]]
     }
 
     fn deviations_for(&self, events: f64) -> f64 {
@@ -75,30 +84,62 @@ impl BoxLevel {
     }
 
     /// Points beside those that make the sides, which may pass them as well.
-    fn others(&self, points: &[DVec2], sigma: &impl Fn(usize) -> DVec2, makers: &[usize; 4], limits: &[f64; 4]) -> f64 {
+    fn others(&self, points: &[DVec2], sigma: &[DVec2], makers: &[usize; 4], limits: &[f64; 4]) -> f64 {
         let mut count = 0;
-        for side in 0..4 {
-            let (axis, sign) = (side / 2, SIGNS[side]);
-            let near = |i: &usize| limits[side] - sign * points[*i][axis] < (self.first + MARGIN) * sigma(*i)[axis];
-            count += (0..points.len()).filter(|i| *i != makers[side]).filter(near).count();
+        if points.len() > 1 {
+            for (i, (p, s)) in points.iter().zip(sigma).enumerate() {
+                let reaches = sides(*p, *s * (self.first + MARGIN));
+                count += (0..4).filter(|side| i != makers[*side] && limits[*side] < reaches[*side]).count();
+            }
         }
         count as f64
     }
+
+    /// Shares of tails that happen together with another, where one point makes two sides.
+    fn joint(&self, covariances: &[DMat2], makers: &[usize; 4]) -> f64 {
+        let mut sum = 0.0;
+        let mut last = None;
+        for (side, maker) in makers[..2].iter().enumerate() {
+            if !makers[2..].contains(maker) {
+                continue;
+            }
+            let (rho, shared) = match last {
+                Some((before, rho, shared)) if before == *maker => (rho, shared),
+                _ => {
+                    let rho = correlation(&covariances[*maker]);
+                    (rho, if rho.is_finite() { self.shared(rho) } else { 0.0 })
+                }
+            };
+            last = Some((*maker, rho, shared));
+            // Right goes with bottom where columns and rows grow together; left then with top.
+            let partner = if (rho > 0.0) == (side == 0) { 2 } else { 3 };
+            if makers[partner] == *maker {
+                sum += shared;
+            }
+        }
+        sum
+    }
+
+    /// Of a point's tails of this correlation.
+    fn shared(&self, rho: f64) -> f64 {
+        if rho == 0.0 {
+            return self.together[TAIL_CELLS];
+        }
+        let at = apart(rho.abs().min(1.0)) * TAIL_CELLS as f64;
+        let i = (at as usize).min(TAIL_CELLS - 1);
+        self.together[i] + (at - i as f64) * (self.together[i + 1] - self.together[i])
+    }
 }
 
-/// Shares of tails at k that happen together with another, where one point makes two sides.
-fn joint(k: f64, covariances: &[DMat2], makers: &[usize; 4]) -> f64 {
-    let mut sum = 0.0;
-    for (side, maker) in makers[..2].iter().enumerate() {
-        let c = &covariances[*maker];
-        let rho = c.y_axis.x / (c.x_axis.x * c.y_axis.y).sqrt();
-        // Right goes with bottom where columns and rows grow together; left then with top.
-        let partner = if (rho > 0.0) == (side == 0) { 2 } else { 3 };
-        if makers[partner] == *maker && rho.is_finite() {
-            sum += Tails::get().shared(k, apart(rho.abs().min(1.0)));
-        }
-    }
-    sum
+/// The correlation of columns and rows; NaN where there is none.
+fn correlation(c: &DMat2) -> f64 {
+    let (product, scale) = (c.y_axis.x, c.x_axis.x * c.y_axis.y);
+    if product == 0.0 && scale > 0.0 { 0.0 } else { product / scale.sqrt() }
+}
+
+/// How far a point that `reach` surrounds comes to the right, left, bottom and top.
+fn sides(p: DVec2, reach: DVec2) -> [f64; 4] {
+    [p.x + reach.x, reach.x - p.x, p.y + reach.y, reach.y - p.y]
 }
 
 #[cfg(test)]

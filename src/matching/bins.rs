@@ -5,21 +5,21 @@ use glam::DVec2;
 /// Bins a side at most.
 const SIDE: usize = 64;
 
-/// Points by square bins over their bounding box.
+/// Points by square bins over their bounding box, each with what its caller wants to know of it.
 #[derive(Debug, Default)]
-pub(super) struct Bins {
+pub(super) struct Bins<T> {
     low: DVec2,
     /// Bins a pixel.
     rate: DVec2,
     counts: [usize; 2],
-    /// Where each bin's numbers begin in `items`, and one more.
+    /// Where each bin's points begin in `items`, and one more.
     starts: Vec<u32>,
-    items: Vec<u32>,
+    items: Vec<T>,
 }
 
-impl Bins {
-    /// Bins of the points, all finite; some 4 in each if they are spread evenly.
-    pub fn new(points: &[(u32, DVec2)]) -> Self {
+impl<T: Copy + Default> Bins<T> {
+    /// Bins of the points, all finite; one or two in each if they are spread evenly.
+    pub fn new(points: &[(T, DVec2)]) -> Self {
         if points.is_empty() {
             return Self::default();
         }
@@ -36,7 +36,7 @@ impl Bins {
             bins.starts[i] += bins.starts[i - 1];
         }
         let mut next = bins.starts.clone();
-        bins.items = vec![0; points.len()];
+        bins.items = vec![T::default(); points.len()];
         for (bin, (item, _)) in of.into_iter().zip(points) {
             bins.items[next[bin] as usize] = *item;
             next[bin] += 1;
@@ -54,7 +54,7 @@ impl Bins {
     }
 
     /// Calls with every point in the bins that the box touches.
-    pub fn each_near(&self, [x0, y0, x1, y1]: [f64; 4], mut call: impl FnMut(u32)) {
+    pub fn each_near(&self, [x0, y0, x1, y1]: [f64; 4], mut call: impl FnMut(T)) {
         if self.items.is_empty() {
             return;
         }
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn all_in_one_place_is_one_bin() {
-        let points: Vec<(u32, DVec2)> = (0..1000).map(|i| (i, DVec2::splat(7.0))).collect();
+        let points: Vec<(u32, DVec2)> = (0..1000u32).map(|i| (i, DVec2::splat(7.0))).collect();
         let mut near = 0;
         Bins::new(&points).each_near([6.0, 6.0, 8.0, 8.0], |_| near += 1);
         assert_eq!(near, 1000);

@@ -11,6 +11,9 @@ const FLOOR: f64 = 1e-4;
 /// Least share of the union of two segments, along them, that both cover.
 const OVERLAP: f64 = 1.0 / 3.0;
 
+/// More than rounding makes of a test that is made in another order, relative.
+const ROUNDING: f64 = 1e-9;
+
 /// How far a detection is from an expected feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distance {
@@ -29,6 +32,32 @@ fn scalar(squared: f64, variance: f64, into: &mut Distance) {
     into.squared += squared / variance;
     into.dimensions += 1;
     into.log_volume += 0.5 * (2.0 * PI * variance).ln();
+}
+
+/// Largest squares that pass, by dimensions.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gate {
+    deviate: f64,
+    /// From no dimension on.
+    limits: [f64; GATES],
+}
+
+/// Gates that are computed once: of positions, and of segments with all their properties.
+const GATES: usize = 8;
+
+impl Gate {
+    pub fn new(deviate: f64) -> Self {
+        Self { deviate, limits: std::array::from_fn(|n| chi_squared_quantile(n as u32, deviate)) }
+    }
+
+    pub fn limit(&self, dimensions: u32) -> f64 {
+        let known = self.limits.get(dimensions as usize);
+        known.copied().unwrap_or_else(|| chi_squared_quantile(dimensions, self.deviate))
+    }
+
+    pub fn passes(&self, distance: &Distance) -> bool {
+        distance.squared <= self.limit(distance.dimensions)
+    }
 }
 
 /// A detection's covariance, no smaller than any extractor's is.
@@ -51,13 +80,14 @@ pub(crate) fn turn_apart(a: f64, b: f64) -> f64 {
     PI * (apart - apart.round())
 }
 
-/// The distance in the image; `None` if they are of different kinds, or of segments that do not lie beside each other. `noise`
-/// multiplies the detection's covariance.
+/// The distance in the image; `None` if they are of different kinds, of segments that do not lie beside each other, or beyond the
+/// gate. `noise` multiplies the detection's covariance.
 pub(super) fn compare(
     expected: &ExpectedFeature,
     found: &Detection,
     noise: f64,
     turn: Option<f64>,
+    gate: &Gate,
 ) -> Option<Distance> {
     let mut distance = Distance { squared: 0.0, dimensions: 0, log_volume: 0.0, log_clutter: 0.0 };
     let covariance = floored(found.covariance * noise);
@@ -65,7 +95,13 @@ pub(super) fn compare(
     let shift = DVec2::new(unwrap(turn, near, found.shape.points().first()?.x), 0.0);
     match (&expected.shape, &found.shape) {
         (Shape::Point(p), Shape::Point(q)) | (Shape::Reflector(p), Shape::Reflector(q)) => {
-            add_point(*q + shift - *p, expected.covariances[0] + covariance, &mut distance);
+            let (innovation, s) = (*q + shift - *p, expected.covariances[0] + covariance);
+            let (squared, determinant) = squared_of(innovation, s);
+            // Most are too far: they need no logarithm.
+            if squared > gate.limit(2) {
+                return None;
+            }
+            add_squared(squared, determinant, &mut distance);
         }
         (Shape::Segment { ends, corners }, Shape::Segment { ends: found_ends, corners: found_corners }) => {
             let seen = SegmentPair::new(ends, found_ends.map(|q| q + shift), found_corners)?;
@@ -95,13 +131,68 @@ pub(super) fn compare(
         }
         _ => return None,
     }
-    Some(distance)
+    gate.passes(&distance).then_some(distance)
+}
+
+/// A found segment, to tell at once that it is surely not an expected one: nearly all pairs of segments.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FoundLine {
+    from: DVec2,
+    whole: DVec2,
+    normal: DVec2,
+    /// By its length squared.
+    rate: f64,
+    /// Its variance in the direction of `normal`, which is as long as the segment.
+    noise: f64,
+}
+
+impl FoundLine {
+    /// `None` unless it is a segment.
+    pub fn of(found: &Detection, noise: f64) -> Option<Self> {
+        let Shape::Segment { ends, .. } = &found.shape else { return None };
+        let whole = ends[1] - ends[0];
+        let normal = whole.perp();
+        let noise = variance_along(normal, floored(found.covariance * noise));
+        Some(Self { from: ends[0], whole, normal, rate: 1.0 / whole.length_squared(), noise })
+    }
+
+    /// False where [`compare`] surely has no distance, told without a root or a logarithm.
+    pub fn may_be(&self, ends: &[DVec2; 2], covariances: &[DMat2], turn: Option<f64>, gate: &Gate) -> bool {
+        let from = self.from + DVec2::new(unwrap(turn, ends[0].x, self.from.x), 0.0);
+        // Across the segment at an end: the square of the distance, its variance, and where the end is along what was found.
+        let across = |i: usize| {
+            let off = ends[i] - from;
+            let (across, at) = (self.normal.dot(off), self.whole.dot(off) * self.rate);
+            let spread = (1.0 - at) * (1.0 - at) + at * at;
+            (across * across, variance_along(self.normal, covariances[i]) + self.noise * spread, at)
+        };
+        // Along the segment there may be two squares more. What is NaN is left to the full test.
+        let limit = gate.limit(4) * (1.0 + ROUNDING);
+        let (first, variance, begin) = across(0);
+        let (second, other, end) = across(1);
+        if first * other + second * variance > limit * (variance * other) {
+            return false;
+        }
+        let (low, high) = (begin.min(end), begin.max(end));
+        let is_apart = high.min(1.0) - low.max(0.0) < (OVERLAP - ROUNDING) * (high.max(1.0) - low.min(0.0));
+        !is_apart
+    }
+}
+
+/// The squared distance, and the determinant of its covariance.
+fn squared_of(innovation: DVec2, s: DMat2) -> (f64, f64) {
+    let determinant = s.determinant().max(f64::MIN_POSITIVE);
+    let adjugate = DMat2::from_cols_array(&[s.y_axis.y, -s.x_axis.y, -s.y_axis.x, s.x_axis.x]);
+    (innovation.dot(adjugate * innovation) / determinant, determinant)
 }
 
 fn add_point(innovation: DVec2, s: DMat2, into: &mut Distance) {
-    let determinant = s.determinant().max(f64::MIN_POSITIVE);
-    let adjugate = DMat2::from_cols_array(&[s.y_axis.y, -s.x_axis.y, -s.y_axis.x, s.x_axis.x]);
-    into.squared += innovation.dot(adjugate * innovation) / determinant;
+    let (squared, determinant) = squared_of(innovation, s);
+    add_squared(squared, determinant, into);
+}
+
+fn add_squared(squared: f64, determinant: f64, into: &mut Distance) {
+    into.squared += squared;
     into.dimensions += 2;
     into.log_volume += (2.0 * PI).ln() + 0.5 * determinant.ln();
 }
@@ -229,6 +320,7 @@ pub fn chi_squared_quantile(dimensions: u32, deviate: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::matching::ExpectedProperties;
+    use crate::random::SplitMix64;
 
     fn expected(shape: Shape, sigma: f64) -> ExpectedFeature {
         let covariances = vec![DMat2::from_diagonal(DVec2::splat(sigma * sigma)); shape.points().len()];
@@ -238,6 +330,10 @@ mod tests {
             window: [0.0, 0.0, 10.0, 10.0],
             properties: ExpectedProperties::default(),
         }
+    }
+
+    fn compare(a: &ExpectedFeature, b: &Detection, noise: f64, turn: Option<f64>) -> Option<Distance> {
+        super::compare(a, b, noise, turn, &Gate::new(1e3))
     }
 
     #[test]
@@ -283,6 +379,37 @@ mod tests {
         let fixed = Detection::new(Shape::Segment { ends, corners: [true, false] }, 1.0);
         let d = compare(&p, &fixed, 1.0, None).unwrap();
         assert!((d.squared - 2.0).abs() < 1e-3 && d.dimensions == 3, "{d:?}");
+    }
+
+    /// Pairs that pass the gate and are not taken for near, and pairs that are told apart at once, of 20,000.
+    fn told_at_once(first: &Gate, gate: &Gate) -> (usize, usize) {
+        let mut random = SplitMix64(17);
+        let (mut lost, mut told) = (0, 0);
+        for i in 0..20_000 {
+            let mut at = |side: f64| side * DVec2::new(random.unit() - 0.5, random.unit() - 0.5);
+            let ends = [at(60.0), at(60.0)];
+            let off = [at(12.0), at(12.0)];
+            let turn = (i % 3 == 0).then_some(720.0);
+            let over = DVec2::new(turn.unwrap_or(0.0), 0.0);
+            let found_ends = [0, 1].map(|k| ends[(k + i) % 2].lerp(ends[(k + i + 1) % 2], at(1.0).x) + off[k] + over);
+            let mut p = expected(Shape::Segment { ends, corners: [i % 5 == 0; 2] }, 1.0 + at(1.0).x);
+            p.covariances[1] = p.covariances[1] * 3.0 + DMat2::from_cols_array(&[0.5, 0.4, 0.4, 0.5]);
+            let found = Detection::new(Shape::Segment { ends: found_ends, corners: [i % 2 == 0; 2] }, 0.5);
+            let may_be = FoundLine::of(&found, 1.3).is_some_and(|line| line.may_be(&ends, &p.covariances, turn, first));
+            let is = super::compare(&p, &found, 1.3, turn, gate).is_some();
+            lost += usize::from(is && !may_be);
+            told += usize::from(!may_be);
+        }
+        (lost, told)
+    }
+
+    #[test]
+    fn segments_told_apart_at_once_have_no_distance() {
+        let gate = Gate::new(3.09);
+        let (lost, told) = told_at_once(&gate, &gate);
+        assert!(lost == 0 && told > 5_000, "{lost} {told}");
+        // A planted fault: a gate that is too narrow for what comes after it.
+        assert!(told_at_once(&Gate::new(1.0), &gate).0 > 50);
     }
 
     #[test]

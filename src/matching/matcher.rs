@@ -3,7 +3,7 @@
 use super::assign::CandidatePair;
 use super::bins::Bins;
 use super::detection::{Detection, DetectionProperties, ExpectedProperties, Rejection, Shape, UncertainValue};
-use super::distance::{Distance, chi_squared_quantile, compare, turn_apart};
+use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
@@ -84,6 +84,32 @@ pub struct Candidates {
     pub in_window: Vec<u32>,
 }
 
+/// What gates and costs are made of, computed once.
+struct Level {
+    gate: Gate,
+    log_clutter: f64,
+    log_detection: f64,
+}
+
+/// Where a detection is, for the search in windows.
+#[derive(Clone, Copy, Debug, Default)]
+struct Place {
+    centre: DVec2,
+    /// How far a segment leads from its centre; 0 of everything else.
+    extent: DVec2,
+    column: u32,
+}
+
+impl Place {
+    fn of(column: u32, shape: &Shape) -> Self {
+        let extent = match shape {
+            Shape::Segment { ends, .. } => 0.5 * (ends[1] - ends[0]).abs(),
+            _ => DVec2::ZERO,
+        };
+        Self { centre: shape.centre(), extent, column }
+    }
+}
+
 impl Matcher {
     /// The cost of a feature that is not seen.
     pub fn unseen_cost(&self) -> f64 {
@@ -96,19 +122,28 @@ impl Matcher {
         let mut places = Vec::with_capacity(found.len());
         for (i, detection) in found.iter().enumerate() {
             match detection.check() {
-                Ok(()) => places.push((i as u32, self.wrapped(detection.shape.centre()))),
+                Ok(()) => {
+                    let place = Place::of(i as u32, &detection.shape);
+                    places.push((place, self.wrapped(place.centre)));
+                }
                 Err(why) => all.rejected.push((i as u32, why)),
             }
         }
-        let bins = Bins::new(&places);
+        let (bins, level) = (Bins::new(&places), self.level());
+        let lines: Vec<Option<FoundLine>> = found.iter().map(|d| FoundLine::of(d, self.noise)).collect();
         let mut near: Vec<(CandidatePair, Distance)> = Vec::new();
-        let mut inside: Vec<u32> = Vec::new();
+        let mut room = vec![0; found.len() * if self.turn.is_some() { 3 } else { 1 } + 1];
         for (row, feature) in expected.iter().enumerate() {
-            self.find_inside(feature, found, &bins, &mut inside);
+            let inside = self.find_inside(feature, &bins, &mut room);
             all.in_window[row] = inside.len() as u32;
             near.clear();
-            for column in &inside {
-                if let Some((cost, distance)) = self.cost(feature, &found[*column as usize]) {
+            for column in inside {
+                if let (Shape::Segment { ends, .. }, Some(line)) = (&feature.shape, &lines[*column as usize])
+                    && !line.may_be(ends, &feature.covariances, self.turn, &level.gate)
+                {
+                    continue;
+                }
+                if let Some((cost, distance)) = self.cost(feature, &found[*column as usize], &level) {
                     near.push((CandidatePair { row: row as u32, column: *column, cost }, distance));
                 }
             }
@@ -121,22 +156,37 @@ impl Matcher {
         all
     }
 
-    /// The detections in a feature's window.
-    fn find_inside(&self, feature: &ExpectedFeature, found: &[Detection], bins: &Bins, inside: &mut Vec<u32>) {
-        inside.clear();
+    /// The detections in a feature's window. Segments may lead out of it: they have to pass it. `room` is for all of them at each
+    /// shift, and one more.
+    fn find_inside<'a>(&self, feature: &ExpectedFeature, bins: &Bins<Place>, room: &'a mut [u32]) -> &'a [u32] {
+        let [x0, y0, x1, y1] = feature.window;
+        let middle = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
+        let half = DVec2::new(0.5 * (x1 - x0), 0.5 * (y1 - y0));
+        let (reach, turn) = (reach(feature), self.turn);
+        let mut count = 0;
         for shift in self.shifts(&feature.window) {
-            let [x0, y0, x1, y1] = reach(feature);
-            bins.each_near([x0 + shift, y0, x1 + shift, y1], |column| {
-                if self.is_inside(feature, &found[column as usize]) {
-                    inside.push(column);
-                }
+            bins.each_near([reach[0] + shift, reach[1], reach[2] + shift, reach[3]], |place| {
+                let over = super::distance::unwrap(turn, middle.x, place.centre.x);
+                let off = (place.centre + DVec2::new(over, 0.0) - middle).abs();
+                // Whether one is inside is hard to foresee: it is written in any case, and counts if it is.
+                room[count] = place.column;
+                count += usize::from(off.cmple(half + place.extent).all());
             });
         }
-        if self.turn.is_some() {
-            // A bin may be near on both sides of the seam.
-            inside.sort_unstable();
-            inside.dedup();
+        let inside = &mut room[..count];
+        if turn.is_none() {
+            return inside;
         }
+        // A bin may be near on both sides of the seam.
+        inside.sort_unstable();
+        let mut kept = 0;
+        for i in 0..inside.len() {
+            if kept == 0 || inside[kept - 1] != inside[i] {
+                inside[kept] = inside[i];
+                kept += 1;
+            }
+        }
+        &inside[..kept]
     }
 
     /// Columns of one turn only, where the image goes round.
@@ -154,45 +204,29 @@ impl Matcher {
         [Some(first), turn.map(|turn| first - turn), turn.map(|turn| first + turn)].into_iter().flatten()
     }
 
-    /// Whether a detection is in the window. Segments may lead out of it: they have to pass it.
-    fn is_inside(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
-        let centre = detection.shape.centre();
-        let [x0, y0, x1, y1] = feature.window;
-        let middle = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
-        let half = DVec2::new(0.5 * (x1 - x0), 0.5 * (y1 - y0));
-        let shift = super::distance::unwrap(self.turn, middle.x, centre.x);
-        let off = (centre + DVec2::new(shift, 0.0) - middle).abs();
-        match &detection.shape {
-            Shape::Segment { ends, .. } => {
-                let extent = 0.5 * (ends[1] - ends[0]).abs();
-                off.cmple(half + extent).all()
-            }
-            _ => off.cmple(half).all(),
-        }
-    }
-
     /// Whether a detection is within the gate by its position alone.
     pub fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
-        let near = |d: Distance| d.squared <= chi_squared_quantile(d.dimensions, self.gate_deviate);
-        compare(feature, detection, self.noise, self.turn).is_some_and(near)
+        compare(feature, detection, self.noise, self.turn, &Gate::new(self.gate_deviate)).is_some()
+    }
+
+    fn level(&self) -> Level {
+        let gate = Gate::new(self.gate_deviate);
+        Level { gate, log_clutter: self.clutter_density.ln(), log_detection: self.detection_probability.ln() }
     }
 
     /// What a pair costs; `None` outside of the gate.
-    fn cost(&self, feature: &ExpectedFeature, detection: &Detection) -> Option<(f64, Distance)> {
-        let distance = compare(feature, detection, self.noise, self.turn)?;
+    fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<(f64, Distance)> {
         // Most are too far, whatever else they are.
-        if distance.squared > chi_squared_quantile(distance.dimensions, self.gate_deviate) {
-            return None;
-        }
+        let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
         let dimensions = distance.dimensions + alike.dimensions;
         let squared = distance.squared + alike.squared;
-        if squared > chi_squared_quantile(dimensions, self.gate_deviate) {
+        if squared > level.gate.limit(dimensions) {
             return None;
         }
         let target = 0.5 * squared + distance.log_volume + alike.log_volume;
-        let clutter = self.clutter_density.ln() + distance.log_clutter + alike.log_clutter;
-        Some((target + clutter - self.detection_probability.ln(), distance))
+        let clutter = level.log_clutter + distance.log_clutter + alike.log_clutter;
+        Some((target + clutter - level.log_detection, distance))
     }
 
     /// How unlike the properties are that both know; `None` for two different markers.
@@ -203,11 +237,12 @@ impl Matcher {
             return None;
         }
         let mut all = Distance { squared: 0.0, dimensions: 0, log_volume: 0.0, log_clutter: 0.0 };
-        let mut add = |apart: f64, variance: f64, range: f64| {
+        // One logarithm for all.
+        let mut volume_squared = 1.0;
+        let mut add = |apart: f64, variance: f64| {
             all.squared += apart * apart / variance;
             all.dimensions += 1;
-            all.log_volume += 0.5 * (2.0 * PI * variance).ln();
-            all.log_clutter -= range.ln();
+            volume_squared *= 2.0 * PI * variance;
         };
         let noise = &self.properties;
         let told = [
@@ -216,12 +251,14 @@ impl Matcher {
         ];
         for (expected, found, sigma) in told {
             if let (Some(UncertainValue { mean, variance }), Some(found)) = (expected, found) {
-                add(found - mean, variance + sigma * sigma, 1.0);
+                add(found - mean, variance + sigma * sigma);
             }
         }
         if let (Some(UncertainValue { mean, variance }), Some(found)) = (&expected.direction, found.direction) {
-            add(turn_apart(found, *mean), variance + noise.direction * noise.direction, PI);
+            add(turn_apart(found, *mean), variance + noise.direction * noise.direction);
+            all.log_clutter = -PI.ln();
         }
+        all.log_volume = 0.5 * volume_squared.ln();
         Some(all)
     }
 }
