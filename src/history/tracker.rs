@@ -22,14 +22,15 @@ pub const MAX_DETECTIONS: usize = 1 << 20;
 /// Largest amount of a sliding end's innovation along its segment that counts, standard deviations.
 const SLIDES: f64 = 2.0;
 /// Mean square of a track's own innovations that says that its motion has changed, and by how much at most.
-const OWN: f64 = 3.2;
+const OWN: f64 = 4.0;
 const MOST_OWN: f64 = 8.0;
 /// Share of a frame in that mean.
 const OWN_RATE: f64 = 0.3;
 /// What is left, a frame later, of the variance of an acceleration that has changed.
 const FADE: f64 = 0.1;
-/// Variances of predictions that count as wide, by a detection's.
-const WIDE: f64 = 2.0;
+/// Variances of predictions that count as wide, by a detection's: a change of motion is that much at most for each track, beside what
+/// all share.
+const WIDE: f64 = 1.0;
 /// Most detections of a window that count as clutter everywhere.
 const MOST_CLUTTER: u32 = 16;
 /// Frames a track must have been seen in for its speed to tell those of new ones around it.
