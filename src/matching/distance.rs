@@ -157,6 +157,7 @@ impl FoundLine {
     }
 
     /// False where [`compare`] surely has no distance, told without a root or a logarithm.
+    #[inline]
     pub fn may_be(&self, ends: &[DVec2; 2], covariances: &[DMat2], turn: Option<f64>, gate: &Gate) -> bool {
         let from = self.from + DVec2::new(unwrap(turn, ends[0].x, self.from.x), 0.0);
         // Across the segment at an end: the square of the distance, its variance, and where the end is along what was found.

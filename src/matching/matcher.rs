@@ -130,7 +130,9 @@ impl Matcher {
             }
         }
         let (bins, level) = (Bins::new(&places), self.level());
-        let lines: Vec<Option<FoundLine>> = found.iter().map(|d| FoundLine::of(d, self.noise)).collect();
+        let has_segments = expected.iter().any(|feature| matches!(feature.shape, Shape::Segment { .. }));
+        let lines: Vec<Option<FoundLine>> =
+            if has_segments { found.iter().map(|d| FoundLine::of(d, self.noise)).collect() } else { Vec::new() };
         let mut near: Vec<(CandidatePair, Distance)> = Vec::new();
         let mut room = vec![0; found.len() * if self.turn.is_some() { 3 } else { 1 } + 1];
         for (row, feature) in expected.iter().enumerate() {
@@ -138,7 +140,8 @@ impl Matcher {
             all.in_window[row] = inside.len() as u32;
             near.clear();
             for column in inside {
-                if let (Shape::Segment { ends, .. }, Some(line)) = (&feature.shape, &lines[*column as usize])
+                if let Shape::Segment { ends, .. } = &feature.shape
+                    && let Some(line) = &lines[*column as usize]
                     && !line.may_be(ends, &feature.covariances, self.turn, &level.gate)
                 {
                     continue;
