@@ -70,8 +70,11 @@ fn stages() -> [Stage; 4] {
             |f| f.ms(StageName::Setup),
             vec![
                 part("frame", 0.0, |_| 1.0),
-                // Record, three corners, three vertices.
-                part("polygon bounded", 60.0, |f| f.count(CountName::PolygonsBounded)),
+                // Record, three corners, a vertex, a plane.
+                part("polygon placed", 59.0, |f| f.count(CountName::PolygonsPlaced)),
+                // Three corners, three vertices.
+                part("polygon passed", 48.0, |f| f.count(CountName::PolygonsPassed)),
+                part("polygon bounded", 0.0, |f| f.count(CountName::PolygonsBounded)),
                 // Plane read; planes, edges, bounds and what images show of it written.
                 part("polygon set up", 190.0, |f| {
                     let left_out = f.count(CountName::PolygonsHidden) + f.count(CountName::PolygonsBetweenSamples);

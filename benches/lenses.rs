@@ -1,8 +1,9 @@
 //! Cameras with lenses, fisheyes and ray tables beside a pinhole camera of as many pixels: `cargo bench --bench lenses [-- SCENE...]`.
 //!
 //! Scenes are names of the shared data (`PRESIGHT_DATA`, default `../shared/data`), paths of `.glb` and `.rhai` files, or `open_hall`.
-//! `PRESIGHT_POSES` free poses (default 20), `PRESIGHT_ENGINE` cpu or gpu, `PRESIGHT_SENSORS` names, comma-separated. A row tells the median over the poses of the
-//! whole prediction (the fastest of three at each), selection included, the median of its ratio to the pinhole's, and what the sensor's tables take.
+//! `PRESIGHT_POSES` free poses (default 20), `PRESIGHT_ENGINE` cpu or gpu, `PRESIGHT_SENSORS` names, comma-separated, of these cameras and of
+//! presets. A row tells medians over the poses of the whole prediction (the least of three at each), selection included: its time, its ratio to the
+//! pinhole's, and the CPU time of the process, which holds on a busy machine on software adapters, too; and what the sensor's tables take.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
 #![allow(clippy::print_stdout, reason = "the table is what it is for")]
@@ -13,8 +14,9 @@ mod cameras;
 mod scenes;
 
 use cameras::SIZE;
+use cpu_time::ProcessTime;
 use presight::sensor::PixelGrid;
-use presight::{Backend, Options, Pose, Predictor, Request, Sensor, World};
+use presight::{Backend, Options, Pose, Predictor, Request, Sensor, World, preset};
 use std::time::Instant;
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -22,16 +24,32 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Milliseconds at each pose.
-fn times(predictor: &mut Predictor, world: &World, sensor: &Sensor, poses: &[Pose]) -> Vec<f64> {
+/// Milliseconds at each pose, and those of the processor.
+fn times(predictor: &mut Predictor, world: &World, sensor: &Sensor, poses: &[Pose]) -> [Vec<f64>; 2] {
     let request = Request::default();
     let mut one = |pose: &Pose| {
-        let start = Instant::now();
+        let (start, cpu) = (Instant::now(), ProcessTime::now());
         predictor.predict(world, sensor, pose, &request).expect("it predicts");
-        start.elapsed().as_secs_f64() * 1e3
+        [start.elapsed(), cpu.elapsed()].map(|time| time.as_secs_f64() * 1e3)
     };
     one(&poses[0]);
-    poses.iter().map(|pose| (0..3).map(|_| one(pose)).fold(f64::INFINITY, f64::min)).collect()
+    let least = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].min(b[1])];
+    let of_pose = |pose: &Pose| (0..3).map(|_| one(pose)).fold([f64::INFINITY; 2], least);
+    let of_poses: Vec<[f64; 2]> = poses.iter().map(of_pose).collect();
+    [0, 1].map(|k| of_poses.iter().map(|times| times[k]).collect())
+}
+
+/// The pinhole camera first.
+fn sensors() -> Vec<Sensor> {
+    let wanted = std::env::var("PRESIGHT_SENSORS").unwrap_or_default();
+    let all = cameras::sensors();
+    if wanted.is_empty() {
+        return all;
+    }
+    let is_wanted = |sensor: &Sensor| wanted.split(',').any(|name| name == sensor.spec().name);
+    let cameras =
+        all.into_iter().enumerate().filter(|(i, sensor)| *i == 0 || is_wanted(sensor)).map(|(_, sensor)| sensor);
+    cameras.chain(wanted.split(',').filter_map(|name| preset(name).ok())).collect()
 }
 
 fn main() {
@@ -40,7 +58,6 @@ fn main() {
     let scenes = if named.is_empty() { usual } else { named };
     let poses = std::env::var("PRESIGHT_POSES").map_or(20, |n| n.parse().expect("a number of poses"));
     let gpu = std::env::var("PRESIGHT_ENGINE").is_ok_and(|e| e == "gpu");
-    let wanted = std::env::var("PRESIGHT_SENSORS").unwrap_or_default();
     let backend = if gpu { Backend::Gpu } else { Backend::Cpu };
     let mut predictor = Predictor::new(Options::new(backend)).expect("the engine starts");
     println!("{} x {}, {poses} free poses, medians", SIZE.0, SIZE.1);
@@ -48,12 +65,9 @@ fn main() {
         let world = World::new(scenes::environment(&scene));
         let poses = scenes::poses(&scene, &world, poses);
         let mut pinhole: Vec<f64> = Vec::new();
-        for sensor in cameras::sensors() {
-            let name = sensor.spec().name.clone();
-            if !pinhole.is_empty() && !wanted.is_empty() && !wanted.split(',').any(|w| w == name) {
-                continue;
-            }
-            let times = times(&mut predictor, &world, &sensor, &poses);
+        for sensor in sensors() {
+            let name = &sensor.spec().name;
+            let [times, cpu] = times(&mut predictor, &world, &sensor, &poses);
             if pinhole.is_empty() {
                 pinhole.clone_from(&times);
             }
@@ -62,7 +76,11 @@ fn main() {
                 PixelGrid::Rays(rays) => format!("{:.1} MB", rays.bytes() as f64 * 1e-6),
                 PixelGrid::Lines(_) => "lines".to_owned(),
             };
-            println!("| {scene} | {name} | {tables} | {:.2} ms | {ratio:.2} x |", median(times));
+            println!(
+                "| {scene} | {name} | {tables} | {:.2} ms | {ratio:.2} x | {:.2} ms |",
+                median(times),
+                median(cpu)
+            );
         }
     }
 }

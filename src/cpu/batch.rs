@@ -47,7 +47,11 @@ pub(super) struct Batch {
     pub bounds: Vec<[f64; 2]>,
     /// Ray tables: edge planes.
     pub edges: Vec<DVec3>,
-    /// Polygons whose bounds were looked at.
+    /// Polygons whose vertices were placed among the samples.
+    pub placed: usize,
+    /// Of these, those that may cover a sample.
+    pub passed: usize,
+    /// Of these, those that were bounded one by one, because their vertices did not tell enough.
     pub bounded: usize,
     pub edge_on: usize,
     /// Polygons left out behind what was drawn before.
@@ -98,7 +102,8 @@ impl Batch {
         self.slots.clear();
         self.bounds.clear();
         self.edges.clear();
-        (self.bounded, self.edge_on, self.hidden, self.between) = (0, 0, 0, 0);
+        (self.placed, self.passed, self.bounded) = (0, 0, 0);
+        (self.edge_on, self.hidden, self.between) = (0, 0, 0);
     }
 
     /// Sorts the polygons into bands, keeping their order.

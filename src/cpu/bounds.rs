@@ -1,6 +1,7 @@
 //! Conservative bounds of the images of eight polygons at a time: which lines each may cover, or that it covers no
 //! ray at all. Most polygons of a scene end here, so this is the loop that must be cheap.
 
+use super::sieve::Reach;
 use crate::sensor::{Geometry, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor};
 use pulp::Simd;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -156,6 +157,32 @@ impl<'a> Bounds<'a> {
             Kind::Scanner(bounds) => bounds.cover(simd, self.range_max_squared, corners),
             Kind::Rays(grid) => super::ray_bounds::cover(simd, grid, self.range_max_squared, corners),
         }
+    }
+
+    /// As [`Bounds::cover`] of polygons whose lines and samples are told.
+    #[inline(always)]
+    pub fn told(&self, corners: &[[Lanes; 3]], reaches: &[Reach]) -> [Footprint; LANES] {
+        let mut e = Extent::new();
+        corners.iter().for_each(|corner| e.hold(corner));
+        let mut nearest = [0.0; LANES];
+        if let Kind::Camera(_) = self.kind {
+            nearest = e.least[1];
+        } else {
+            let (squared, _) = e.box_distances_squared();
+            for l in 0..LANES {
+                nearest[l] = squared[l].sqrt();
+            }
+        }
+        let mut footprints = [const { NOTHING }; LANES];
+        for (l, reach) in reaches.iter().enumerate() {
+            if nearest[l] * nearest[l] <= self.range_max_squared {
+                let [first_line, first_sample, end_line, end_sample] =
+                    [reach[0], reach[1], 1.0 - reach[2], 1.0 - reach[3]].map(|place| place as u32);
+                let lines = [first_line..end_line, 0..0];
+                footprints[l] = Footprint { lines, samples: first_sample..end_sample, nearest: nearest[l] };
+            }
+        }
+        footprints
     }
 }
 
@@ -318,7 +345,7 @@ fn columns_of(e: &Extent, start: f64, step: f64) -> [Lanes; 2] {
 }
 
 /// Widening of approximate azimuths, radians: above the error of [`atan2_approximately`].
-const AZIMUTH_SLACK: f64 = 2e-5;
+pub(super) const AZIMUTH_SLACK: f64 = 2e-5;
 
 /// Follows the azimuth along the outline, corner by corner, so that it may leave -pi..pi.
 #[inline(always)]
@@ -343,7 +370,7 @@ fn unwrap_azimuth(e: &mut Extent, i: usize, x: &Lanes, y: &Lanes) {
 
 /// atan2 to 1.2e-5 rad (Abramowitz and Stegun 4.4.49), without a call or a branch.
 #[inline(always)]
-fn atan2_approximately(y: f64, x: f64) -> f64 {
+pub(super) fn atan2_approximately(y: f64, x: f64) -> f64 {
     let (ax, ay) = (x.abs(), y.abs());
     let q = ax.min(ay) / ax.max(ay).max(f64::MIN_POSITIVE);
     let s = q * q;

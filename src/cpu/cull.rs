@@ -5,7 +5,6 @@ use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes};
 use super::raster_lines::{Buffer, EIGHT};
 use super::setup::RayInstance;
-use crate::environment::{Cluster, Mesh};
 use crate::geometry::Aabb;
 use crate::plan::{FramePlan, Run};
 use crate::sensor::{LineAxis, PixelGrid};
@@ -78,7 +77,7 @@ pub(super) fn visible<S: Simd>(
 /// Puts a run's box into a lane; the answer is the box around it in the frame of the rays.
 #[inline(always)]
 fn place_box(at: &RayInstance<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8]) -> Aabb {
-    let Aabb { min, max } = cluster_of(at.mesh, run.first).bounds;
+    let Aabb { min, max } = at.mesh.cluster_of(run.first).1.bounds;
     let mut around = Aabb::EMPTY;
     for (i, corner) in corners.iter_mut().enumerate() {
         let pick = |bit: usize, low: f64, high: f64| if i >> bit & 1 == 0 { low } else { high };
@@ -104,20 +103,6 @@ fn nearest_depth(around: &Aabb, grid: &PixelGrid) -> f64 {
             if beside { distance() } else { 0.0 }
         }
     }
-}
-
-/// The cluster that holds a polygon. All are of about one size, so that a guess is off by few.
-#[inline(always)]
-fn cluster_of(mesh: &Mesh, polygon: u32) -> &Cluster {
-    let clusters = mesh.clusters();
-    let mut i = (u64::from(polygon) * clusters.len() as u64 / mesh.polygon_count() as u64) as usize;
-    while clusters[i].first > polygon {
-        i -= 1;
-    }
-    while i + 1 < clusters.len() && clusters[i + 1].first <= polygon {
-        i += 1;
-    }
-    &clusters[i]
 }
 
 /// True if every tile of the footprint is filled by something nearer than `inverse`.

@@ -2,7 +2,7 @@
 
 use super::bounds::{LANES, Lanes};
 use super::setup::RayInstance;
-use crate::environment::PolygonRecord;
+use crate::environment::{PolygonRecord, Positions};
 use crate::limits::MAX_CORNERS;
 
 /// Three coordinates of a point of each polygon.
@@ -10,7 +10,7 @@ type Points = [Lanes; 3];
 
 /// Where the sensor is farther off a polygon's plane than this, relative to the polygon's farthest corner, its depths and edges
 /// are right to 1e-11 of it.
-const CLEAR: f64 = 1e-4;
+pub(super) const CLEAR: f64 = 1e-4;
 
 /// The polygons in hand. Room for corners is kept from eight to eight: clearing it costs more than filling it.
 pub(super) struct PolygonLanes {
@@ -57,24 +57,29 @@ impl PolygonLanes {
         }
     }
 
-    /// Takes up to [`LANES`] polygons; lanes without one repeat the last.
+    /// Takes up to [`LANES`] polygons; lanes without one repeat the last. Where the positions of their cluster are given, all are of it:
+    /// these are in the cache.
     #[inline(always)]
-    pub fn load(&mut self, at: &RayInstance<'_>, records: &[PolygonRecord]) {
+    pub fn load(&mut self, at: &RayInstance<'_>, polygons: &[u32], cluster: Option<&[Positions]>) {
         let (vertices, all_corners) = (at.mesh.vertices(), at.mesh.all_corners());
-        let record = |l: usize| &records[l.min(records.len() - 1)];
-        let first: [u32; LANES] = std::array::from_fn(|l| record(l).first_corner);
-        self.corner_counts = std::array::from_fn(|l| u32::from(record(l).corner_count));
+        let cluster = cluster.map(|positions| (positions, at.mesh.cluster_vertices()));
+        let records = Self::records(at, polygons);
+        self.corner_counts = records.map(|record| u32::from(record.corner_count));
         self.count = self.corner_counts.iter().max().map_or(0, |&m| m as usize);
         let (m, center) = (at.ray_from_mesh, at.center);
         for i in 0..self.count {
             let (from_center, corner) = (&mut self.from_center[i], &mut self.corners[i]);
             for l in 0..LANES {
-                let own = if i < self.corner_counts[l] as usize { i as u32 } else { 0 };
-                let index = all_corners[(first[l] + own) as usize];
-                let p = vertices[index as usize];
-                self.indices[i][l] = index;
-                (from_center[0][l], from_center[1][l], from_center[2][l]) =
-                    (f64::from(p.x), f64::from(p.y), f64::from(p.z));
+                let own = if i < self.corner_counts[l] as usize { i } else { 0 };
+                let [x, y, z] = match cluster {
+                    Some((positions, by_cluster)) => {
+                        let local = usize::from(by_cluster.locals(records[l])[own]);
+                        let eight = &positions[local / LANES];
+                        [eight[0][local % LANES], eight[1][local % LANES], eight[2][local % LANES]]
+                    }
+                    None => vertices[records[l].corners(all_corners)[own] as usize].to_array(),
+                };
+                (from_center[0][l], from_center[1][l], from_center[2][l]) = (f64::from(x), f64::from(y), f64::from(z));
             }
             for l in 0..LANES {
                 let (x, y, z) =
@@ -87,6 +92,13 @@ impl PolygonLanes {
         }
     }
 
+    /// Of each lane.
+    #[inline(always)]
+    fn records<'a>(at: &RayInstance<'a>, polygons: &[u32]) -> [&'a PolygonRecord; LANES] {
+        let records = at.mesh.polygons();
+        std::array::from_fn(|l| &records[polygons[l.min(polygons.len() - 1)] as usize])
+    }
+
     /// Corners in the frame of the rays.
     pub fn corners(&self) -> &[Points] {
         &self.corners[..self.count]
@@ -95,9 +107,9 @@ impl PolygonLanes {
     /// Measures how far the sensor is off each plane. That is taken at the nearest corner, and must be more than the corners are
     /// off the plane: else the side is not proven.
     #[inline(always)]
-    pub fn measure(&mut self, at: &RayInstance<'_>, first: u32, polygons: usize) {
+    pub fn measure(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
         for l in 0..LANES {
-            let normal = at.mesh.planes()[first as usize + l.min(polygons - 1)].normal;
+            let normal = at.mesh.planes()[polygons[l.min(polygons.len() - 1)] as usize].normal;
             (self.normals[0][l], self.normals[1][l], self.normals[2][l]) = (normal.x, normal.y, normal.z);
         }
         let n = &self.normals;
@@ -124,12 +136,19 @@ impl PolygonLanes {
         }
     }
 
-    /// Fills `m` and `edges`.
+    /// Fills `m` and `edges` of the polygons that were loaded.
     ///
     /// Edges are computed from the lower vertex index to the higher, sign afterwards, so that neighbours get exactly opposite
     /// planes and no ray falls between them.
     #[inline(always)]
-    pub fn set_up(&mut self, at: &RayInstance<'_>) {
+    pub fn set_up(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
+        let (records, all_corners) = (Self::records(at, polygons), at.mesh.all_corners());
+        for (i, indices) in self.indices[..self.count].iter_mut().enumerate() {
+            for l in 0..LANES {
+                let own = if i < self.corner_counts[l] as usize { i } else { 0 };
+                indices[l] = records[l].corners(all_corners)[own];
+            }
+        }
         let (n, m) = (&self.normals, at.m_from_normal);
         let mut outward = [0.0; LANES];
         for l in 0..LANES {

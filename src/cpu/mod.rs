@@ -22,6 +22,7 @@ mod raster_rays;
 mod ray_bounds;
 mod resolve;
 mod setup;
+mod sieve;
 mod thinning;
 
 use crate::deadline::{DeadlineOutcome, Watch};
@@ -186,6 +187,8 @@ impl CpuEngine {
                 Drawn::All(used) => used,
                 Drawn::Thinned(stride) => return Some(stride),
             };
+            stats.count(CountName::PolygonsPlaced, batches[..used].iter().map(|b| b.placed).sum());
+            stats.count(CountName::PolygonsPassed, batches[..used].iter().map(|b| b.passed).sum());
             stats.count(CountName::PolygonsBounded, batches[..used].iter().map(|b| b.bounded).sum());
             stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
             stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());

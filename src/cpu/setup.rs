@@ -5,7 +5,8 @@ use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES};
 use super::cull::{self, Occlusion};
 use super::lanes::PolygonLanes;
-use crate::environment::{Mesh, PolygonRecord};
+use super::sieve::{Sieve, is_told};
+use crate::environment::Mesh;
 use crate::limits;
 use crate::plan::{FramePlan, Instance, Run};
 use crate::sensor::{LineGrid, PixelGrid};
@@ -23,6 +24,8 @@ pub(super) struct RayInstance<'a> {
     /// What [`RayInstance::length_per_distance`] is for every normal, if it is.
     uniform: Option<f64>,
     pub center: DVec3,
+    /// No vector of the mesh is longer in the frame of the rays by more.
+    pub stretch: f64,
     pub mirrored: bool,
     plain: bool,
     object: u32,
@@ -44,6 +47,7 @@ impl<'a> RayInstance<'a> {
             normal_from_mesh: instance.normal_from_mesh,
             uniform: uniform_scale(&instance.normal_from_mesh).map(f64::recip),
             center: instance.center_in_mesh,
+            stretch: ray_from_mesh.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt(),
             mirrored: ray_from_mesh.determinant() < 0.0,
             plain: instance.plain,
             object: instance.object,
@@ -82,6 +86,8 @@ pub(super) fn fill<S: Simd>(
 ) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
+    let mut sieve = Sieve::new(&plan.sensor);
+    let (mut passed, mut reaches) = (Vec::new(), Vec::new());
     let mut lanes = PolygonLanes::new();
     let mut room = Room::default();
     let mut placed: Option<(u32, RayInstance<'_>)> = None;
@@ -90,32 +96,42 @@ pub(super) fn fill<S: Simd>(
         let (_, at) = placed.insert(
             known.unwrap_or_else(|| (run.instance, RayInstance::new(plan, &plan.instances[run.instance as usize]))),
         );
-        let end = run.first + run.count;
-        batch.bounded += run.count as usize;
-        for first in (run.first..end).step_by(LANES) {
-            let records = &at.mesh.polygons()[first as usize..end.min(first + LANES as u32) as usize];
-            lanes.load(at, records);
-            let footprints = bounds.cover(simd, lanes.corners());
+        batch.placed += run.count as usize;
+        passed.clear();
+        reaches.clear();
+        let cluster = sieve.pass(simd, at, run, |polygon, reach| {
+            passed.push(polygon);
+            reaches.push(reach);
+        });
+        batch.passed += passed.len();
+        for (polygons, reaches) in passed.chunks(LANES).zip(reaches.chunks(LANES)) {
+            lanes.load(at, polygons, cluster);
+            let footprints = if reaches.iter().all(is_told) {
+                bounds.told(lanes.corners(), reaches)
+            } else {
+                batch.bounded += polygons.len();
+                bounds.cover(simd, lanes.corners())
+            };
             let mut left = 0u32;
-            for (i, footprint) in footprints[..records.len()].iter().enumerate() {
+            for (i, footprint) in footprints[..polygons.len()].iter().enumerate() {
                 left |= u32::from(!footprint.lines[0].is_empty()) << i;
             }
             if left == 0 {
                 continue;
             }
-            lanes.measure(at, first, records.len());
-            left = visible_lanes(batch, plan, at, (records, left), &lanes, &footprints, occlusion);
+            lanes.measure(at, polygons);
+            left = visible_lanes(batch, plan, at, (polygons, left), &lanes, &footprints, occlusion);
             if left == 0 {
                 continue;
             }
-            lanes.set_up(at);
+            lanes.set_up(at, polygons);
             if let PixelGrid::Lines(_) = plan.sensor.grid() {
                 lanes.bound();
             }
             while left != 0 {
                 let i = left.trailing_zeros() as usize;
                 left &= left - 1;
-                push(batch, plan, at, (first + i as u32, i), &lanes, &footprints[i], &mut room);
+                push(batch, plan, at, (polygons[i], i), &lanes, &footprints[i], &mut room);
             }
         }
     }
@@ -128,7 +144,7 @@ fn visible_lanes(
     batch: &mut Batch,
     plan: &FramePlan,
     at: &RayInstance<'_>,
-    (records, with_footprint): (&[PolygonRecord], u32),
+    (polygons, with_footprint): (&[u32], u32),
     lanes: &PolygonLanes,
     footprints: &[Footprint; LANES],
     occlusion: Option<Occlusion<'_>>,
@@ -137,7 +153,7 @@ fn visible_lanes(
     while left != 0 {
         let i = left.trailing_zeros() as usize;
         left &= left - 1;
-        let facing = if at.plain { None } else { Some(plan.facings[usize::from(records[i].material)]) };
+        let facing = if at.plain { None } else { Some(plan.facings[usize::from(at.mesh.material(polygons[i]))]) };
         if facing.is_some_and(|f| !f.opaque) {
             continue;
         }

@@ -1,5 +1,6 @@
 //! Meshes: convex polygons over shared vertices, in their own frame, stored once for all instances.
 
+use super::cluster_vertices::ClusterVertices;
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::limits;
@@ -7,6 +8,7 @@ use crate::threads::parallel_or_here;
 #[cfg(feature = "store")]
 use glam::DMat3;
 use glam::{DVec3, Vec3};
+use std::sync::OnceLock;
 
 /// A planar convex polygon, for [`Mesh::new`].
 #[derive(Clone, Debug, PartialEq)]
@@ -108,6 +110,8 @@ pub struct Mesh {
     bounds: Aabb,
     /// Those in use, rising.
     materials: Vec<u16>,
+    /// Made when the CPU engine first draws it.
+    by_cluster: OnceLock<ClusterVertices>,
 }
 
 /// How far off its plane a vertex may be, relative to the polygon's largest coordinate extent; what f32 vertices of
@@ -200,6 +204,7 @@ impl Mesh {
             clusters: Vec::with_capacity(cuts.len()),
             bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
             materials: materials_of(records),
+            by_cluster: OnceLock::new(),
         };
         for &i in &sequence {
             let record = records[i as usize];
@@ -264,7 +269,8 @@ impl Mesh {
         let clusters: Vec<Cluster> = cuts.windows(2).map(cluster).collect();
         let bounds = clusters.iter().fold(Aabb::EMPTY, |b, c| b.union(c.bounds));
         let materials = materials_of(&polygons);
-        Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials })
+        let by_cluster = OnceLock::new();
+        Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials, by_cluster })
     }
 
     /// The same polygons with other materials.
@@ -358,6 +364,26 @@ impl Mesh {
 
     pub(crate) fn all_corners(&self) -> &[u32] {
         &self.corners
+    }
+
+    /// The cluster that holds a polygon, and its number. All are of about one size, so that a guess is off by few.
+    #[inline(always)]
+    pub(crate) fn cluster_of(&self, polygon: u32) -> (usize, &Cluster) {
+        let clusters = &self.clusters;
+        let mut i = (u64::from(polygon) * clusters.len() as u64 / self.polygons.len() as u64) as usize;
+        while clusters[i].first > polygon {
+            i -= 1;
+        }
+        while i + 1 < clusters.len() && clusters[i + 1].first <= polygon {
+            i += 1;
+        }
+        (i, &clusters[i])
+    }
+
+    /// Made on the first call.
+    pub(crate) fn cluster_vertices(&self) -> &ClusterVertices {
+        let made = || ClusterVertices::new(&self.vertices, &self.corners, &self.polygons, &self.clusters);
+        self.by_cluster.get_or_init(made)
     }
 
     pub(crate) fn planes(&self) -> &[Plane] {

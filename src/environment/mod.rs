@@ -1,5 +1,6 @@
 //! The environment: objects in groups, meshes, materials and feature layers (paper section 2.1).
 
+mod cluster_vertices;
 mod content_hash;
 mod cuboid;
 mod feature;
@@ -12,6 +13,7 @@ mod open;
 mod paths;
 mod revert;
 
+pub(crate) use cluster_vertices::Positions;
 pub use content_hash::ContentHash;
 #[doc(hidden)]
 pub use cuboid::{CUBOID_FACES, cuboid_corners};

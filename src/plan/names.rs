@@ -84,7 +84,11 @@ words! {
         PolygonsTested = "polygons tested",
         PolygonsSelected = "polygons selected",
         PolygonsInView = "polygons in view",
-        /// Polygons of runs that are not hidden.
+        /// Polygons of runs that are not hidden: their vertices were placed among the samples.
+        PolygonsPlaced = "polygons placed",
+        /// Of these, those that may cover a sample.
+        PolygonsPassed = "polygons passed",
+        /// Of these, those that were bounded one by one, because their vertices did not tell enough.
         PolygonsBounded = "polygons bounded",
         PolygonsSetUp = "polygons set up",
         /// Single polygons behind what earlier waves drew.

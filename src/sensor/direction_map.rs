@@ -1,5 +1,7 @@
 //! Which pixels of a ray table look in about a direction: a look-up for small polygons, whatever lens or table it is.
 
+#[cfg(any(feature = "gpu", test))]
+use super::ray_grid::Tile;
 use crate::error::Result;
 use crate::memory;
 use glam::DVec3;
@@ -20,6 +22,12 @@ impl PixelBox {
     fn of_pixel(row: u32, column: u32) -> Self {
         let (row, column) = (row as u16, column as u16);
         Self { first_row: row, end_row: row + 1, first_column: column, end_column: column + 1 }
+    }
+
+    #[cfg(any(feature = "gpu", test))]
+    fn of_tile(tile: &Tile) -> Self {
+        let last = Self::of_pixel(tile.row + tile.height - 1, tile.column + tile.width - 1);
+        Self { first_row: tile.row as u16, first_column: tile.column as u16, ..last }
     }
 
     fn hold(&mut self, other: &Self) {
@@ -50,6 +58,14 @@ const SLACK: f64 = 2e-5;
 /// Most cells of the finest level beside the number of rays.
 const CELLS_A_RAY: usize = 1;
 
+/// Most cells of a level of tiles beside the number of tiles.
+#[cfg(any(feature = "gpu", test))]
+const CELLS_A_TILE: usize = 4;
+
+/// Half angle of the widest cones that a level of tiles is made for, radians.
+#[cfg(any(feature = "gpu", test))]
+const WIDEST: f64 = 0.4;
+
 /// There may always be so many more.
 const LEAST_CELLS: usize = 4096;
 
@@ -65,29 +81,44 @@ pub(crate) struct DirectionMap {
 
 /// For cones of up to a half angle.
 #[derive(Clone, Debug)]
-struct Level {
+pub(crate) struct Level {
+    /// Radians.
+    #[cfg(any(feature = "gpu", test))]
+    pub half_angle: f64,
     /// Of the half angle.
     cosine: f64,
     /// Of each cell, the pixels whose rays a cone around one of its directions may hold.
-    cells: Cells,
+    pub cells: Cells,
+}
+
+impl Level {
+    fn new(half_angle: f64, cells: Cells) -> Self {
+        Self {
+            #[cfg(any(feature = "gpu", test))]
+            half_angle,
+            cosine: half_angle.cos(),
+            cells,
+        }
+    }
 }
 
 /// Pixels by cells.
 #[derive(Clone, Debug)]
-struct Cells {
+pub(crate) struct Cells {
     /// Along an edge of the cube.
-    across: u32,
-    sides: [Side; 6],
-    boxes: Vec<PixelBox>,
+    pub across: u32,
+    /// Twice the axis that is nearest to a direction, and one more where that is negative.
+    pub sides: [Side; 6],
+    pub boxes: Vec<PixelBox>,
 }
 
 /// The rectangle of a side's cells that there is room for.
 #[derive(Clone, Copy, Debug, Default)]
-struct Side {
-    first: [u32; 2],
-    count: [u32; 2],
+pub(crate) struct Side {
+    pub first: [u32; 2],
+    pub count: [u32; 2],
     /// Its first box; those along the first axis follow one another.
-    start: usize,
+    pub start: usize,
 }
 
 /// The side of the cube on which a direction is, and where, each -1..=1.
@@ -131,10 +162,10 @@ fn cell(t: f64, across: u32) -> u32 {
 }
 
 impl Cells {
-    /// Room for all cells up to `reach` from some directions.
-    fn around(directions: impl Iterator<Item = DVec3>, reach: f64, across: u32) -> Self {
+    /// Room for all cells up to a reach from some directions.
+    fn around(reaches: impl Iterator<Item = (DVec3, f64)>, across: u32) -> Self {
         let mut held = [[[u32::MAX, 0]; 2]; 6];
-        for d in directions {
+        for (d, reach) in reaches {
             near(d, reach, |side, bounds| {
                 for (held, [low, high]) in held[side].iter_mut().zip(bounds) {
                     *held = [held[0].min(cell(low, across)), held[1].max(cell(high, across) + 1)];
@@ -156,11 +187,11 @@ impl Cells {
         self.sides.iter().map(|side| side.count[0] as usize * side.count[1] as usize).sum()
     }
 
-    /// Lets each cell hold all pixels up to `reach` from one of its directions.
-    fn holding(mut self, pixels: impl Iterator<Item = (DVec3, PixelBox)>, reach: f64) -> Result<Self> {
+    /// Lets each cell hold all pixels up to their reach from one of its directions.
+    fn holding(mut self, pixels: impl Iterator<Item = (DVec3, f64, PixelBox)>) -> Result<Self> {
         self.boxes = memory::reserved(self.room())?;
         self.boxes.resize(self.room(), PixelBox::NOTHING);
-        for (d, pixels) in pixels {
+        for (d, reach, pixels) in pixels {
             near(d, reach, |side, bounds| {
                 let [u, v] = bounds.map(|[low, high]| [cell(low, self.across), cell(high, self.across)]);
                 for row in v[0]..=v[1] {
@@ -189,13 +220,13 @@ impl DirectionMap {
     pub fn new(width: u32, directions: &[DVec3], spacing: f64) -> Result<Self> {
         let pixel = |i: u32| PixelBox::of_pixel(i / width, i % width);
         let rays = || directions.iter().zip(0u32..).filter(|(d, _)| !d.is_nan()).map(|(d, i)| (*d, pixel(i)));
-        let only = || rays().map(|(d, _)| d);
+        let reaching = |reach: f64| directions.iter().filter(|d| !d.is_nan()).map(move |d| (*d, reach));
         let most = CELLS_A_RAY * directions.len() + LEAST_CELLS;
         let mut finest = spacing.clamp(FINEST[0], FINEST[1]);
         let across = loop {
             let coarsest = finest * f64::from(1 << (LEVELS - 1));
             let across = ((2.0 / (CELL * coarsest)).ceil() as u32) << (LEVELS - 1);
-            if Cells::around(only(), finest + SLACK, across).room() <= most {
+            if Cells::around(reaching(finest + SLACK), across).room() <= most {
                 break across;
             }
             finest *= 1.5;
@@ -204,10 +235,43 @@ impl DirectionMap {
         for level in 0..LEVELS {
             let half_angle = finest * f64::from(1 << level);
             let reach = half_angle + SLACK;
-            let cells = Cells::around(only(), reach, across >> level).holding(rays(), reach)?;
-            levels.push(Level { cosine: half_angle.cos(), cells });
+            let pixels = rays().map(|(d, pixel)| (d, reach, pixel));
+            let cells = Cells::around(reaching(reach), across >> level).holding(pixels)?;
+            levels.push(Level::new(half_angle, cells));
         }
         Ok(Self { levels })
+    }
+
+    /// Its levels, from narrow cones to wide ones.
+    #[cfg(any(feature = "gpu", test))]
+    pub fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+
+    /// Levels for wider cones than those of the map, made of whole tiles.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    #[cfg(any(feature = "gpu", test))]
+    pub fn levels_of_tiles(&self, tiles: &[Tile]) -> Result<Vec<Level>> {
+        let mut levels = Vec::new();
+        let mut half_angle = self.levels.last().map_or(WIDEST, |level| 2.0 * level.half_angle);
+        while half_angle <= WIDEST {
+            let across = (2.0 / (CELL * half_angle)).ceil() as u32;
+            let some = || tiles.iter().filter(|tile| tile.half_angle >= 0.0);
+            let reach = |tile: &Tile| (tile.axis, tile.half_angle + half_angle + SLACK);
+            let cells = Cells::around(some().map(reach), across);
+            if cells.room() <= CELLS_A_TILE * tiles.len() + LEAST_CELLS {
+                let pixels = some().map(|tile| {
+                    let (axis, reach) = reach(tile);
+                    (axis, reach, PixelBox::of_tile(tile))
+                });
+                let cells = cells.holding(pixels)?;
+                levels.push(Level::new(half_angle, cells));
+            }
+            half_angle *= 2.0;
+        }
+        Ok(levels)
     }
 
     /// A box around the pixels whose rays are in a cone of that axis and cosine of the half angle; `None` if it is too wide.
@@ -270,6 +334,34 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// As above, for cones that are wider than the map's own.
+    #[test]
+    fn all_rays_of_a_wide_cone_are_in_its_box_of_tiles() {
+        let directions = table(DVec3::new(0.3, -0.5, 0.6).normalize(), 0.01);
+        let ray = |c: u32, r: u32| Some(directions[(r * 40 + c) as usize]).filter(|d| !d.is_nan());
+        let corner = |i: u32| (8 * (i % 5), 8 * (i / 5));
+        let tiles = (0..20).map(corner).map(|(c, r)| Tile::around(c, r, 8, if r == 24 { 6 } else { 8 }, ray));
+        let tiles: Vec<Tile> = tiles.collect();
+        let map = DirectionMap::new(40, &directions, 0.01).unwrap();
+        let coarser = map.levels_of_tiles(&tiles).unwrap();
+        assert!(coarser.len() >= 2 && coarser[0].half_angle > map.levels()[2].half_angle);
+        let whole = DirectionMap { levels: coarser };
+        let mut tight = false;
+        for (axis, level) in
+            directions.iter().filter(|d| !d.is_nan()).flat_map(|d| whole.levels.iter().map(move |l| (*d, l)))
+        {
+            let half_angle = 0.999 * level.half_angle;
+            let found = whole.pixels_in(axis, half_angle.cos()).unwrap();
+            tight |= found.end_row - found.first_row < 30 && found.end_column - found.first_column < 40;
+            for (i, d) in directions.iter().enumerate().filter(|(_, d)| axis.angle_between(**d) <= half_angle) {
+                let (row, column) = ((i / 40) as u16, (i % 40) as u16);
+                assert!((found.first_row..found.end_row).contains(&row), "{d} {found:?}");
+                assert!((found.first_column..found.end_column).contains(&column), "{d} {found:?}");
+            }
+        }
+        assert!(tight, "the whole table would pass");
     }
 
     /// The whole table would pass the test above.

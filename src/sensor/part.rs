@@ -74,7 +74,7 @@ impl Sensor {
                 let rows = (0..height).map(|row| row * part.stride);
                 let columns = || (0..width).map(|column| part.column(column));
                 let rays: Vec<_> = rows.flat_map(|r| columns().map(move |c| grid.direction(c, r))).collect();
-                PixelGrid::Rays(RayGrid::new(width, height, &rays)?)
+                PixelGrid::Rays(RayGrid::with_fit(width, height, &rays, grid.pixel_fit().part(&part))?)
             }
         };
         let spec = self.spec().clone();

@@ -4,6 +4,7 @@
 use super::cone_tree::ConeTree;
 use super::direction_map::DirectionMap;
 use super::grid::{Octet, PositionFinder};
+use super::pixel_fit::PixelFit;
 use crate::error::Result;
 use crate::memory;
 use glam::{DVec2, DVec3};
@@ -271,6 +272,7 @@ pub struct RayGrid {
     /// By row of tiles, then by eight tiles.
     cones: Vec<Cones>,
     map: Option<DirectionMap>,
+    fit: PixelFit,
     view: TileLookup,
     sides: Sides,
 }
@@ -287,6 +289,14 @@ impl RayGrid {
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
     pub(super) fn new(width: u32, height: u32, directions: &[DVec3]) -> Result<Self> {
+        Self::with_fit(width, height, directions, PixelFit::new(width, directions)?)
+    }
+
+    /// As [`RayGrid::new`], with what is known of the rays already.
+    ///
+    /// # Errors
+    /// As [`RayGrid::new`].
+    pub(super) fn with_fit(width: u32, height: u32, directions: &[DVec3], fit: PixelFit) -> Result<Self> {
         let ray = |c: u32, r: u32| {
             let d = directions[(r * width + c) as usize];
             (!d.is_nan()).then_some(d)
@@ -321,7 +331,7 @@ impl RayGrid {
         // Of wide views rows and columns of tiles tell too little, and a tree takes its time.
         let wide = matches!(view, TileLookup::Around(_)) || whole.half_angle > WIDE;
         let map = if wide { Some(DirectionMap::new(width, directions, spacing(&tiles))?) } else { None };
-        Ok(Self { width, height, tiles, rays, gaps, cones, map, view, sides })
+        Ok(Self { width, height, tiles, rays, gaps, cones, map, fit, view, sides })
     }
 
     /// Columns.
@@ -380,6 +390,12 @@ impl RayGrid {
         self.map.as_ref()
     }
 
+    /// Tells between which rays directions lie.
+    #[inline(always)]
+    pub(crate) fn pixel_fit(&self) -> &PixelFit {
+        &self.fit
+    }
+
     /// How the tiles are found that another polygon may cover.
     pub(crate) fn view(&self) -> &TileLookup {
         &self.view
@@ -395,6 +411,6 @@ impl RayGrid {
         let tree = if let TileLookup::Around(tree) = &self.view { tree.bytes() } else { 0 };
         let map = self.map.as_ref().map_or(0, DirectionMap::bytes);
         let own = size_of_val(&*self.rays) + size_of_val(&*self.tiles) + size_of_val(&*self.cones);
-        (own + tree + map) as u64
+        (own + tree + map + self.fit.bytes()) as u64
     }
 }
