@@ -62,6 +62,11 @@ struct Params {
     hiding: u32,
     // Into `grid`: where rays that all look ahead lie (cull_rays.wgsl); 0 for all others.
     ahead_at: u32,
+    // Into `grid`: the map of directions (direction_map.wgsl), and its levels; none without one.
+    map_at: u32,
+    map_levels: u32,
+    // Into `grid`: where directions lie (pixel_fit.wgsl); 0 for all but ray tables.
+    fit_at: u32,
 }
 
 // One object. v = linear * ((p - center_high) - center_low) keeps the digits of what is near.
@@ -179,8 +184,8 @@ const RECORD_CAP_AXIS: u32 = 5u;
 const RECORD_CAP_CHORD: u32 = 8u;
 const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
-// Words of an item. PART: first line | count << 16 (line grids) or supertile (ray grids). WITHIN: first sample | end << 16 (line
-// grids) or tiles of the supertile: first row, last row, first column, last column, three bits each (ray grids).
+// Words of an item. PART: first line | count << 16 (line grids) or first row | first column << 16 (ray grids). WITHIN: first sample |
+// end << 16 (line grids) or end of rows | end of columns << 16 (ray grids).
 const ITEM_RECORD: u32 = 0u;
 const ITEM_PART: u32 = 1u;
 const ITEM_WITHIN: u32 = 2u;

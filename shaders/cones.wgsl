@@ -3,6 +3,8 @@
 
 const RAYS_PER_TILE: u32 = 8u;
 const TILES_PER_SUPERTILE: u32 = 8u;
+// Rays of a box that are tested one by one, whatever tiles they lie in.
+const RAYS_PER_BOX: u32 = 64u;
 
 struct Cone {
     axis: vec3f,

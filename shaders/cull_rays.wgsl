@@ -1,6 +1,8 @@
 // Bounds of a polygon in a ray table. Where all rays look ahead, by where they meet a plane at distance 1 (`ahead_at`): right, down and
 // forward; then for each row of tiles, and for each column, the greatest place of it and all before it, and the least of it and all
-// after it. All other polygons may reach every ray, and meet the cones of tiles in the setup stage.
+// after it. Quadratics (pixel_fit.wgsl) tell the pixels that small polygons may reach, and in wide views the map of directions
+// (direction_map.wgsl) those of what they do not tell, or, where rays look all round, of any that is not too wide. All others may reach every
+// ray, and meet the cones of tiles in the setup stage.
 
 const AHEAD_ROWS: u32 = 9u;
 
@@ -17,10 +19,15 @@ struct Bounds {
     high: vec3f,
     farthest2: f32,
     forward: f32,
+    // The box around the vertices, all scaled to length one.
+    least: vec3f,
+    greatest: vec3f,
+    fit: Fit,
 }
 
 fn bounds_start() -> Bounds {
-    return Bounds(vec2f(HUGE, -HUGE), vec2f(HUGE, -HUGE), true, vec4f(-1.0), -1.0, vec3f(HUGE), vec3f(-HUGE), 0.0, HUGE);
+    return Bounds(vec2f(HUGE, -HUGE), vec2f(HUGE, -HUGE), true, vec4f(-1.0), -1.0, vec3f(HUGE), vec3f(-HUGE), 0.0, HUGE,
+        vec3f(HUGE), vec3f(-HUGE), fit_start());
 }
 
 fn ahead(word: u32) -> f32 {
@@ -38,7 +45,18 @@ fn tile_rows() -> u32 {
 fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) {
     (*b).low = min((*b).low, v);
     (*b).high = max((*b).high, v);
-    (*b).farthest2 = max((*b).farthest2, dot(v, v));
+    let length2 = dot(v, v);
+    (*b).farthest2 = max((*b).farthest2, length2);
+    // A vertex at the sensor comes out shorter, which makes the cone around the box wider.
+    let u = v * inverseSqrt(max(length2, 1.0e-30));
+    (*b).least = min((*b).least, u);
+    (*b).greatest = max((*b).greatest, u);
+    if params.fit_at != 0u {
+        if first {
+            (*b).fit = fit_around(v);
+        }
+        (*b).fit = fit_with((*b).fit, v);
+    }
     if params.ahead_at == 0u {
         return;
     }
@@ -85,6 +103,19 @@ fn tiles_between(at: u32, count: u32, places: vec2f) -> vec2u {
 fn bounds_reach(b: Bounds) -> Reach {
     let beside = max(max(b.low, -b.high), vec3f());
     let distance = length(beside) - 2.0e-6 * sqrt(b.farthest2);
+    var found = fit_pixels(b.fit);
+    if !found.known {
+        // The sphere around the box of directions holds all of them, and with them the polygon's.
+        let halves = 0.5 * (b.greatest - b.least);
+        found = pixels_in(0.5 * (b.least + b.greatest), dot(halves, halves));
+    }
+    if found.known {
+        if found.rows.x >= found.rows.y {
+            return no_reach();
+        }
+        let nearest = select(distance, max(distance, b.forward), params.ahead_at != 0u);
+        return Reach(found.rows.x, found.rows.y - found.rows.x, found.columns.x, found.columns.y - found.columns.x, nearest);
+    }
     var reach = whole_reach();
     reach.nearest = distance;
     if params.ahead_at == 0u {

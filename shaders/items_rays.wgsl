@@ -1,4 +1,4 @@
-// Work items of a ray table: a polygon and some tiles of a supertile whose cone it may meet.
+// Work items of a ray table: a polygon and a box of few pixels, or some tiles of a supertile whose cone it may meet.
 
 fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     var axis = vec3f();
@@ -18,6 +18,14 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     put(at + RECORD_CAP_AXIS, axis);
     records[at + RECORD_CAP_CHORD] = bitcast<u32>(squared);
 
+    let lines = survivor.lines >> 16u;
+    let samples = survivor.samples >> 16u;
+    let first_pixel = vec2u(survivor.samples & 0xffffu, survivor.lines & 0xffffu);
+    let end = first_pixel + vec2u(samples, lines);
+    if lines * samples <= RAYS_PER_BOX {
+        put_box(reserve_items(1u), at, first_pixel, end);
+        return;
+    }
     let chord = cap_chord(squared);
     let m = vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
     // Triangles are most of all: more edges than three would leave out little more.
@@ -41,7 +49,7 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
             }
             while met != 0u {
                 let column = first + firstTrailingBit(met);
-                put_tiles(at, row * across + column, clamped(tile_rows, row), clamped(tile_columns, column));
+                put_tiles(at, clamped(tile_rows, row), clamped(tile_columns, column), first_pixel, end);
                 met &= met - 1u;
             }
         }
@@ -54,24 +62,31 @@ fn tiles_of(stretch: u32) -> vec2u {
     return vec2u(first, first + (stretch >> 16u) - 1u) / RAYS_PER_TILE;
 }
 
-// First and last of the tiles that lie in a row (or column) of supertiles, counted from its own first.
+// First and last of the tiles that lie in a row (or column) of supertiles.
 fn clamped(tiles: vec2u, supertile: u32) -> vec2u {
     let first = supertile * TILES_PER_SUPERTILE;
-    return vec2u(max(tiles.x, first), min(tiles.y, first + TILES_PER_SUPERTILE - 1u)) - first;
+    return vec2u(max(tiles.x, first), min(tiles.y, first + TILES_PER_SUPERTILE - 1u));
 }
 
 // Tiles of an item where there are more.
 const TILES_PER_ITEM: u32 = 16u;
 
-fn put_tiles(record: u32, supertile: u32, rows: vec2u, columns: vec2u) {
+// Some tiles, as far as they have pixels from the first one to before the end.
+fn put_tiles(record: u32, rows: vec2u, columns: vec2u, first: vec2u, end: vec2u) {
     let share = TILES_PER_ITEM / (columns.y - columns.x + 1u);
     let wanted = (rows.y - rows.x + share) / share;
     let base = reserve_items(wanted);
     for (var i = 0u; i < wanted; i++) {
         let row = rows.x + i * share;
         let last = min(row + share - 1u, rows.y);
-        put_item(base + i, record, supertile, row | (last << 3u) | (columns.x << 6u) | (columns.y << 9u));
+        let begin = max(first, vec2u(columns.x, row) * RAYS_PER_TILE);
+        put_box(base + i, record, begin, min(end, vec2u(columns.y + 1u, last + 1u) * RAYS_PER_TILE));
     }
+}
+
+// Columns and rows from the first to before the end.
+fn put_box(index: u32, record: u32, first: vec2u, end: vec2u) {
+    put_item(index, record, first.y | (first.x << 16u), end.y | (end.x << 16u));
 }
 
 fn edge_of(record: u32, k: u32) -> vec3f {

@@ -1,4 +1,4 @@
-// Stage 3 for ray tables: one invocation per polygon and some tiles; tiles by their cones, then ray by ray.
+// Stage 3 for ray tables: one invocation per polygon and box of pixels; tiles by their cones, then ray by ray.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> records: array<u32>;
@@ -12,7 +12,9 @@ fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) gro
     let count = min(counted[COUNTED_ITEMS], params.item_room);
     for (var i = first_of(counted[COUNTED_ITEMS_BEFORE]) + id.x; i < count; i += groups.x * GROUP) {
         let at = i * ITEM_WORDS;
-        tiles(polygon_at(items[at + ITEM_RECORD]), items[at + ITEM_PART], items[at + ITEM_WITHIN]);
+        let part = items[at + ITEM_PART];
+        let within = items[at + ITEM_WITHIN];
+        box(polygon_at(items[at + ITEM_RECORD]), vec2u(part >> 16u, part & 0xffffu), vec2u(within >> 16u, within & 0xffffu));
     }
 }
 
@@ -63,36 +65,38 @@ fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
     return vector_of(record + RECORD_WORDS + k * EDGE_WORDS);
 }
 
-fn tiles(p: Polygon, supertile: u32, within: u32) {
-    let across = (params.tile_columns + TILES_PER_SUPERTILE - 1u) / TILES_PER_SUPERTILE;
-    let origin = vec2u(supertile % across, supertile / across) * TILES_PER_SUPERTILE;
-    let first = origin + vec2u(within >> 6u, within) % TILES_PER_SUPERTILE;
-    let last = min(origin + vec2u(within >> 9u, within >> 3u) % TILES_PER_SUPERTILE,
-        vec2u(params.tile_columns, params.tile_count / params.tile_columns) - 1u);
+// Columns and rows from the first to before the end: of few rays all, else by tiles.
+fn box(p: Polygon, first: vec2u, end: vec2u) {
+    let few = (end.x - first.x) * (end.y - first.y) <= RAYS_PER_BOX;
+    // One tile that has all.
+    let side = select(RAYS_PER_TILE, 0x10000u, few);
+    let begin = first / side;
+    let last = (end - 1u) / side;
     let chord = cap_chord(p.chord);
-    let columns = last.x - first.x + 1u;
+    let columns = last.x - begin.x + 1u;
     // Which tiles first, then these one after another, so that neighbouring invocations draw together: no item has more than 32.
-    var met = 0u;
-    for (var row = first.y; row <= last.y; row++) {
-        for (var column = first.x; column <= last.x; column++) {
+    var met = select(0u, 1u, few);
+    for (var row = begin.y; !few && row <= last.y; row++) {
+        for (var column = begin.x; column <= last.x; column++) {
             let cone = cone_at(params.tiles_at + (row * params.tile_columns + column) * 4u);
             let beside = is_beside(p.e0, cone) || is_beside(p.e1, cone) || is_beside(p.e2, cone) || is_beside(p.e3, cone);
             let meets = cap_meets(p.axis, chord, cone) && !beside && !is_behind(p.m, cone, 0u, row, column);
-            met |= select(0u, 1u, meets) << ((row - first.y) * columns + column - first.x);
+            met |= select(0u, 1u, meets) << ((row - begin.y) * columns + column - begin.x);
         }
     }
     while met != 0u {
         let bit = firstTrailingBit(met);
-        tile(p, (first.x + bit % columns) * RAYS_PER_TILE, (first.y + bit / columns) * RAYS_PER_TILE);
+        let corner = (begin + vec2u(bit % columns, bit / columns)) * side;
+        pixels(p, max(first, corner), min(end, corner + side));
         met &= met - 1u;
     }
 }
 
-// Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
+// Columns and rows from the first to before the end. Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
 // planes meet, and rounded to f32 may hold rays there, far from the polygon.
-fn tile(p: Polygon, first_column: u32, first_row: u32) {
-    for (var row = first_row; row < min(first_row + RAYS_PER_TILE, params.height); row++) {
-        for (var column = first_column; column < min(first_column + RAYS_PER_TILE, params.width); column++) {
+fn pixels(p: Polygon, first: vec2u, end: vec2u) {
+    for (var row = first.y; row < end.y; row++) {
+        for (var column = first.x; column < end.x; column++) {
             let pixel = row * params.width + column;
             let at = params.rays_at + pixel * 3u;
             // No ray is stored as zero: its inverse range is not above zero.

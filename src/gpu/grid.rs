@@ -1,6 +1,8 @@
 //! A sensor's rays as the shaders read them: line tables with buckets for searching, or ray tables with cones.
 
+use super::direction_words;
 use super::layout::{BLOCK_WORDS, GridKind, Params, SHORT_GRID, TILE_SIDE, TILES_PER_BLOCK, TILES_PER_SUPERTILE};
+use crate::error::Result;
 use crate::sensor::{ForwardView, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor, Tile, TileLookup};
 use glam::{DMat3, DVec3};
 
@@ -14,8 +16,6 @@ pub(super) struct Tables {
     pub image_from_line: DMat3,
     /// Of coarse depth, which lies behind the words: along a line, and across lines.
     pub blocks: (u32, u32),
-    /// Of a ray grid.
-    pub supertiles: u32,
 }
 
 /// Stands for an infinite position at a pole: comparisons stay defined.
@@ -24,10 +24,12 @@ const POLE: f32 = 3.0e38;
 const MAX_BUCKETS: usize = 1 << 16;
 
 impl Tables {
-    pub fn new(sensor: &Sensor) -> Self {
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    pub fn new(sensor: &Sensor) -> Result<Self> {
         let mut tables = match sensor.grid() {
             PixelGrid::Lines(grid) => lines(grid),
-            PixelGrid::Rays(grid) => rays(grid),
+            PixelGrid::Rays(grid) => rays(grid)?,
         };
         tables.params.width = sensor.width();
         tables.params.height = sensor.height();
@@ -37,7 +39,7 @@ impl Tables {
         tables.blocks = (blocks(tables.params.sample_count), blocks(tables.params.line_count));
         tables.params.coarse_columns = tables.blocks.0;
         tables.params.coarse_at = tables.words.len() as u32;
-        tables
+        Ok(tables)
     }
 }
 
@@ -103,7 +105,7 @@ fn lines(grid: &LineGrid) -> Tables {
         (params.sample_buckets_at, params.sample_buckets) = buckets(&squeezed, -1.0, 1.0, &mut words);
     }
     let kind = if camera { GridKind::Camera } else { GridKind::Scanner };
-    Tables { kind, words, params, image_from_line: grid.image_from_line(), blocks: (0, 0), supertiles: 0 }
+    Tables { kind, words, params, image_from_line: grid.image_from_line(), blocks: (0, 0) }
 }
 
 /// For every bucket the first entry that is not below it, in a table of one word more: where it begins, and how many
@@ -121,10 +123,9 @@ fn buckets(values: &[f64], least: f64, greatest: f64, words: &mut Vec<u32>) -> (
     (at, count as u32)
 }
 
-fn rays(grid: &RayGrid) -> Tables {
+fn rays(grid: &RayGrid) -> Result<Tables> {
     let tile_columns = grid.width().div_ceil(crate::sensor::TILE_SIDE);
     let mut words = Vec::new();
-    let supertiles = supertiles(grid);
     let mut params = Params {
         line_count: grid.height(),
         sample_count: grid.width(),
@@ -134,7 +135,7 @@ fn rays(grid: &RayGrid) -> Tables {
         fy: 1.0,
         ..Params::default()
     };
-    supertiles.iter().for_each(|t| push_cone(t, &mut words));
+    supertiles(grid).iter().for_each(|t| push_cone(t, &mut words));
     params.tiles_at = words.len() as u32;
     grid.tiles().iter().for_each(|t| push_cone(t, &mut words));
     params.rays_at = words.len() as u32;
@@ -146,8 +147,9 @@ fn rays(grid: &RayGrid) -> Tables {
         params.ahead_at = words.len() as u32;
         push_ahead(grid, view, &mut words);
     }
-    let (image_from_line, supertiles) = (DMat3::IDENTITY, supertiles.len() as u32);
-    Tables { kind: GridKind::Rays, words, params, image_from_line, blocks: (0, 0), supertiles }
+    direction_words::push_fit(grid, &mut params, &mut words);
+    direction_words::push_map(grid, &mut params, &mut words)?;
+    Ok(Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY, blocks: (0, 0) })
 }
 
 /// Where rays that all look ahead meet a plane at distance 1, as cull_rays.wgsl describes it.

@@ -55,6 +55,9 @@ pub(super) struct Params {
     pub coarse_columns: u32,
     pub hiding: u32,
     pub ahead_at: u32,
+    pub map_at: u32,
+    pub map_levels: u32,
+    pub fit_at: u32,
 }
 
 /// `Instance` in common.wgsl.
@@ -181,14 +184,45 @@ pub(super) struct WorkRun {
     pub r#box: u32,
 }
 
+/// A level of the map of directions; `LEVEL_` in direction_map.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct MapLevel {
+    /// Squared sine of the half angle of the cones that it serves.
+    pub sine2: f32,
+    pub across: u32,
+    /// Six sides, [`MapSide`].
+    pub sides: [MapSide; 6],
+}
+
+/// A cell of directions with its quadratics; `FIT_` in pixel_fit.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct PackedFit {
+    pub off: [f32; 2],
+    pub bend: [f32; 2],
+    pub column: [f32; 6],
+    pub row: [f32; 6],
+}
+
+/// A side of a level; `SIDE_` in direction_map.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct MapSide {
+    pub first: [u32; 2],
+    pub count: [u32; 2],
+    /// Of its first box, a word in the grid.
+    pub boxes_at: u32,
+}
+
 /// A part of a polygon's image; `ITEM_` in common.wgsl.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Item {
     pub record: u32,
-    /// First line, number of lines in the higher 16 bits; or supertile.
+    /// First line, number of lines in the higher 16 bits; or first row and column.
     pub part: u32,
-    /// First sample, end in the higher 16 bits; or tiles of the supertile.
+    /// First sample, end in the higher 16 bits; or ends of rows and columns.
     pub within: u32,
 }
 
@@ -245,6 +279,10 @@ pub(super) const ITEMS_PER_POLYGON: u32 = 256;
 pub(super) const LINES_PER_ITEM: u32 = 4;
 /// Samples of a line in an item of a wide polygon.
 pub(super) const SAMPLES_PER_ITEM: u32 = 64;
+/// Words of a level of the map of directions.
+pub(super) const LEVEL_WORDS: u32 = words_of::<MapLevel>();
+/// Words of a box of pixels in the map of directions.
+pub(super) const PIXEL_BOX_WORDS: u32 = 2;
 /// Tiles along a side of a supertile.
 pub(super) const TILES_PER_SUPERTILE: u32 = 8;
 

@@ -17,6 +17,7 @@
 
 mod buffers;
 mod device;
+mod direction_words;
 mod drawing;
 mod frame_buffers;
 mod geometry;
@@ -303,8 +304,9 @@ impl GpuEngine {
                 self.placed = false;
             }
             None => {
+                let tables = Tables::new(sensor)?;
                 self.sensors.truncate(MOST_SENSORS - 1);
-                self.sensors.insert(0, (sensor.clone(), Tables::new(sensor)));
+                self.sensors.insert(0, (sensor.clone(), tables));
                 self.placed = false;
             }
         }

@@ -6,7 +6,7 @@ use super::geometry::spread;
 use super::grid::Tables;
 use super::layout::{
     EDGE_WORDS, GridKind, ITEMS_PER_POLYGON, Item, LINES_PER_ITEM, RECORD_WORDS, Record, SAMPLES_PER_ITEM, Slot,
-    TILES_PER_SUPERTILE,
+    TILE_SIDE, TILES_PER_SUPERTILE,
 };
 use crate::environment::Mesh;
 use crate::plan::{FramePlan, Instance, Run};
@@ -120,10 +120,13 @@ impl NearList {
         let (lines, samples) = (tables.params.line_count, tables.params.sample_count);
         if tables.kind == GridKind::Rays {
             // Two rows of tiles each.
-            let rows = |first: u32| first | (first + 1) << 3 | (TILES_PER_SUPERTILE - 1) << 9;
-            let of =
-                |part| (0..TILES_PER_SUPERTILE).step_by(2).map(move |row| Item { record, part, within: rows(row) });
-            self.items.extend((0..tables.supertiles).flat_map(of));
+            let (high, wide) = (2 * TILE_SIDE, TILES_PER_SUPERTILE * TILE_SIDE);
+            for row in (0..lines).step_by(high as usize) {
+                for column in (0..samples).step_by(wide as usize) {
+                    let (end_row, end_column) = ((row + high).min(lines), (column + wide).min(samples));
+                    self.items.push(Item { record, part: row | column << 16, within: end_row | end_column << 16 });
+                }
+            }
             return;
         }
         let share = lines.div_ceil(ITEMS_PER_POLYGON).max(LINES_PER_ITEM);
@@ -220,7 +223,7 @@ mod tests {
             let sensor = preset("microwave-radar-image").unwrap();
             let pose = Pose::from_xyz_rpy(place, 0.1, 0.2, turn);
             let plan = FramePlan::new(&world, &sensor, &pose, ImageRequest::default()).unwrap();
-            let (tables, mut list) = (Tables::new(&sensor), NearList::default());
+            let (tables, mut list) = (Tables::new(&sensor).unwrap(), NearList::default());
             let (mut wanted, mut edge_on) = (Vec::new(), 0);
             for run in &plan.runs {
                 let instance = &plan.instances[run.instance as usize];

@@ -6,17 +6,17 @@ macro_rules! unit {
 
 /// A stage that bounds polygons or boxes, of one kind of grid.
 macro_rules! bounding {
-    ($stage:literal, $grid:literal) => {
-        unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "runs.wgsl", "coarse.wgsl", $stage, $grid)
+    ($stage:literal, $($grid:literal),+) => {
+        unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "runs.wgsl", "coarse.wgsl", $stage, $($grid),+)
     };
 }
 
 pub(super) const SIFT_CAMERA: &str = bounding!("sift.wgsl", "cull_camera.wgsl");
 pub(super) const SIFT_SCANNER: &str = bounding!("sift.wgsl", "cull_scanner.wgsl");
-pub(super) const SIFT_RAYS: &str = bounding!("sift.wgsl", "cull_rays.wgsl");
+pub(super) const SIFT_RAYS: &str = bounding!("sift.wgsl", "cull_rays.wgsl", "direction_map.wgsl", "pixel_fit.wgsl");
 pub(super) const CULL_CAMERA: &str = bounding!("cull.wgsl", "cull_camera.wgsl");
 pub(super) const CULL_SCANNER: &str = bounding!("cull.wgsl", "cull_scanner.wgsl");
-pub(super) const CULL_RAYS: &str = bounding!("cull.wgsl", "cull_rays.wgsl");
+pub(super) const CULL_RAYS: &str = bounding!("cull.wgsl", "cull_rays.wgsl", "direction_map.wgsl", "pixel_fit.wgsl");
 pub(super) const FARTHEST: &str = unit!("common.wgsl", "grid.wgsl", "coarse.wgsl", "farthest.wgsl");
 pub(super) const SETUP_LINES: &str =
     unit!("common.wgsl", "arena.wgsl", "exact.wgsl", "setup.wgsl", "shape.wgsl", "items_lines.wgsl");
@@ -39,12 +39,16 @@ pub(super) const ROI: &str = unit!("common.wgsl", "roi.wgsl");
 
 #[cfg(test)]
 mod tests {
-    use super::super::layout::{self, ArenaPolygon, Counters, Instance, Item, Params, Record, Slot, Survivor, WorkRun};
+    use super::super::layout::{
+        self, ArenaPolygon, Counters, Instance, Item, MapLevel, MapSide, PackedFit, Params, Record, Slot, Survivor,
+        WorkRun,
+    };
     use super::super::roi::{self, RoiBox, RoiFeature, RoiParams, RoiPoint};
     use super::super::visible::{self, Sample};
     use super::super::weigh::WeighParams;
     use super::*;
     use crate::plan::BeamNumbers;
+    use crate::sensor::FitCell;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::{offset_of, size_of};
 
@@ -122,7 +126,8 @@ mod tests {
             line_buckets_at, sample_buckets_at, line_buckets, sample_buckets, tiles_at, rays_at, tile_columns,
             tile_count, units_at, facings_at, first_run, end_run, record_words, item_room, range_at, depth_at,
             polygon_at, object_at, cos_at, source_ids, first_line, last_line, first_sample, last_sample, fx, fy,
-            range_min, range_max, stamp, coarse_at, coarse_columns, hiding, ahead_at);
+            range_min, range_max, stamp, coarse_at, coarse_columns, hiding, ahead_at, map_at, map_levels,
+            fit_at);
         assert_same!(&module, Instance: linear_x, handedness, linear_y, first_slot, linear_z, first_source, normal_x,
             object_id, normal_y, polygons_at, normal_z, corners_at, center_high, vertices_at, center_low, padding);
         assert_same!(&module, Counters: survivors, record_words, items, edge_on, setup_groups, setup_y, setup_z,
@@ -177,6 +182,10 @@ mod tests {
         assert_eq!(value(&module, "COUNTED_ITEMS_BEFORE") as usize * 4, offset_of!(Counters, items_before));
         assert_eq!(value(&module, "COUNTED_SURVIVORS_BEFORE") as usize * 4, offset_of!(Counters, survivors_before));
         assert_same_words!(&parse("visible", VISIBLE), "SAMPLE", Sample: place, pixel, slots);
+        let map = parse("cull rays", CULL_RAYS);
+        assert_same_words!(&map, "LEVEL", MapLevel: sine2, across, sides);
+        assert_same_words!(&map, "SIDE", MapSide: first, count, boxes_at);
+        assert_same_words!(&map, "FIT", PackedFit: off, bend, column, row);
         // A field that moves is noticed.
         let moved = CULL_CAMERA.replace("RECORD_SLOT: u32 = 3u", "RECORD_SLOT: u32 = 4u");
         assert_ne!(value(&parse("moved", &moved), "RECORD_SLOT") as usize * 4, offset_of!(Record, slot));
@@ -229,6 +238,10 @@ mod tests {
             assert_eq!(value(&boxes, name) as usize, ours, "{name}");
         }
         assert_eq!(value(&rays, "TILES_PER_SUPERTILE"), layout::TILES_PER_SUPERTILE);
+        let cull = parse("cull rays", CULL_RAYS);
+        assert_eq!(value(&cull, "PIXEL_BOX_WORDS"), layout::PIXEL_BOX_WORDS);
+        assert_eq!(value(&cull, "FIT_ACROSS"), FitCell::ACROSS);
+        assert!(CULL_RAYS.contains(&format!("const FIT_CELL: f32 = {};", FitCell::SIDE)));
         let seen = parse("visible", VISIBLE);
         assert_eq!(value(&seen, "SAMPLES_AT"), visible::SAMPLES_AT as u32);
         assert_eq!(visible::hint_of_word(value(&seen, "DOUBT")), crate::features::OcclusionHint::Doubt);
