@@ -56,8 +56,10 @@ pub struct Estimate {
     pub weak: Vec<WeakDirection>,
     /// Verdicts on each frame of ranges; empty if no frame measured anything.
     pub verdicts: Vec<Verdicts>,
-    /// What each grey image shows of predicted features.
+    /// What each grey image, and each scan with intensities, shows of predicted features.
     pub findings: Vec<Findings>,
+    /// Reflectors that the pose explains, and those that were matched.
+    pub reflectors: (usize, usize),
     /// Share of the measured points that the prediction explains.
     pub explained: f64,
     /// Robust cost, in variances a point.
@@ -75,6 +77,11 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// True if the pose rests on reflectors, whatever the ranges explain: three at least agree, and more than two thirds of those matched.
+    pub fn rests_on_reflectors(&self) -> bool {
+        super::reflectors::hold(self.reflectors)
+    }
+
     /// True if the estimate may be used.
     pub fn is_determined(&self) -> bool {
         self.state == EstimateState::Determined

@@ -64,9 +64,7 @@ pub(super) fn descend(
     known: impl Fn(&Pose) -> bool,
 ) -> Minimum {
     let sources = sources(run, &expected.images);
-    let seen = expected.findings.iter().zip(&run.greys);
-    let images: Vec<ImageSource<'_>> =
-        seen.map(|(found, grey)| ImageSource::of_findings(grey.sensor(), found)).collect();
+    let images = images(run, expected);
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
     let (mut factor, mut rests, mut few) = (schedule.first, false, FEW);
     let mut matches: Vec<Vec<u32>> = vec![Vec::new(); sources.len()];
@@ -123,6 +121,12 @@ pub(super) fn descend(
     end
 }
 
+/// What was matched in each frame in which features are looked for.
+pub(super) fn images<'a>(run: &'a Run<'_>, expected: &Expectation) -> Vec<ImageSource<'a>> {
+    let seen = expected.findings.iter().zip(&run.looked);
+    seen.map(|(found, frame)| ImageSource::of_findings(frame.sensor(), found)).collect()
+}
+
 fn sources<'a>(run: &'a Run<'_>, expected: &'a [ExpectedImage]) -> Vec<RangeSource<'a>> {
     let source = |(e, m): (&'a ExpectedImage, &'a FrameMeasurement<'_>)| {
         let source = RangeSource::new(e, &m.points, m.noise).with_model_sigma(run.model_sigma);
@@ -145,13 +149,13 @@ fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector
     apply(&inverse(&h, axes), &g).map(|x| -x)
 }
 
-/// True if a prediction serves for estimates at a pose: it shows what is seen from there but for a part of a pixel. What is found in
-/// grey images depends on how well the pose is known, too.
+/// True if a prediction serves for estimates at a pose: it shows what is seen from there but for a part of a pixel. What is found of
+/// features depends on how well the pose is known, too.
 pub(super) fn serves(run: &Run<'_>, expected: &Expectation, pose: &Pose) -> bool {
     let near = |(e, m): (&ExpectedImage, &FrameMeasurement<'_>)| {
         let now = *pose * m.frame.sensor().spec().mount * body_from_image(m.frame.sensor());
         let off = motion_between(&e.world_from_image, &now);
         length(&off[..3]) / run.reach + length(&off[3..]) < SERVES * e.spacing.0.min(e.spacing.1)
     };
-    run.greys.is_empty() && expected.images.iter().zip(&run.measured).all(near)
+    run.looked.is_empty() && expected.images.iter().zip(&run.measured).all(near)
 }

@@ -1,4 +1,4 @@
-//! Grey images in an estimate: features are predicted at a pose, looked for in their regions, and become residuals.
+//! Grey images and reflectors of scans in an estimate: features are predicted at a pose, looked for in their regions, and become residuals.
 
 use super::image::{ImageSource, SeenPoint, SeenSegment};
 use crate::environment::{Feature, FeatureShape};
@@ -15,37 +15,63 @@ use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
 use glam::{DMat2, DMat3, DVec2, DVec3};
+use std::collections::BTreeMap;
 
 /// How well a camera is calibrated, one standard deviation, pixels: what is found is known no better.
 const CALIBRATION: f64 = 0.1;
 
-/// What a grey image shows of the features that are predicted at a pose of the robot, which is known as well as the covariance says.
+/// True if a frame has intensities, and there are reflectors to look for in them.
+pub(super) fn has_reflectors(world: &World, features: &FeatureOptions, frame: &Frame) -> bool {
+    let is_reflector = |shape: &FeatureShape| matches!(shape, FeatureShape::Reflector { .. });
+    frame.intensities().is_some()
+        && match &features.source {
+            FeatureSource::Placed(placed) => placed.features.iter().any(|p| is_reflector(&p.feature.shape)),
+            FeatureSource::World => {
+                let layer = world.environment().layer(&frame.sensor().spec().class);
+                layer.is_some_and(|layer| layer.features.iter().any(|f| is_reflector(&f.shape)))
+            }
+        }
+}
+
+/// What a grey image, or a scan with intensities, shows of the features that are predicted at a pose of the robot, which is known as well as
+/// the covariance says. `unstated` is how far a reflector may be off whose layer does not say it, one standard deviation, metres.
 pub(super) fn find_at(
     predictor: &mut Predictor,
-    world: &World,
-    features: &FeatureOptions,
+    (world, features): (&World, &FeatureOptions),
     frame: &Frame,
     world_from_robot: &Pose,
     covariance: &Matrix,
+    unstated: f64,
 ) -> Result<Findings> {
     let sensor = frame.sensor();
+    let is_scan = frame.grey().is_none();
     let class = &sensor.spec().class;
     if matches!(features.source, FeatureSource::World) && world.environment().layer(class).is_none() {
         let what = format!("a grey image, and no features of class {class:?} to look for in it");
         return Err(Error::usage(what, "give a layer of features (presight features generates one)"));
     }
     let mount = sensor.spec().mount;
-    let of_sensor = sensor_covariance(covariance, world_from_robot.rotation * mount.translation);
+    let mut of_sensor = sensor_covariance(covariance, world_from_robot.rotation * mount.translation);
+    let mut options = FindOptions::default();
+    if is_scan {
+        (0..3).for_each(|i| of_sensor[i][i] += unstated * unstated);
+        options.place =
+            Some(DMat3::from_cols_array_2d(&std::array::from_fn(|i| std::array::from_fn(|j| of_sensor[i][j]))));
+    }
     let request = Request::of(Outputs::of(&[]))
         .with_features(features.clone())
         .with_regions(BoxOptions::default().with_sensor(of_sensor));
     let world_from_sensor = *world_from_robot * mount;
-    let predicted = predictor.predict(world, sensor, &world_from_sensor, &request)?.features.unwrap_or_default();
-    let mut findings = find_features(frame, &world_from_sensor, &predicted, &FindOptions::default())?;
+    let mut predicted = predictor.predict(world, sensor, &world_from_sensor, &request)?.features.unwrap_or_default();
+    if is_scan {
+        predicted.features.retain(|seen| matches!(seen.feature.shape, FeatureShape::Reflector { .. }));
+    }
+    let mut findings = find_features(frame, &world_from_sensor, &predicted, &options)?;
+    let by_id: BTreeMap<u32, &Feature> = predicted.features.iter().map(|s| (s.feature.id, &*s.feature)).collect();
     for found in &mut findings.features {
-        if let Some(seen) = predicted.features.iter().find(|seen| seen.feature.id == found.id) {
-            found.place = place_of(world, &seen.feature);
-        }
+        let known = by_id.get(&found.id).map_or(DMat3::ZERO, |feature| place_of(world, feature));
+        let is_unstated = is_scan && known == DMat3::ZERO;
+        found.place = if is_unstated { DMat3::from_diagonal(DVec3::splat(unstated * unstated)) } else { known };
     }
     Ok(findings)
 }
@@ -53,7 +79,9 @@ pub(super) fn find_at(
 /// What the layer says of how well the place of a feature is known, world axes.
 fn place_of(world: &World, feature: &Feature) -> DMat3 {
     let covariance = match &feature.shape {
-        FeatureShape::Point { covariance, .. } | FeatureShape::Fiducial { covariance, .. } => *covariance,
+        FeatureShape::Point { covariance, .. }
+        | FeatureShape::Fiducial { covariance, .. }
+        | FeatureShape::Reflector { covariance, .. } => *covariance,
         _ => return DMat3::ZERO,
     };
     let object = feature.object.as_deref().and_then(|path| world.environment().object(path));
@@ -88,10 +116,19 @@ impl<'a> ImageSource<'a> {
                         found: *found,
                         covariance,
                         range: None,
+                        place: DMat3::ZERO,
                         feature: feature.id,
                     };
                     points.extend(corners.iter().zip(detection.shape.points()).map(point));
                 }
+                (Shape::Reflector(found), [at]) => points.push(SeenPoint {
+                    point: *at,
+                    found: *found,
+                    covariance: detection.covariance + DMat2::from_diagonal(DVec2::splat(calibration)),
+                    range: detection.properties.range,
+                    place: feature.place,
+                    feature: feature.id,
+                }),
                 _ => {}
             }
         }

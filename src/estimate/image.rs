@@ -5,13 +5,15 @@
 //! the pose are central differences, so that every lens and every scanner is served by one formula.
 
 use super::normal::{CommonError, GroupSum, Normal};
+use super::range::EXPLAINED;
 use super::{Gate, Residuals};
+use crate::extract::range_to;
 use crate::features::turn;
 use crate::geometry::Pose;
 use crate::matching::{UncertainValue, unwrap};
 use crate::motion::{Vector, moved};
 use crate::sensor::Sensor;
-use glam::{DMat2, DVec2, DVec3};
+use glam::{DMat2, DMat3, DVec2, DVec3};
 
 /// A point of the model, and where it was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +26,9 @@ pub struct SeenPoint {
     pub covariance: DMat2,
     /// Metres along the ray, where the sensor measured them: of a reflector in a scan.
     pub range: Option<UncertainValue>,
+    /// Covariance of where the model has it, world axes, metres squared, as a part of its residuals' noise: of a reflector, whose
+    /// columns, rows and range it makes depend on each other. Of others it is 0: their error is shared ([`CommonError::Place`]).
+    pub place: DMat3,
     /// Points of one feature share the error of its place.
     pub feature: u32,
 }
@@ -53,6 +58,8 @@ pub struct ImageSource<'a> {
 
 /// Steps of the differences: metres and radians. Far below a pixel, far above rounding.
 const STEP: f64 = 1e-5;
+/// Least standard deviation of a range, metres.
+const LEAST_RANGE: f64 = 1e-6;
 
 impl<'a> ImageSource<'a> {
     /// A source of what was matched in the image of a sensor.
@@ -60,11 +67,38 @@ impl<'a> ImageSource<'a> {
         Self { sensor, points, segments, turn: turn(sensor) }
     }
 
-    /// Pixel and range of a point of the model.
-    fn project(&self, world_from_robot: &Pose, point: DVec3) -> Option<(DVec2, f64)> {
+    /// Column, row and range of a point of the model.
+    fn project(&self, world_from_robot: &Pose, point: DVec3) -> Option<DVec3> {
         let body = (*world_from_robot * self.sensor.spec().mount).inverse().transform_point(point);
-        let (u, v) = self.sensor.project(self.sensor.body_from_image().transpose() * body)?;
-        Some((DVec2::new(u, v), body.length()))
+        let p = self.sensor.body_from_image().transpose() * body;
+        let (u, v) = self.sensor.project(p)?;
+        Some(DVec3::new(u, v, range_to(self.sensor, p)))
+    }
+
+    /// What makes residuals of a point independent ones of variance 1.
+    fn whitening(&self, pose: &Pose, p: &SeenPoint) -> Option<DMat3> {
+        let c = p.covariance;
+        let Some(range) = p.range else {
+            let inverse = lower_root(c).inverse();
+            return Some(DMat3::from_cols(inverse.x_axis.extend(0.0), inverse.y_axis.extend(0.0), DVec3::ZERO));
+        };
+        let (own, variance) = (DMat3::from_mat2(c), range.variance.max(LEAST_RANGE * LEAST_RANGE));
+        let own = DMat3 { z_axis: DVec3::new(0.0, 0.0, variance), ..own };
+        if p.place == DMat3::ZERO {
+            return lower_root3(own);
+        }
+        let here = self.project(pose, p.point)?;
+        let by = |axis: DVec3| -> Option<DVec3> {
+            let there = self.project(pose, p.point + STEP * axis)?;
+            Some((self.near(there, here.truncate()) - here) / STEP)
+        };
+        let moves = DMat3::from_cols(by(DVec3::X)?, by(DVec3::Y)?, by(DVec3::Z)?);
+        lower_root3(own + moves * p.place * moves.transpose())
+    }
+
+    /// A place beside another one, where columns go round.
+    fn near(&self, at: DVec3, near: DVec2) -> DVec3 {
+        self.unwrapped(at.truncate(), near).extend(at.z)
     }
 
     /// A place beside another one, where columns go round.
@@ -72,34 +106,68 @@ impl<'a> ImageSource<'a> {
         at + DVec2::new(unwrap(self.turn, near.x, at.x), 0.0)
     }
 
-    /// The feature of each residual, and whether it is a point's.
-    fn owners(&self) -> impl Iterator<Item = (u32, bool)> {
-        let points =
-            self.points.iter().flat_map(|p| std::iter::repeat_n((p.feature, true), 2 + usize::from(p.range.is_some())));
-        points.chain(self.segments.iter().flat_map(|s| [(s.feature, false); 2]))
+    /// The error that each residual shares with others; `None` if its noise has all of it.
+    fn shared(&self) -> impl Iterator<Item = Option<CommonError>> {
+        let of_point = |p: &SeenPoint| {
+            let error = (p.place == DMat3::ZERO).then_some(CommonError::Place(p.feature));
+            std::iter::repeat_n(error, 2 + usize::from(p.range.is_some()))
+        };
+        let of_segment = |s: &SeenSegment| [Some(CommonError::Edge(s.feature)); 2];
+        self.points.iter().flat_map(of_point).chain(self.segments.iter().flat_map(of_segment))
     }
 
-    /// Residuals in standard deviations; `None` where the model's point is not in front of the sensor.
-    fn residuals(&self, pose: &Pose) -> Vec<Option<f64>> {
-        let mut all = Vec::with_capacity(2 * (self.points.len() + self.segments.len()));
-        for p in &self.points {
-            // Whitened by the inverse of a root of the covariance.
-            let root = lower_root(p.covariance);
-            let seen = self.project(pose, p.point);
-            let off = seen.map(|(at, _)| root.inverse() * (self.unwrapped(at, p.found) - p.found));
+    /// Residuals in standard deviations; `None` where the model's point is not in front of the sensor. `whitening` is that of each point.
+    fn residuals(&self, pose: &Pose, whitening: &[Option<DMat3>]) -> Vec<Option<f64>> {
+        let mut all = Vec::with_capacity(3 * self.points.len() + 2 * self.segments.len());
+        for (p, whitening) in self.points.iter().zip(whitening) {
+            let found = p.found.extend(p.range.map_or(0.0, |r| r.mean));
+            let seen = self.project(pose, p.point).zip(*whitening);
+            let off = seen.map(|(at, whitening)| whitening * (self.near(at, p.found) - found));
             all.extend([off.map(|o| o.x), off.map(|o| o.y)]);
-            if let Some(measured) = p.range {
-                all.push(seen.map(|(_, range)| (range - measured.mean) / measured.variance.sqrt().max(1e-6)));
+            if p.range.is_some() {
+                all.push(off.map(|o| o.z));
             }
         }
         for s in &self.segments {
             let [a, b] = s.found;
             let along = (b - a).normalize_or_zero();
             let off = |at: DVec2| along.perp_dot(self.unwrapped(at, a) - a) / s.sigma;
-            all.extend(s.ends.map(|end| self.project(pose, end).map(|(at, _)| off(at))));
+            all.extend(s.ends.map(|end| self.project(pose, end).map(|at| off(at.truncate()))));
         }
         all
     }
+
+    fn whitenings(&self, pose: &Pose) -> Vec<Option<DMat3>> {
+        self.points.iter().map(|p| self.whitening(pose, p)).collect()
+    }
+
+    /// Features of points with a range, and whether the pose explains all residuals of each.
+    pub(super) fn ranged(&self, pose: &Pose) -> Vec<(u32, bool)> {
+        let residuals = self.residuals(pose, &self.whitenings(pose));
+        let mut at = 0;
+        let mut told = Vec::new();
+        for p in &self.points {
+            let count = 2 + usize::from(p.range.is_some());
+            let fits = |e: &Option<f64>| e.is_some_and(|e| e.abs() <= EXPLAINED);
+            if p.range.is_some() {
+                told.push((p.feature, residuals[at..at + count].iter().all(fits)));
+            }
+            at += count;
+        }
+        told
+    }
+}
+
+/// The inverse of L with L L' = m; `None` unless m is positive.
+fn lower_root3(m: DMat3) -> Option<DMat3> {
+    let a = m.x_axis.x.sqrt();
+    let (b, d) = (m.x_axis.y / a, m.x_axis.z / a);
+    let c = (m.y_axis.y - b * b).sqrt();
+    let e = (m.y_axis.z - d * b) / c;
+    let f = (m.z_axis.z - d * d - e * e).sqrt();
+    let root = DMat3::from_cols(DVec3::new(a, b, d), DVec3::new(0.0, c, e), DVec3::new(0.0, 0.0, f));
+    let inverse = root.inverse();
+    inverse.is_finite().then_some(inverse)
 }
 
 /// L with L L' = m, of a positive matrix.
@@ -120,19 +188,20 @@ fn derivatives(shifted: &[[Vec<Option<f64>>; 2]], i: usize) -> Option<Vector> {
 
 impl Residuals for ImageSource<'_> {
     fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
-        let here = self.residuals(world_from_robot);
+        let whitening = self.whitenings(world_from_robot);
+        let here = self.residuals(world_from_robot, &whitening);
         let shifted: Vec<[Vec<Option<f64>>; 2]> = (0..6)
             .map(|axis| {
                 [STEP, -STEP].map(|step| {
                     let mut motion: Vector = [0.0; 6];
                     motion[axis] = step;
-                    self.residuals(&moved(world_from_robot, &motion))
+                    self.residuals(&moved(world_from_robot, &motion), &whitening)
                 })
             })
             .collect();
         let mut normal = Normal { measured: here.len(), ..Normal::default() };
         let mut sizes = Vec::new();
-        for (i, (e, (feature, is_point))) in here.iter().zip(self.owners()).enumerate() {
+        for (i, (e, shared)) in here.iter().zip(self.shared()).enumerate() {
             let j = derivatives(&shifted, i);
             let (Some(e), Some(j)) = (*e, j) else {
                 normal.chi2 += gate.kernel.most();
@@ -143,13 +212,10 @@ impl Residuals for ImageSource<'_> {
             let radians = (3..6).map(|k| j[k].abs()).fold(0.0, f64::max) * gate.rotation;
             sizes.push(e.abs());
             let weight = normal.add_residual(e, &j, metres + radians, gate.kernel);
-            if !gate.finally {
-                continue;
-            }
+            let Some(error) = shared.filter(|_| gate.finally) else { continue };
             // Both ends of an edge are off by what the model has it off; a point that is off by d is a robot that is off by -d.
-            let error = if is_point { CommonError::Place(feature) } else { CommonError::Edge(feature) };
             let group: &mut GroupSum = normal.groups.entry(error).or_default();
-            if is_point {
+            if matches!(error, CommonError::Place(_)) {
                 (0..6).for_each(|a| (0..3).for_each(|b| group.pull[a][b] -= weight * j[a] * j[b]));
             } else {
                 let by_offset = (j[0] * j[0] + j[1] * j[1] + j[2] * j[2]).sqrt();

@@ -43,6 +43,7 @@ mod normal;
 mod offsets;
 mod prior;
 mod range;
+mod reflectors;
 mod run;
 mod solve;
 mod surface;

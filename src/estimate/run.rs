@@ -29,7 +29,7 @@ pub(super) struct FrameMeasurement<'a> {
 pub(super) struct Expectation {
     /// Of each frame of ranges.
     pub(super) images: Vec<ExpectedImage>,
-    /// What each grey image shows of the features that were predicted.
+    /// What each grey image, and each scan with intensities, shows of the features that were predicted.
     pub(super) findings: Vec<Findings>,
 }
 
@@ -54,9 +54,11 @@ impl Minimum {
 pub(super) struct Run<'a> {
     pub(super) world: &'a World,
     pub(super) measured: Vec<FrameMeasurement<'a>>,
-    /// Frames that are grey images.
-    pub(super) greys: Vec<&'a Frame>,
+    /// Frames in which features are looked for: grey images, and scans with intensities.
+    pub(super) looked: Vec<&'a Frame>,
     pub(super) model_sigma: f64,
+    /// Standard deviation of the offsets of polygons, as far as it was learnt, metres.
+    pub(super) offset_sigma: f64,
     pub(super) prior: Prior,
     pub(super) prior_information: Matrix,
     /// Most squared deviations from the prior that are to be expected.
@@ -67,6 +69,8 @@ pub(super) struct Run<'a> {
     pub(super) only: Option<u32>,
     /// How far away points are measured, root of the mean square, metres.
     pub(super) reach: f64,
+    /// What was found at the prior's pose: a second look, where that is known better, does not find what was moved.
+    pub(super) first: Option<Arc<Expectation>>,
     /// Full predictions so far.
     pub(super) predictions: usize,
 }
@@ -74,7 +78,7 @@ pub(super) struct Run<'a> {
 impl Run<'_> {
     /// True if no frame says anything.
     pub(super) fn is_blind(&self) -> bool {
-        self.greys.is_empty() && self.measured.iter().all(|m| m.points.is_empty())
+        self.has_greys_only() && self.looked.iter().all(|frame| frame.grey().is_none())
     }
 
     /// True if the pose rests on grey images alone.

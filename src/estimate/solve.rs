@@ -3,10 +3,11 @@
 use super::Prior;
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
 use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
-use super::findings::{find_at, place_error};
+use super::findings::{find_at, has_reflectors, place_error};
 use super::normal::{CommonError, Freedom, Normal};
 use super::offsets::OffsetVariance;
 use super::range::measured_points;
+use super::reflectors::{MatchedReflectors, hold, other_camp};
 use super::run::{Expectation, FrameMeasurement, LEAD, Minimum, Run};
 use crate::error::{Error, Result};
 use crate::extract::{Findings, MeasuredRanges};
@@ -118,8 +119,8 @@ impl Estimator {
         }
     }
 
-    /// With the features that are looked for in grey images, instead of the world's own layer for the sensor's class. They have to be
-    /// placed in the world that frames are compared with.
+    /// With the features that are looked for in grey images, and the reflectors in scans with intensities, instead of the world's own layer
+    /// for the sensor's class. They have to be placed in the world that frames are compared with.
     #[must_use]
     pub fn with_features(self, placed: PlacedFeatures) -> Self {
         Self { features: FeatureOptions::default().with_placed(placed), ..self }
@@ -139,10 +140,12 @@ impl Estimator {
             Some(before) => before,
             None => self.expected(&mut run, &prior.pose, &prior.covariance)?,
         };
+        run.first = Some(expected.clone());
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
-        let doubtful = best.normal.explained_share() < self.options.least_explained
+        let reflectors = MatchedReflectors::at(&run, &best.expected, &best.pose).counts();
+        let doubtful = (best.normal.explained_share() < self.options.least_explained && !hold(reflectors))
             || run.deviations_squared(&best.pose)
                 > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
         if !run.has_greys_only() && doubtful {
@@ -167,7 +170,7 @@ impl Estimator {
                 motion_between(&e.world_from_image, &(run.prior.pose * sensor.spec().mount * body_from_image(sensor)));
             e.sensor.spec() == sensor.spec() && length(&off[..3]) < LOOSE.0 && length(&off[3..]) < LOOSE.1
         };
-        let same = run.greys.is_empty() && before.images.len() == run.measured.len();
+        let same = run.looked.is_empty() && before.images.len() == run.measured.len();
         (same && before.images.iter().zip(&run.measured).all(near)).then(|| before.clone())
     }
 
@@ -188,7 +191,9 @@ impl Estimator {
         if frames.is_empty() {
             return Err(Error::usage("an estimate without a frame", "give at least one"));
         }
-        let (greys, ranges): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|f| f.grey().is_some());
+        let ranges: Vec<&Frame> = frames.iter().copied().filter(|f| f.grey().is_none()).collect();
+        let is_looked_at = |f: &&Frame| f.grey().is_some() || has_reflectors(world, &self.features, f);
+        let looked = frames.iter().copied().filter(is_looked_at).collect();
         let one =
             |frame| FrameMeasurement { frame, points: measured_points(frame), noise: RangeNoise::of(frame.sensor()) };
         let measured: Vec<FrameMeasurement<'a>> =
@@ -200,13 +205,15 @@ impl Estimator {
             world,
             reach: reach_of(&measured, std::iter::empty()),
             measured,
-            greys,
+            looked,
             model_sigma: self.options.model_sigma,
+            offset_sigma: self.offsets.sigma(),
             prior: *prior,
             prior_information: inverse(&prior.covariance, axes),
             unlikely: chi_squared_quantile(axes.len() as u32, UNLIKELY.0),
             extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
             only: self.options.only,
+            first: None,
             predictions: 0,
         })
     }
@@ -219,9 +226,20 @@ impl Estimator {
         }
         let (freedom, offset_sigma) = (self.options.freedom, self.offsets.sigma());
         let starts = far_ends(run, best, freedom);
-        let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
-        let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
-        let ends: Vec<Minimum> = self.predictor.on_threads(|| starts.par_iter().map(look).collect())?;
+        let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
+        let ends = if reflectors.1 > 0 {
+            // What was matched here would pull back from where other reflectors stand alike, and ranges alone may not hold a start.
+            let around = scaled(&run.prior.covariance, 0.25);
+            let look = |start: &Pose| -> Result<Minimum> {
+                let expected = self.expected(run, start, &around)?;
+                Ok(self.descend(run, &expected, *start, &SEARCH))
+            };
+            starts.iter().map(look).collect::<Result<Vec<Minimum>>>()?
+        } else {
+            let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
+            let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
+            self.predictor.on_threads(|| starts.par_iter().map(look).collect())?
+        };
         let mut others: Vec<Minimum> = Vec::new();
         for there in ends {
             // Not worth a prediction unless it is elsewhere and explains something.
@@ -233,7 +251,8 @@ impl Estimator {
                 continue;
             }
             let there = self.settle(run, &there)?;
-            let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD;
+            let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD
+                && MatchedReflectors::at(run, &there.expected, &there.pose).counts().0 >= reflectors.0;
             let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
             if as_good && !near(best) && !others.iter().any(near) {
                 others.push(there);
@@ -251,8 +270,10 @@ impl Estimator {
             ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
         };
         let images = run.measured.iter().map(one).collect::<Result<Vec<ExpectedImage>>>()?;
-        let find = |frame: &&Frame| find_at(&mut self.predictor, run.world, &self.features, frame, pose, covariance);
-        let findings = run.greys.iter().map(find).collect::<Result<Vec<Findings>>>()?;
+        let unstated = run.model_sigma.hypot(run.offset_sigma);
+        let what = (run.world, &self.features);
+        let find = |frame: &&Frame| find_at(&mut self.predictor, what, frame, pose, covariance, unstated);
+        let findings = run.looked.iter().map(find).collect::<Result<Vec<Findings>>>()?;
         Ok(Arc::new(Expectation { images, findings }))
     }
 
@@ -354,15 +375,18 @@ impl Estimator {
             &shared,
         );
         let hypothesis = best.hypothesis();
+        let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
         let state = match self.doubt_of_features(run, &best) {
             Some(why) => EstimateState::Undetermined(why),
             None if run.has_greys_only() => {
                 state(&hypothesis, &others, self.options.least_explained.min(LEAST_MATCHED))
             }
+            // The ranges may then be those of things that come and go.
+            None if hold(reflectors) && !run.is_unlikely(&best.pose) => state(&hypothesis, &others, 0.0),
             None => state(&hypothesis, &others, self.options.least_explained),
         };
         let apart = |off: &Vector| std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
-        for off in self.hanging_on_one(run, &best, &covariance) {
+        for off in self.hanging_on_one(run, &best, &covariance).into_iter().chain(other_camp(run, &best, freedom)) {
             add_to(&mut covariance, &apart(&off));
         }
         for other in &others {
@@ -373,7 +397,12 @@ impl Estimator {
         let mut findings = best.expected.findings.clone();
         for (m, verdicts) in run.measured.iter().zip(&verdicts) {
             let sensor = m.frame.sensor();
-            let ranges = MeasuredRanges { verdicts, sensor, world_from_sensor: best.pose * sensor.spec().mount };
+            let ranges = MeasuredRanges {
+                verdicts,
+                sensor,
+                world_from_sensor: best.pose * sensor.spec().mount,
+                intensities: m.frame.intensities(),
+            };
             findings.iter_mut().for_each(|f| f.explain(&ranges));
         }
         Ok(Estimate {
@@ -381,6 +410,7 @@ impl Estimator {
             covariance,
             verdicts,
             findings,
+            reflectors,
             information: restricted(&information, freedom.axes()),
             weak,
             explained: hypothesis.explained,
@@ -443,6 +473,7 @@ impl Estimator {
             covariance: restricted(&run.prior.covariance, self.options.freedom.axes()),
             verdicts: Vec::new(),
             findings: Vec::new(),
+            reflectors: (0, 0),
             information: run.prior_information,
             weak: weak_directions(
                 &Normal::default(),

@@ -3,17 +3,17 @@
 use super::classes::unmatched;
 use super::tags::{is_sought, tags_in};
 use super::{
-    CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, classify, corners_in, edges_near,
-    jumps_near, verdicts_along,
+    CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, ReflectorOptions, classify,
+    corners_in, edges_near, jumps_near, range_to, reflectors_in, verdicts_along,
 };
 use crate::environment::FeatureShape;
 use crate::error::Result;
 use crate::features::{FeaturePrediction, SeenFeature, VisibleInterval};
-use crate::frame::Frame;
+use crate::frame::{Frame, GreyImage};
 use crate::geometry::Pose;
-use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Marker, Matcher, Shape};
+use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Marker, Matcher, Shape, UncertainValue, unwrap};
 use crate::sensor::Sensor;
-use crate::verdict::Verdicts;
+use crate::verdict::{Verdict, Verdicts};
 use glam::{DMat2, DMat3, DVec2, DVec3};
 
 /// How features are looked for.
@@ -25,6 +25,11 @@ pub struct FindOptions {
     pub corners: CornerOptions,
     /// In range images.
     pub jumps: JumpOptions,
+    /// In scans with intensities.
+    pub reflectors: ReflectorOptions,
+    /// Covariance of where the sensor is, world axes, metres squared: of a reflector's range. `None` is not known; a reflector at any range
+    /// is then the one that was predicted.
+    pub place: Option<DMat3>,
     /// How far across itself an edge is looked for, in standard deviations of where it is predicted.
     pub deviations: f64,
     /// Standard deviation of where the model has its features, pixels, beside that of the pose.
@@ -37,6 +42,8 @@ impl Default for FindOptions {
             edges: EdgeOptions { least_support: 0.7, ..EdgeOptions::default() },
             corners: CornerOptions::default(),
             jumps: JumpOptions { least_support: 0.7, ..JumpOptions::default() },
+            reflectors: ReflectorOptions::default(),
+            place: None,
             deviations: 3.0,
             model: 0.3,
         }
@@ -50,7 +57,7 @@ pub struct FeatureFinding {
     pub id: u32,
     /// In the world, metres: both ends of a part of an edge, a point, or the four corners of a fiducial.
     pub points_world: Vec<DVec3>,
-    /// Covariance of where the model has it as a whole, world axes, metres squared; of points and fiducials.
+    /// Covariance of where the model has it as a whole, world axes, metres squared; of points, fiducials and reflectors.
     pub place: DMat3,
     /// Where it was predicted in the image.
     pub predicted: Shape,
@@ -82,7 +89,10 @@ impl Findings {
     /// ones that it is missing.
     pub fn explain(&mut self, ranges: &MeasuredRanges<'_>) {
         for feature in self.features.iter_mut().filter(|f| f.class == FeatureClass::Undecidable) {
-            feature.class = unmatched(&beside(ranges, &feature.points_world));
+            feature.class = match feature.predicted {
+                Shape::Reflector(_) => unmatched(&upon(ranges, &feature.points_world)),
+                _ => unmatched(&beside(ranges, &feature.points_world)),
+            };
         }
     }
 
@@ -109,13 +119,27 @@ pub struct MeasuredRanges<'a> {
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
     pub world_from_sensor: Pose,
+    /// How strong the echoes were: a reflector that is not bright is not there.
+    pub intensities: Option<&'a GreyImage>,
+}
+
+impl MeasuredRanges<'_> {
+    /// True if an echo came from there that is no reflector's. A sensor that tells 0 tells nothing.
+    fn is_dark_at(&self, place: DVec2) -> bool {
+        let Some(image) = self.intensities else { return false };
+        let [c, r] = [place.x.round(), place.y.round()];
+        let inside = c >= 0.0 && r >= 0.0 && c < f64::from(image.width()) && r < f64::from(image.height());
+        let told = if inside { f64::from(image.pixel(c as u32, r as u32)) } else { f64::NAN };
+        told > 0.0 && told < ReflectorOptions::default().least
+    }
 }
 
 /// Pixels beside an edge at which ranges are asked: upon the edge itself hardly anything can be decided.
 const BESIDE: f64 = 2.5;
 
 /// Looks for predicted features in a frame, each in its region, and matches all of them at least cost. In grey images these are edges,
-/// corners and, with the feature `fiducials`, fiducials ([`is_sought`]), in range images depth edges. The prediction was made for the
+/// corners and, with the feature `fiducials`, fiducials ([`is_sought`]), in range images depth edges and, where they have intensities,
+/// reflectors. The prediction was made for the
 /// frame's sensor at `world_from_sensor` and has to have regions of interest ([`crate::Request::with_regions`]); features without one are
 /// left out. Why a feature is not found, [`Findings::explain`] says.
 ///
@@ -130,10 +154,11 @@ pub fn find_features(
     let mut findings = Findings::default();
     let mut expected = Vec::new();
     let view = View { sensor: frame.sensor(), world_from_sensor };
+    let turn = crate::features::turn(frame.sensor());
     for seen in &predicted.features {
-        for part in parts(&view, seen, options) {
+        for part in parts(&view, seen, options).into_iter().filter(|part| can_be_found(frame, part)) {
             for detection in look(frame, &part, options)? {
-                if !findings.detections.iter().any(|known| is_same(known, &detection)) {
+                if !findings.detections.iter().any(|known| is_same(known, &detection, turn)) {
                     findings.detections.push(detection);
                 }
             }
@@ -147,7 +172,7 @@ pub fn find_features(
             expected.push(part.expected);
         }
     }
-    let matcher = Matcher { turn: crate::features::turn(frame.sensor()), ..Matcher::default() };
+    let matcher = matcher(frame);
     let classes = classify(&expected, &findings.detections, &matcher, &[])?;
     for (feature, class) in findings.features.iter_mut().zip(classes.features) {
         feature.class = class;
@@ -156,11 +181,30 @@ pub fn find_features(
     Ok(findings)
 }
 
+/// Spots in a column of a scan that are bright and no reflector of the layer.
+const CLUTTER_OF_A_COLUMN: f64 = 1e-3;
+/// As many columns of pixels, where nothing is known of the row (variance [`super::reflectors::UNKNOWN`]): the density that leaves a column's.
+const ROWS: f64 = 2507.0;
+
+fn matcher(frame: &Frame) -> Matcher {
+    let matcher = Matcher { turn: crate::features::turn(frame.sensor()), ..Matcher::default() };
+    match frame.intensities().is_some() && frame.sensor().height() == 1 {
+        true => Matcher { clutter_density: CLUTTER_OF_A_COLUMN / ROWS, ..matcher },
+        false => matcher,
+    }
+}
+
 /// A part of a feature that can be looked for.
 struct Part {
     points_world: Vec<DVec3>,
     expected: ExpectedFeature,
     edge: Option<ExpectedEdge>,
+}
+
+impl Part {
+    fn is_reflector(&self) -> bool {
+        matches!(self.expected.shape, Shape::Reflector(_))
+    }
 }
 
 /// From where features are predicted.
@@ -205,7 +249,35 @@ fn fiducial(view: &View<'_>, seen: &SeenFeature, covariances: Vec<DMat2>, window
     })
 }
 
-/// The visible parts of a segment that are long enough, a point, or a fiducial.
+/// A reflector, at the range that it is predicted at; `own` bounds the covariance of its place, whatever its axes.
+fn reflector(
+    view: &View<'_>,
+    (at, pixel): (DVec3, DVec2),
+    (covariance, own): (DMat2, DMat3),
+    window: [f64; 4],
+    options: &FindOptions,
+) -> Part {
+    let image_from_world = (*view.world_from_sensor * crate::verdict::body_from_image(view.sensor)).inverse();
+    let mean = range_to(view.sensor, image_from_world.transform_point(at));
+    let ray = (at - view.world_from_sensor.translation).normalize_or_zero();
+    let variance = options.place.map(|place| ray.dot((place + own) * ray).max(0.0));
+    let range = variance.map(|variance| UncertainValue { mean, variance });
+    let [x0, y0, x1, y1] = window;
+    // A lone row is all there is to look in.
+    let [y0, y1] = if view.sensor.height() == 1 { [y0.min(-0.5), y1.max(0.5)] } else { [y0, y1] };
+    Part {
+        points_world: vec![at],
+        expected: ExpectedFeature {
+            shape: Shape::Reflector(pixel),
+            covariances: vec![covariance],
+            window: [x0, y0, x1, y1],
+            properties: ExpectedProperties { range, ..ExpectedProperties::default() },
+        },
+        edge: None,
+    }
+}
+
+/// The visible parts of a segment that are long enough, a point, a fiducial, or a reflector.
 fn parts(view: &View<'_>, seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
     let Some(covariances) = &seen.image_covariance else { return Vec::new() };
     let model = DMat2::from_diagonal(DVec2::splat(options.model * options.model));
@@ -240,11 +312,20 @@ fn parts(view: &View<'_>, seen: &SeenFeature, options: &FindOptions) -> Vec<Part
             },
             edge: None,
         }],
+        (FeatureShape::Reflector { covariance: own, .. }, [at], [covariance], Some(visible), Some(window)) => {
+            let own = DMat3::from_diagonal(DVec3::splat(own.x_axis.x + own.y_axis.y + own.z_axis.z));
+            vec![reflector(view, (*at, visible.pixels[0]), (*covariance, own), window, options)]
+        }
         (shape @ FeatureShape::Fiducial { .. }, .., Some(_), Some(window)) if is_sought(shape) => {
             fiducial(view, seen, covariances, window).into_iter().collect()
         }
         _ => Vec::new(),
     }
+}
+
+/// Reflectors are found by intensities, and by nothing else.
+fn can_be_found(frame: &Frame, part: &Part) -> bool {
+    frame.intensities().is_some() || !part.is_reflector()
 }
 
 fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Result<Vec<Detection>> {
@@ -259,13 +340,19 @@ fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Result<Vec<Detecti
         (None, Some(edge)) => {
             jumps_near(frame, edge, &options.jumps).into_iter().map(|found| found.detection).collect()
         }
-        (None, None) => Vec::new(),
+        (None, None) => match frame.intensities() {
+            Some(image) if part.is_reflector() => {
+                let window = PixelBox(part.expected.window);
+                reflectors_in(frame, image, window, &options.reflectors)?.into_iter().map(|f| f.detection).collect()
+            }
+            _ => Vec::new(),
+        },
     };
     Ok(found)
 }
 
 /// True if two detections are one that was found in two regions: nearer than a pixel, and beside each other.
-fn is_same(a: &Detection, b: &Detection) -> bool {
+fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
     match (&a.shape, &b.shape) {
         (Shape::Segment { ends: p, .. }, Shape::Segment { ends: q, .. }) => {
             let way = p[1] - p[0];
@@ -276,11 +363,29 @@ fn is_same(a: &Detection, b: &Detection) -> bool {
             off[0].max(off[1]) < 1.0 && both > 0.5 * way.length().min((at[1] - at[0]).abs())
         }
         (Shape::Point(p), Shape::Point(q)) => p.distance(*q) < 1.0,
+        // One behind the other is another one.
+        (Shape::Reflector(p), Shape::Reflector(q)) => {
+            let off = *q + DVec2::new(unwrap(turn, p.x, q.x), 0.0) - *p;
+            off.length() < 0.5 && a.properties.range == b.properties.range
+        }
         (Shape::Fiducial(_), Shape::Fiducial(_)) => {
             a.properties.marker == b.properties.marker && a.shape.centre().distance(b.shape.centre()) < 1.0
         }
         _ => false,
     }
+}
+
+/// What ranges say at a reflector: it may stand free. Where they meet the surface that it is on, and it is not bright, it is not there.
+fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
+    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
+    let Some([at]) = view.pixels(points_world).as_deref().map(|p| [p[0]]) else { return [0; 7] };
+    // Of the other beams nobody knows whether they should have met it.
+    let at = if ranges.sensor.height() == 1 { DVec2::new(at.x, 0.0) } else { at };
+    let mut counts = verdicts_along(ranges.verdicts, [at; 2], 0.0);
+    if ranges.is_dark_at(at) {
+        counts[Verdict::Farther as usize] += std::mem::take(&mut counts[Verdict::Confirmed as usize]);
+    }
+    counts
 }
 
 /// What ranges say beside a feature, as far as their sensor sees its place.

@@ -10,7 +10,7 @@
 //! | planes | range images | [`surfaces_in`] |
 //! | reflectors | scans with intensities | [`reflectors_in`] |
 //!
-//! Each is told with the covariance of its measurement. [`find_features`] looks for all edges, corners and fiducials of a prediction, and
+//! Each is told with the covariance of its measurement. [`find_features`] looks for all edges, corners, fiducials and reflectors of a prediction, and
 //! [`classify`] says of each whether it was matched, and if not, what the ranges beside it say of why.
 
 mod classes;
@@ -39,6 +39,7 @@ pub use edges::{EdgeOptions, ExpectedEdge, FoundEdge, edges_near};
 pub use fiducials::FiducialFinder;
 pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
 pub use jumps::{JumpOptions, jumps_near};
+pub(crate) use reflectors::range_to;
 pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};
 pub use region::PixelBox;
 pub use surfaces::{FoundSurface, SurfaceOptions, surfaces_in};

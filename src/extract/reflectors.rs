@@ -4,7 +4,9 @@ use super::PixelBox;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, GreyImage, RangeNoise};
 use crate::matching::{Detection, Shape, UncertainValue};
+use crate::sensor::Sensor;
 use glam::{DMat2, DVec2};
+use std::collections::BTreeMap;
 
 /// What counts as a reflector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +38,8 @@ const UNKNOWN: f64 = 1e6;
 const DEPTH: f64 = 0.2;
 
 /// The reflectors in a part of a scan, in the order of its pixels. `intensity` has the pixels of the scan, 1 for the brightest.
-/// With [`PixelBox::whole_of`] it is the whole scan. A reflector on the seam of a turn is found as two.
+/// With [`PixelBox::whole_of`] it is the whole scan. One that lies partly in the region is found as a whole, over the seam of a full
+/// turn, too, and how wide it is counts all of it. A pixel without a reading does not divide it.
 ///
 /// # Examples
 /// Two beams of a scanner meet a reflector 3 m away.
@@ -68,83 +71,226 @@ pub fn reflectors_in(
             format!("intensities of {} x {}, a scan of {width} x {height}", intensity.width(), intensity.height());
         return Err(Error::invalid(what, "give those of the scan's own pixels"));
     }
-    let Some(pixels) = region.pixels(width, height) else { return Ok(Vec::new()) };
-    let scan = BrightScan { frame, intensity, pixels, options };
-    let mut seen = std::collections::BTreeSet::new();
+    let scan = BrightScan::new(frame, intensity, options);
+    let Some([x0, y0, x1, y1]) = scan.pixels(&region) else { return Ok(Vec::new()) };
+    let mut seen = BTreeMap::new();
     let mut found = Vec::new();
-    let [x0, y0, x1, y1] = pixels;
     for at in (y0..=y1).flat_map(|r| (x0..=x1).map(move |c| (c, r))) {
-        if scan.range(at).is_some() && !seen.contains(&at) {
-            let spot = scan.spot(at, &mut seen);
-            found.extend(scan.reflector(&spot));
+        let at = scan.wrapped(at);
+        if scan.range(at).is_some() && !seen.contains_key(&at) {
+            found.extend(scan.spot(at, &mut seen).and_then(|spot| scan.reflector(&spot)));
         }
     }
     Ok(found)
 }
 
+/// Column and row. Columns of a spot over the seam go on beyond the width.
+type Pixel = (i64, i64);
+
 struct BrightScan<'a> {
     frame: &'a Frame,
     intensity: &'a GreyImage,
-    pixels: [i64; 4],
     options: &'a ReflectorOptions,
+    size: Pixel,
+    /// Whether the last column's neighbour is the first.
+    is_round: bool,
 }
 
-impl BrightScan<'_> {
-    /// The range of a bright pixel of the box.
-    fn range(&self, (c, r): (i64, i64)) -> Option<f64> {
-        let [x0, y0, x1, y1] = self.pixels;
-        let inside = (x0..=x1).contains(&c) && (y0..=y1).contains(&r);
-        if !inside || !(f64::from(self.intensity.pixel(c as u32, r as u32)) >= self.options.least) {
-            return None;
-        }
-        let range = self.frame.ranges()[(r * i64::from(self.intensity.width()) + c) as usize];
-        (range.is_finite() && range > 0.0).then_some(f64::from(range))
+/// Bright pixels that hang together, with their ranges, and first and last column and row.
+struct BrightSpot {
+    ranges: Vec<f64>,
+    /// Ranges in the first and in the last column.
+    ends: (f64, f64),
+    columns: (i64, i64),
+    rows: (i64, i64),
+}
+
+impl<'a> BrightScan<'a> {
+    fn new(frame: &'a Frame, intensity: &'a GreyImage, options: &'a ReflectorOptions) -> Self {
+        let sensor = frame.sensor();
+        let size = (i64::from(sensor.width()), i64::from(sensor.height()));
+        let is_round = sensor.columns_of_a_turn().is_some_and(|turn| (turn - size.0 as f64).abs() < 1e-6);
+        Self { frame, intensity, options, size, is_round }
     }
 
-    /// The bright pixels that hang together with one, at about its range.
-    fn spot(&self, first: (i64, i64), seen: &mut std::collections::BTreeSet<(i64, i64)>) -> Vec<((i64, i64), f64)> {
-        let mut spot = Vec::new();
-        let mut open = vec![first];
-        seen.insert(first);
-        while let Some((c, r)) = open.pop() {
-            let Some(range) = self.range((c, r)) else { continue };
-            spot.push(((c, r), range));
-            for near in [(c - 1, r), (c + 1, r), (c, r - 1), (c, r + 1)] {
-                if self.range(near).is_some_and(|other| (other - range).abs() <= DEPTH) && seen.insert(near) {
-                    open.push(near);
+    /// First and last column and row of a region; where columns go round, the last may be beyond the width. A lone row is all there is.
+    fn pixels(&self, region: &PixelBox) -> Option<[i64; 4]> {
+        let [x0, y0, x1, y1] = region.0;
+        let of_row = if self.size.1 == 1 { [-0.5, 0.5] } else { [y0, y1] };
+        let (width, height) = (self.size.0 as u32, self.size.1 as u32);
+        let rows = PixelBox([0.0, of_row[0], 0.0, of_row[1]]).pixels(width, height)?;
+        let [first, last] = match self.is_round && x0.is_finite() && x1.is_finite() {
+            // No column twice.
+            true => [x0.ceil() as i64, x1.floor().min(x0.ceil() + self.size.0 as f64 - 1.0) as i64],
+            false => PixelBox([x0, 0.0, x1, 0.0]).pixels(width, 1).map(|p| [p[0], p[2]])?,
+        };
+        (first <= last).then_some([first, rows[1], last, rows[3]])
+    }
+
+    fn wrapped(&self, (c, r): Pixel) -> Pixel {
+        (if self.is_round { c.rem_euclid(self.size.0) } else { c }, r)
+    }
+
+    /// What was measured at a pixel; `None` outside of the scan.
+    fn reading(&self, at: Pixel) -> Option<f64> {
+        let (c, r) = self.wrapped(at);
+        let inside = (0..self.size.0).contains(&c) && (0..self.size.1).contains(&r);
+        inside.then(|| f64::from(self.frame.ranges()[(r * self.size.0 + c) as usize]))
+    }
+
+    /// The range of a bright pixel.
+    fn range(&self, at: Pixel) -> Option<f64> {
+        let range = self.reading(at)?;
+        let (c, r) = self.wrapped(at);
+        let bright = f64::from(self.intensity.pixel(c as u32, r as u32)) >= self.options.least;
+        (bright && range.is_finite() && range > 0.0).then_some(range)
+    }
+
+    /// The next pixel in a direction; one without a reading is passed over.
+    fn next(&self, (c, r): Pixel, (dc, dr): Pixel) -> Pixel {
+        let next = (c + dc, r + dr);
+        if self.reading(next).is_some_and(f64::is_nan) { (c + 2 * dc, r + 2 * dr) } else { next }
+    }
+
+    /// The bright pixels that hang together with one, at about its range; `None` if they are too wide. `seen` says of pixels that were
+    /// looked at whether they belong to something too wide: no part of that is a reflector.
+    fn spot(&self, first: Pixel, seen: &mut BTreeMap<Pixel, bool>) -> Option<BrightSpot> {
+        let mut spot =
+            BrightSpot { ranges: Vec::new(), ends: (0.0, 0.0), columns: (first.0, first.0), rows: (first.1, first.1) };
+        let (mut open, mut own, mut wide) = (vec![first], vec![first], false);
+        seen.insert(first, false);
+        while let Some(at) = open.pop() {
+            let Some(range) = self.range(at) else { continue };
+            spot.take(at, range);
+            wide |= self.extent(&spot).is_none_or(|metres| metres > self.options.widest);
+            if wide {
+                break;
+            }
+            for direction in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+                let near = self.next(at, direction);
+                if !self.range(near).is_some_and(|other| (other - range).abs() <= DEPTH) {
+                    continue;
+                }
+                let known = self.wrapped(near);
+                match seen.get(&known) {
+                    Some(is_wide) => wide |= *is_wide,
+                    None => {
+                        seen.insert(known, false);
+                        own.push(known);
+                        open.push(near);
+                    }
                 }
             }
         }
-        spot
+        if wide {
+            seen.extend(own.into_iter().map(|at| (at, true)));
+        }
+        (!wide).then_some(spot)
     }
 
-    fn reflector(&self, spot: &[((i64, i64), f64)]) -> Option<FoundReflector> {
+    /// Angles from one column to the next, and over all rows, radians.
+    fn angles(&self, spot: &BrightSpot) -> Option<(f64, f64)> {
         let sensor = self.frame.sensor();
-        let mut ranges: Vec<f64> = spot.iter().map(|(_, range)| *range).collect();
-        ranges.sort_by(f64::total_cmp);
-        let range = ranges[ranges.len() / 2];
-        let end = |pick: fn(i64, i64) -> i64, of: fn(&(i64, i64)) -> i64| {
-            spot.iter().map(|(at, _)| of(at)).reduce(pick).unwrap_or_default()
-        };
-        let (x0, x1) = (end(i64::min, |at| at.0), end(i64::max, |at| at.0));
-        let (y0, y1) = (end(i64::min, |at| at.1), end(i64::max, |at| at.1));
-        let ray = |u: f64, v: f64| sensor.ray_at(u, v);
+        let (x, _) = self.wrapped((spot.columns.0, 0));
+        let (x, y) = (x as f64, spot.rows.0 as f64);
         // By the pitch, as a full turn ends where it begins.
-        let (x, y) = (x0 as f64, y0 as f64);
-        let across = ray(x - 0.5, y)?.angle_between(ray(x + 0.5, y)?) * (x1 - x0 + 1) as f64;
-        let down = if y1 > y0 { ray(x, y)?.angle_between(ray(x, y1 as f64)?) } else { 0.0 };
-        if across.max(down) * range > self.options.widest {
+        let pitch = sensor.ray_at(x - 0.5, y)?.angle_between(sensor.ray_at(x + 0.5, y)?);
+        let rows = || Some(sensor.ray_at(x, y)?.angle_between(sensor.ray_at(x, spot.rows.1 as f64)?));
+        let down = if spot.rows.1 > spot.rows.0 { rows()? } else { 0.0 };
+        Some((pitch, down))
+    }
+
+    /// The larger one of width and height, metres.
+    fn extent(&self, spot: &BrightSpot) -> Option<f64> {
+        let (pitch, down) = self.angles(spot)?;
+        let across = pitch * (spot.columns.1 - spot.columns.0 + 1) as f64;
+        Some(across.max(down) * spot.ranges.first()?)
+    }
+
+    /// Whether nobody knows if the reflector goes on beyond its end: there is no reading, or one of two surfaces at once.
+    fn is_open(&self, end: Pixel, direction: Pixel, range: f64) -> bool {
+        let at = |k: i64| self.reading((end.0 + k * direction.0, end.1 + k * direction.1));
+        let Some(next) = at(1) else { return false };
+        let beyond = at(2).unwrap_or(f64::NAN);
+        let between = (next - range).abs() > DEPTH && (beyond - next).abs() > DEPTH;
+        next.is_nan() || (between && (beyond - next).signum() == (next - range).signum())
+    }
+
+    /// Whether bright pixels beside it go on for longer than a reflector is wide, whatever their ranges: of a wall that is seen aslant and blinds
+    /// the receiver neighbouring beams are far apart.
+    fn is_part_of_a_wall(&self, spot: &BrightSpot, pitch: f64, range: f64) -> bool {
+        let most = (self.options.widest / (pitch * range)).ceil().min(1e6) as i64;
+        let beside = |from: i64, by: i64| {
+            (1..=most).take_while(|k| self.range((from + by * k, spot.rows.0)).is_some()).count() as i64
+        };
+        beside(spot.columns.0, -1) + beside(spot.columns.1, 1) + spot.columns.1 - spot.columns.0 + 1 > most
+    }
+
+    fn reflector(&self, spot: &BrightSpot) -> Option<FoundReflector> {
+        let sensor = self.frame.sensor();
+        let (range, count) = (spot.median()?, spot.ranges.len() as f64);
+        let noise = RangeNoise::of(sensor);
+        let (pitch, _) = self.angles(spot)?;
+        if self.is_part_of_a_wall(spot, pitch, range) {
             return None;
         }
-        // Each end lies anywhere within its pixel's pitch: 1/12 of variance each, and half of that of their middle.
-        let variance = 1.0 / 24.0;
-        let of_row = if sensor.height() == 1 { UNKNOWN } else { variance };
-        let centre = 0.5 * DVec2::new((x0 + x1) as f64, (y0 + y1) as f64);
-        let mut detection = Detection::new(Shape::Reflector(centre), 1.0);
-        detection.covariance = DMat2::from_diagonal(DVec2::new(variance, of_row));
+        let jitter = 0.5 * (noise.angle / pitch).powi(2);
+        let (x, of_column) = middle(spot.columns, |c, by| self.is_open((c, spot.rows.0), (by, 0), range));
+        let (y, of_row) = middle(spot.rows, |r, by| self.is_open((spot.columns.0, r), (0, by), range));
+        let of_row = if sensor.height() == 1 { UNKNOWN } else { of_row + jitter };
+        let mut detection = Detection::new(Shape::Reflector(DVec2::new(x, y)), 1.0);
+        detection.covariance = DMat2::from_diagonal(DVec2::new(of_column + jitter, of_row));
         detection.properties.strength = Some(1.0);
-        let sigma = RangeNoise::of(sensor).range_sigma(range);
-        let variance = sigma * sigma / spot.len() as f64;
-        Some(FoundReflector { detection, range: UncertainValue { mean: range, variance } })
+        // A median of many is off by a little more than a mean.
+        let of_median = if count > 2.0 { std::f64::consts::FRAC_PI_2 } else { 1.0 };
+        // On one that is seen aslant another middle has another range.
+        let slope = (spot.ends.1 - spot.ends.0) / ((spot.columns.1 - spot.columns.0) as f64).max(1.0);
+        let variance = of_median * noise.range_sigma(range).powi(2) / count + slope * slope * (of_column + jitter);
+        let range = UncertainValue { mean: range, variance };
+        detection.properties.range = Some(range);
+        Some(FoundReflector { detection, range })
+    }
+}
+
+impl BrightSpot {
+    fn take(&mut self, (c, r): Pixel, range: f64) {
+        if self.ranges.is_empty() || c <= self.columns.0 {
+            self.ends.0 = range;
+        }
+        if self.ranges.is_empty() || c >= self.columns.1 {
+            self.ends.1 = range;
+        }
+        self.ranges.push(range);
+        self.columns = (self.columns.0.min(c), self.columns.1.max(c));
+        self.rows = (self.rows.0.min(r), self.rows.1.max(r));
+    }
+
+    fn median(&self) -> Option<f64> {
+        let mut ranges = self.ranges.clone();
+        ranges.sort_by(f64::total_cmp);
+        let half = ranges.len() / 2;
+        let upper = *ranges.get(half)?;
+        Some(if ranges.len().is_multiple_of(2) { 0.5 * (ranges[half - 1] + upper) } else { upper })
+    }
+}
+
+/// Middle of the pixels from first to last, and its variance. Each end lies anywhere within its pixel's pitch, 1/12 of variance, or within two
+/// pitches where the next pixel is open.
+fn middle((first, last): (i64, i64), is_open: impl Fn(i64, i64) -> bool) -> (f64, f64) {
+    let end = |at: i64, by: i64| {
+        if is_open(at, by) { (at as f64 + 0.5 * by as f64, 4.0 / 12.0) } else { (at as f64, 1.0 / 12.0) }
+    };
+    let (a, b) = (end(first, -1), end(last, 1));
+    (0.5 * (a.0 + b.0), 0.25 * (a.1 + b.1))
+}
+
+/// The range at which a scanner of one row meets a point's vertical: a reflector stands upright, and reaches from its point to the row.
+/// Elsewhere the distance of the point. Image frame.
+pub(crate) fn range_to(sensor: &Sensor, p: glam::DVec3) -> f64 {
+    match &sensor.spec().geometry {
+        crate::Geometry::Scanner(scanner) if sensor.height() == 1 => {
+            p.truncate().length() / scanner.rows_deg()[0].to_radians().cos().max(1e-6)
+        }
+        _ => p.length(),
     }
 }

@@ -108,6 +108,7 @@ pub struct Frame {
     sensor: Sensor,
     sensed: Measurement,
     ranges: Vec<f32>,
+    intensities: Option<GreyImage>,
 }
 
 impl Frame {
@@ -144,7 +145,36 @@ impl Frame {
             Measurement::Grey(_) => Vec::new(),
         };
         ranges.iter_mut().filter(|r| **r == 0.0).for_each(|r| *r = f32::NAN);
-        Ok(Self { stamp, motion: None, sensor, sensed, ranges })
+        Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
+    }
+
+    /// With how strong the echo of each pixel was, beside its range: 1 is as bright as a retro-reflector, NaN no echo.
+    ///
+    /// # Examples
+    /// ```
+    /// use presight::frame::{Frame, GreyImage, Measurement};
+    /// let scanner = presight::preset("laser-scanner")?;
+    /// let frame = Frame::new(0.0, scanner, Measurement::Range(vec![2.0; 361]))?;
+    /// let bright = (0..361).map(|i| if i == 180 { 1.0 } else { 0.2 });
+    /// let frame = frame.with_intensities(GreyImage::new(361, 1, bright.collect())?)?;
+    /// assert_eq!(frame.intensities().unwrap().values()[180], 1.0);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside of 0 to 1, and a frame without ranges.
+    pub fn with_intensities(self, intensities: GreyImage) -> Result<Self> {
+        let (width, height) = (self.sensor.width(), self.sensor.height());
+        if self.grey().is_some() {
+            return Err(Error::invalid("intensities of a grey image", "give those of ranges"));
+        }
+        if (intensities.width(), intensities.height()) != (width, height) {
+            let size = format!("{} x {}", intensities.width(), intensities.height());
+            let what = format!("intensities of {size} pixels for a sensor of {width} x {height}");
+            return Err(Error::invalid(what, "give one for each pixel, NaN for none"));
+        }
+        check_intensities(intensities.values())?;
+        Ok(Self { intensities: Some(intensities), ..self })
     }
 
     fn of_grey(stamp: f64, sensor: Sensor, image: GreyImage) -> Result<Self> {
@@ -159,7 +189,8 @@ impl Frame {
         }
         // Nothing is known of ranges.
         let ranges = vec![f32::NAN; image.values().len()];
-        Ok(Self { stamp, motion: None, sensor, sensed: Measurement::Grey(image), ranges })
+        let sensed = Measurement::Grey(image);
+        Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
     }
 
     /// The sensor that measured.
@@ -178,6 +209,11 @@ impl Frame {
             Measurement::Grey(image) => Some(image),
             _ => None,
         }
+    }
+
+    /// How strong the echo of each pixel was; `None` if the sensor does not tell.
+    pub fn intensities(&self) -> Option<&GreyImage> {
+        self.intensities.as_ref()
     }
 
     /// Metres along each ray, row by row, whatever was measured. 0 is told as NaN: no measurement. Of a grey image all are NaN.
@@ -202,12 +238,11 @@ impl Frame {
             let pixels = (0..rows.count).flat_map(|r| row(rows.at(r)));
             pixels.map(|(c, r)| values[r as usize * width as usize + c as usize]).collect::<Vec<f32>>()
         };
+        let pick_image = |image: &GreyImage| GreyImage::new(columns.count, rows.count, pick(image.values()));
         let sensed = match &self.sensed {
             Measurement::Range(values) => Measurement::Range(pick(values)),
             Measurement::DepthZ(values) => Measurement::DepthZ(pick(values)),
-            Measurement::Grey(image) => {
-                Measurement::Grey(GreyImage::new(columns.count, rows.count, pick(image.values()))?)
-            }
+            Measurement::Grey(image) => Measurement::Grey(pick_image(image)?),
         };
         Ok(Self {
             stamp: self.stamp,
@@ -215,8 +250,20 @@ impl Frame {
             sensor: Sensor::new(spec)?,
             sensed,
             ranges: pick(&self.ranges),
+            intensities: self.intensities.as_ref().map(pick_image).transpose()?,
         })
     }
+}
+
+/// That intensities are 0 to 1 or NaN; names the first that is not.
+pub(crate) fn check_intensities(values: &[f32]) -> Result<()> {
+    let is_none = |v: &f32| !v.is_nan() && !(0.0..=1.0).contains(v);
+    let Some(at) = values.iter().position(is_none) else { return Ok(()) };
+    let remedy = match values[at] {
+        v if v > 1.0 => "divide by what the sensor tells of a retro-reflector: 1 is as bright as one",
+        _ => "give 0 to 1, and none (null, NaN) where there was no echo",
+    };
+    Err(Error::invalid(format!("an intensity of {}", values[at]), remedy).at(format!("intensity {at}")))
 }
 
 /// The pixels of one side that are kept.

@@ -73,3 +73,27 @@ fn noise_grows_as_stated() {
     spec.noise.range_sigma = 0.0;
     assert!((sigma(&spec, 2.0) - 0.008).abs() < 1e-15, "stated, if only in part");
 }
+
+#[test]
+fn intensities_have_the_pixels_of_the_ranges() {
+    let frame = || Frame::new(0.0, camera(), Measurement::Range(vec![1.0; 24])).unwrap();
+    let with = |value: f32| {
+        let mut values = vec![0.3; 24];
+        values[9] = value;
+        frame().with_intensities(GreyImage::new(6, 4, values)?)
+    };
+    for value in [0.0, 1.0, f32::NAN] {
+        let kept = with(value).unwrap();
+        let told = kept.intensities().unwrap().values()[9];
+        assert!(told == value || told.is_nan() && value.is_nan());
+    }
+    for value in [-0.01, 1.01, 255.0, f32::INFINITY] {
+        let e = with(value).unwrap_err();
+        assert!(e.kind() == crate::ErrorKind::Invalid && !e.remedy().is_empty(), "{e}");
+    }
+    let other = frame().with_intensities(GreyImage::new(4, 6, vec![0.3; 24]).unwrap()).unwrap_err();
+    assert!(other.to_string().contains("4 x 6"), "{other}");
+    let image = || GreyImage::new(6, 4, vec![0.3; 24]).unwrap();
+    let grey = Frame::new(0.0, camera(), Measurement::Grey(image())).unwrap();
+    assert!(grey.with_intensities(image()).is_err());
+}

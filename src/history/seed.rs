@@ -100,7 +100,12 @@ fn properties(seen: &SeenFeature) -> ExpectedProperties {
         _ => None,
     };
     let Properties { strength, contrast, .. } = &seen.feature.properties;
-    ExpectedProperties { strength: strength.map(estimate), contrast: contrast.map(estimate), direction: None, marker }
+    ExpectedProperties {
+        strength: strength.map(estimate),
+        contrast: contrast.map(estimate),
+        marker,
+        ..ExpectedProperties::default()
+    }
 }
 
 /// The pixel (column, row) at which a sensor at a pose images a point in the world: for [`super::Tracker::set_view`].

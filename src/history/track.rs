@@ -197,7 +197,8 @@ impl Track {
 
     /// Takes a detection's properties in.
     pub(super) fn learn_properties(&mut self, found: &Detection, noise: &PropertyNoise) {
-        let DetectionProperties { strength, contrast, direction, marker } = &found.properties;
+        // Ranges change with every pose: nothing is learnt of them.
+        let DetectionProperties { strength, contrast, direction, marker, range: _ } = &found.properties;
         let known = &mut self.properties;
         learn(&mut known.strength, *strength, noise.strength, |a, b| a - b);
         learn(&mut known.contrast, *contrast, noise.contrast, |a, b| a - b);

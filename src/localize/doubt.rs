@@ -21,7 +21,8 @@ impl Localizer {
         let level = is_level(&spec.mount) && !frame.sensor().is_camera();
         let weighable = self.estimator.options.freedom == Freedom::Planar && level && spec.range_max.is_finite();
         let coarse = self.is_coarse();
-        let little = coarse || estimate.explained < self.options.little || !estimate.is_determined();
+        let little = !estimate.rests_on_reflectors()
+            && (coarse || estimate.explained < self.options.little || !estimate.is_determined());
         followed && weighable && estimate.predictions > 0 && little
     }
 
@@ -49,7 +50,8 @@ impl Localizer {
         let known = with_variance(&belief, self.estimator.options.model_sigma);
         let mut estimate = self.estimator.refine(world, frame, &known)?;
         let spread = (belief.covariance[0][0] + belief.covariance[1][1]).sqrt();
-        self.agreed_again = if estimate.explained >= self.options.little + MORE { self.agreed_again + 1 } else { 0 };
+        let explains = estimate.explained >= self.options.little + MORE || estimate.rests_on_reflectors();
+        self.agreed_again = if explains { self.agreed_again + 1 } else { 0 };
         let why = format!("{} hypotheses are spread over {spread:.2} m", self.options.hypotheses);
         estimate.state = if spread <= self.options.spread {
             EstimateState::Determined
@@ -60,7 +62,9 @@ impl Localizer {
         let decided = self.decide(&estimate);
         self.belief = known;
         let coarse = self.is_coarse();
-        let hand_back = !coarse && self.agreed_again >= self.options.agreeing && estimate.is_determined();
+        let hand_back = (!coarse || estimate.rests_on_reflectors())
+            && self.agreed_again >= self.options.agreeing
+            && estimate.is_determined();
         if hand_back {
             self.belief = Prior { pose: estimate.pose, covariance: estimate.covariance };
         } else {

@@ -91,6 +91,8 @@ pub struct DetectionProperties {
     pub direction: Option<f64>,
     /// Of fiducials: never taken for another.
     pub marker: Option<Marker>,
+    /// Metres along the ray, with the variance of the measurement: of reflectors in scans.
+    pub range: Option<UncertainValue>,
 }
 
 /// Something found in a sensed image.
@@ -149,6 +151,9 @@ impl Detection {
             return Err(Rejection::Covariance);
         }
         let p = &self.properties;
+        if p.range.is_some_and(|r| !(r.mean.is_finite() && r.variance >= 0.0 && r.variance.is_finite())) {
+            return Err(Rejection::NotFinite);
+        }
         let numbers = [p.strength, p.contrast, p.direction];
         if numbers.iter().flatten().all(|x| x.is_finite()) { Ok(()) } else { Err(Rejection::NotFinite) }
     }
@@ -185,4 +190,6 @@ pub struct ExpectedProperties {
     pub direction: Option<UncertainValue>,
     /// Of fiducials.
     pub marker: Option<Marker>,
+    /// Metres along the ray.
+    pub range: Option<UncertainValue>,
 }

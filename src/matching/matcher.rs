@@ -10,6 +10,11 @@ use std::f64::consts::PI;
 /// Most candidates of one feature: the nearest are kept. An optimum never needs more than there are features in a group.
 pub const MAX_CANDIDATES: usize = 64;
 
+/// Over how many metres clutter is spread along a ray.
+const DEPTHS: f64 = 30.0;
+/// Least standard deviation of a measured range, metres: extractors that claim more would be deaf.
+const LEAST_DEPTH: f64 = 1e-3;
+
 /// A feature that may be found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpectedFeature {
@@ -261,6 +266,10 @@ impl Matcher {
             add(turn_apart(found, *mean), variance + noise.direction * noise.direction);
             all.log_clutter = -PI.ln();
         }
+        if let (Some(expected), Some(found)) = (&expected.range, &found.range) {
+            add(found.mean - expected.mean, expected.variance + found.variance + LEAST_DEPTH * LEAST_DEPTH);
+            all.log_clutter -= DEPTHS.ln();
+        }
         all.log_volume = 0.5 * volume_squared.ln();
         Some(all)
     }
@@ -316,6 +325,21 @@ mod tests {
         let got = Matcher::default().candidates(&[feature], &found);
         let columns: Vec<u32> = got.pairs.iter().map(|p| p.column).collect();
         assert_eq!(columns, [0, 4, 1], "unlike ones are out; directions are modulo pi");
+    }
+
+    /// Two in one direction: the one at the right range is taken, one metres off is none.
+    #[test]
+    fn ranges_gate_and_weigh() {
+        let mut feature = point(100.0, 50.0);
+        feature.properties.range = Some(UncertainValue { mean: 3.0, variance: 0.01 });
+        let at = |mean: f64| {
+            let mut d = Detection::point(DVec2::new(100.0, 50.0), 1.0);
+            d.properties.range = Some(UncertainValue { mean, variance: 1e-4 });
+            d
+        };
+        let got = Matcher::default().candidates(&[feature], &[at(3.2), at(5.0), at(3.01)]);
+        assert_eq!(got.pairs.iter().map(|p| p.column).collect::<Vec<_>>(), [2, 0]);
+        assert_eq!(at(f64::NAN).check(), Err(Rejection::NotFinite));
     }
 
     #[test]

@@ -12,7 +12,7 @@ pub use surroundings::{Walkers, displace};
 
 use crate::error::{Error, Result};
 use crate::estimate::moved;
-use crate::frame::{Frame, Measurement, Motion, RangeNoise};
+use crate::frame::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use crate::geometry::Pose;
 use crate::plan::{Images, Output, Outputs};
 use crate::predict::Predictor;
@@ -61,6 +61,21 @@ pub struct Simulator {
     disturbances: Disturbances,
     random: SplitMix64,
     before: Option<Pose>,
+    intensities: Option<Intensities>,
+}
+
+/// How intensities err.
+struct Intensities {
+    noise: f64,
+    /// Of their own: ranges are the same with them and without.
+    random: SplitMix64,
+}
+
+/// What a simulated pixel is: its range, and how much of it is its neighbour's.
+#[derive(Clone, Copy)]
+struct MeasuredPixel {
+    range: f32,
+    mixed: f64,
 }
 
 impl Simulator {
@@ -80,7 +95,21 @@ impl Simulator {
                 "give finite shares of at least 0",
             ));
         }
-        Ok(Self { predictor, sensor, disturbances, random: SplitMix64(seed), before: None })
+        let random = SplitMix64(seed);
+        Ok(Self { predictor, sensor, disturbances, random, before: None, intensities: None })
+    }
+
+    /// With intensities beside the ranges: the echo ([`Output::Echo`]) with noise of this standard deviation, 0 to 1. They saturate at 1; a
+    /// pixel that mixes two surfaces mixes their echoes.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a noise outside of 0 to 1.
+    pub fn with_intensities(self, noise: f64) -> Result<Self> {
+        if !(0.0..=1.0).contains(&noise) {
+            return Err(Error::usage(format!("noise of intensities of {noise}"), "give 0 to 1"));
+        }
+        let random = SplitMix64(self.random.0 ^ 0x6563_686f);
+        Ok(Self { intensities: Some(Intensities { noise, random }), ..self })
     }
 
     /// What the sensor measures with the robot at a pose, and the odometry since the frame before.
@@ -88,17 +117,23 @@ impl Simulator {
     /// # Errors
     /// Those of [`Predictor::predict_images`], and a stamp that is no number.
     pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
-        let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+        let asked = [Output::Range, Output::CosIncidence, Output::Echo];
+        let outputs = Outputs::of(&asked[..if self.intensities.is_some() { 3 } else { 2 }]);
         let world_from_sensor = *world_from_robot * self.sensor.spec().mount;
         let mut seen = Images::default();
         self.predictor.predict_images(world, &self.sensor, &world_from_sensor, outputs, &mut seen)?;
-        let ranges = self.measure(&seen.range, &seen.cos_incidence);
+        let pixels = self.measure(&seen.range, &seen.cos_incidence);
+        let ranges = pixels.iter().map(|p| p.range).collect();
         let mut frame = Frame::new(stamp, self.sensor.clone(), Measurement::Range(ranges))?;
+        if let Some(intensities) = &mut self.intensities {
+            let values = intensities.measure(&seen.echo, &pixels);
+            frame = frame.with_intensities(GreyImage::new(self.sensor.width(), self.sensor.height(), values)?)?;
+        }
         frame.motion = self.before.replace(*world_from_robot).map(|before| self.odometry(&before, world_from_robot));
         Ok(frame)
     }
 
-    fn measure(&mut self, range: &[f32], cos_incidence: &[f32]) -> Vec<f32> {
+    fn measure(&mut self, range: &[f32], cos_incidence: &[f32]) -> Vec<MeasuredPixel> {
         let spec = self.sensor.spec().clone();
         let noise = RangeNoise::of(&self.sensor);
         let width = self.sensor.width() as usize;
@@ -108,20 +143,21 @@ impl Simulator {
             let (along, across) = (self.normal(), self.normal());
             let (lost, mixed, between) = (self.random.unit(), self.random.unit(), self.random.unit());
             if !r.is_finite() {
-                measured.push(*r);
+                measured.push(MeasuredPixel { range: *r, mixed: 0.0 });
                 continue;
             }
-            let mut z = f64::from(*r);
+            let (mut z, mut of_next) = (f64::from(*r), 0.0);
             let neighbour = if (i + 1) % width != 0 { range.get(i + 1).copied().map(f64::from) } else { None };
             if let Some(next) = neighbour.filter(|n| n.is_finite() && (n - z).abs() > JUMP * z)
                 && mixed < self.disturbances.mixed_pixels
             {
                 z += between * (next - z);
+                of_next = between;
             }
             let cos = f64::from(cos_incidence[i]).clamp(0.05, 1.0);
             let slant = (1.0 - cos * cos).sqrt() / cos;
             z += noise.range_sigma(z) * along + z * noise.angle * slant * across;
-            measured.push(if lost < self.disturbances.drop_outs {
+            let range = if lost < self.disturbances.drop_outs {
                 f32::NAN
             } else if z < spec.range_min {
                 f32::NEG_INFINITY
@@ -129,7 +165,8 @@ impl Simulator {
                 f32::INFINITY
             } else {
                 z as f32
-            });
+            };
+            measured.push(MeasuredPixel { range, mixed: of_next });
         }
         measured
     }
@@ -151,6 +188,20 @@ impl Simulator {
 
     fn normal(&mut self) -> f64 {
         normal(&mut self.random)
+    }
+}
+
+impl Intensities {
+    /// Where nothing was measured, there is none.
+    fn measure(&mut self, echo: &[f32], pixels: &[MeasuredPixel]) -> Vec<f32> {
+        let value = |(i, pixel): (usize, &MeasuredPixel)| {
+            let noise = self.noise * normal(&mut self.random);
+            let own = f64::from(echo[i]);
+            let next = echo.get(i + 1).map_or(own, |e| f64::from(*e));
+            let value = if pixel.mixed > 0.0 { own + pixel.mixed * (next - own) } else { own };
+            if pixel.range.is_finite() { (value + noise).clamp(0.0, 1.0) as f32 } else { f32::NAN }
+        };
+        pixels.iter().enumerate().map(value).collect()
     }
 }
 

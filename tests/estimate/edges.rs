@@ -121,6 +121,7 @@ fn a_point_ahead() {
         point: DVec3::new(2.0, 0.0, 0.0),
         found,
         covariance: glam::DMat2::IDENTITY,
+        place: glam::DMat3::ZERO,
         range: None,
         feature: 0,
     };

@@ -9,6 +9,7 @@ mod hall;
 mod livingroom;
 mod malaga;
 mod objects;
+mod reflectors;
 mod rooms;
 mod search;
 mod simulated;

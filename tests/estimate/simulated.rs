@@ -51,6 +51,31 @@ fn mixed_pixels_are_at_edges() {
     assert!(changed > 20, "{changed}");
 }
 
+/// Intensities are the echo with the noise asked for, at most 1, and none where nothing was measured; the ranges are the same without them.
+#[test]
+fn intensities_are_echoes_with_noise() {
+    let world = room(Vec3::ZERO);
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
+    let asked = Request::of(presight::Outputs::of(&[presight::Output::Echo]));
+    let echo = predictor().predict(&world, &camera(0.01), &pose, &asked).unwrap().images.echo;
+    let lossy = Disturbances { drop_outs: 0.1, ..NONE };
+    let frame = simulator(lossy, 1).with_intensities(0.05).unwrap().frame(&world, 0.0, &pose).unwrap();
+    let plain = simulator(lossy, 1).frame(&world, 0.0, &pose).unwrap();
+    let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&frame), bits(&plain));
+    assert!(plain.intensities().is_none());
+    let values = frame.intensities().unwrap().values();
+    assert!(values.iter().zip(frame.ranges()).all(|(v, r)| v.is_nan() == r.is_nan() && !(*v > 1.0 || *v < 0.0)));
+    // Far from both ends of the scale nothing is cut off.
+    let told = values.iter().zip(&echo).filter(|(v, e)| v.is_finite() && (0.3..0.7).contains(*e));
+    let errors: Vec<f64> = told.map(|(v, e)| f64::from(v - e)).collect();
+    let sigma = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+    assert!(errors.len() > 300 && (sigma / 0.05 - 1.0).abs() < 0.15, "{} {sigma}", errors.len());
+    for noise in [-0.1, 1.1, f64::NAN] {
+        assert!(simulator(NONE, 1).with_intensities(noise).is_err());
+    }
+}
+
 #[test]
 fn a_simulated_log_is_tracked_with_odometry() {
     let world = room(Vec3::ZERO);

@@ -31,7 +31,7 @@ const EXAMPLES: &str = "Examples:
 ///
 /// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt) or of grey images (grey/*.png beside
 /// or instead of the depth images, in which the features of --layer are looked for), a file of ranges (a log of
-/// format 1, or a document of planar scans), or a scan or a folder of scans (.ply, .pcd, .csv, .exr). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
+/// format 1, or a document of planar scans; where it has intensities, the reflectors of --layer are looked for), or a scan or a folder of scans (.ply, .pcd, .csv, .exr). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
 /// for. Beside FILE.tum, FILE.jsonl gets covariance, state and verdicts of every frame. A frame at which the pose is not known has
 /// no line in FILE.tum.
 #[derive(Debug, clap::Args)]
@@ -85,7 +85,7 @@ pub struct Drive {
     #[arg(long, value_name = "PRESET|FILE")]
     grey_sensor: Option<String>,
 
-    /// Features of this layer: those that are looked for in grey images
+    /// Features of this layer: those that are looked for in grey images, and the reflectors in scans with intensities
     #[arg(long = "layer", value_name = "FILE.json")]
     pub layers: Vec<PathBuf>,
 
@@ -216,9 +216,11 @@ impl Drive {
         let mut grey = self.grey(&measured)?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let mut estimator = Estimator::new(predictor, options);
-        let camera = grey.as_ref().map(DepthFolder::sensor).or(first.frame.grey().map(|_| first.frame.sensor()));
-        if let Some(placed) = camera.map(|camera| self.placed(&scene, camera)).transpose()?.flatten() {
-            print::notices(&not_sought(&placed));
+        let is_looked_in = first.frame.grey().is_some() || !first.frame.sensor().is_camera();
+        let looked_in = grey.as_ref().map(DepthFolder::sensor).or(is_looked_in.then(|| first.frame.sensor()));
+        if let Some(placed) = looked_in.map(|sensor| self.placed(&scene, sensor)).transpose()?.flatten() {
+            let of_scans = grey.is_none() && first.frame.grey().is_none();
+            print::notices(&if of_scans { not_sought_in_scans(&placed, &first.frame) } else { not_sought(&placed) });
             estimator = estimator.with_features(placed);
         }
         let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
@@ -264,7 +266,12 @@ impl Drive {
             return Err(Error::usage(what, "give a --layer (presight features generates one)"));
         }
         let asked = self.own_features || !self.layers.is_empty();
-        Ok(asked.then(|| scene.place_layers(&self.layers, class)).transpose()?.map(|p| p.placed))
+        let Some(found) = asked.then(|| scene.place_layers(&self.layers, class)).transpose()? else { return Ok(None) };
+        if found.placed.features.is_empty() && found.other_classes > 0 {
+            let what = format!("--layer: {} features, none of them of class {class:?}", found.other_classes);
+            return Err(Error::usage(what, "give a layer of the sensor's class, or a sensor of the layer's"));
+        }
+        Ok(Some(found.placed))
     }
 
     fn thinned(&self, observation: Observation) -> Result<Observation> {
@@ -338,6 +345,27 @@ impl Drive {
         let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
         Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
     }
+}
+
+/// Says of reflectors why they are not looked for, if so, and of other features that they are not.
+fn not_sought_in_scans(placed: &PlacedFeatures, first: &Frame) -> Option<String> {
+    let is_reflector = |shape: &FeatureShape| matches!(shape, FeatureShape::Reflector { .. });
+    let reflectors = placed.features.iter().filter(|p| is_reflector(&p.feature.shape)).count();
+    let others = placed.features.len() - reflectors;
+    let row = matches!(&first.sensor().spec().geometry, Geometry::Scanner(s) if s.elevation.len() == 1 && s.beam_height_deg.is_none());
+    if reflectors == 0 {
+        return Some("the layer has no reflectors: nothing of it is looked for in scans".to_owned());
+    }
+    if first.intensities().is_none() {
+        return Some("the first scan has no intensities: reflectors are looked for in scans that have some".to_owned());
+    }
+    if row {
+        let remedy = "say in the sensor file how far off it a feature counts";
+        return Some(format!(
+            "the scanner's row has no height: only reflectors exactly in it are looked for; {remedy} (beam_height_deg)"
+        ));
+    }
+    (others > 0).then(|| format!("{others} features of the layer are no reflectors and are not looked for in scans"))
 }
 
 /// Says of fiducials that they are not looked for, if so.

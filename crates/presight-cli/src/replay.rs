@@ -5,15 +5,15 @@ use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
 use presight::estimate::nees;
-use presight::extract::Findings;
+use presight::extract::{FeatureClass, Findings};
 use presight::features::{BoxOptions, FeatureOptions, Hidden, sensor_covariance};
 use presight::frame::Frame;
 use presight::io::atomic::write_atomically;
-use presight::io::png::{Comparison, GreyMark, GreyPanel, Overlay, write_comparison};
+use presight::io::png::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
 use presight::localize::Step;
 use presight::matching::Shape;
 use presight::verdict::Verdict as Judged;
-use presight::{Backend, Error, Images, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene};
+use presight::{Backend, Error, Images, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene, Sensor};
 use presight_studies::replay::{Leaf, page};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ const EXAMPLES: &str = "Examples:
 ///
 /// The robot is followed as `localize` does. DIR gets frames/*.png - predicted, sensed, and the verdict of each pixel - and
 /// index.html with the trajectory, states, and how far off and how sure the poses are. With --layer they show its features and the
-/// regions of interest in which they are looked for, and of grey images what was matched.
+/// regions of interest in which they are looked for, and of grey images, and of scans with intensities, what was matched.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -57,7 +57,7 @@ const LEGEND: [(&str, [u8; 3]); 7] = [
     ("not predicted", [0xcc, 0x79, 0xa7]),
 ];
 
-/// Predicted features of a grey image by class, and what was found, likewise.
+/// Predicted features of a grey image or a scan by class, and what was found, likewise.
 const FEATURES: [(&str, [u8; 3]); 6] = [
     ("matched", [0x00, 0xd0, 0x9c]),
     ("occluded", [0xff, 0x8c, 0x42]),
@@ -144,6 +144,7 @@ impl Painter {
                 legend: &LEGEND,
                 features: None,
                 grey,
+                plan: None,
             };
             return write_comparison(path, &alone);
         }
@@ -172,6 +173,8 @@ impl Painter {
             let number = |v: &Judged| Judged::ALL.iter().position(|other| other == v).unwrap_or_default() as u8;
             v.pixels.iter().map(number).collect()
         });
+        let plan = step.estimate.findings.first().map(|found| plan(found, sensor, &world_from_sensor));
+        let plan = plan.as_ref().filter(|_| grey.is_none());
         let comparison = Comparison {
             sensor,
             predicted: &predicted.images,
@@ -180,6 +183,7 @@ impl Painter {
             legend: &LEGEND,
             features: overlay.as_ref(),
             grey,
+            plan: plan.map(|marks| PlanMarks { marks, legend: &FEATURES }),
         };
         write_comparison(path, &comparison)
     }
@@ -195,6 +199,28 @@ fn marks(findings: &Findings) -> Vec<GreyMark> {
     marks.extend(only.map(|shape| mark(shape, kind("only found"), 0.8)));
     marks.extend(findings.matched().map(|(_, found)| mark(&found.shape, kind("found"), 0.8)));
     marks
+}
+
+/// The same of reflectors in a scan of one row, from above: where each was predicted, and where one was found.
+fn plan(findings: &Findings, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<GreyMark> {
+    let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
+    let sensor_from_world = world_from_sensor.inverse();
+    let predicted = findings.features.iter().map(|f| {
+        let points = f.points_world.iter().map(|p| sensor_from_world.transform_point(*p).truncate()).collect();
+        GreyMark { points, kind: kind(f.class.name()), radius: 2.4 }
+    });
+    let place = |at: usize| {
+        let found = &findings.detections[at];
+        let range = found.properties.range?.mean;
+        Some(vec![(sensor.ray_at(found.shape.centre().x, 0.0)? * range).truncate()])
+    };
+    let found = |at: usize, name: &str| Some(GreyMark { points: place(at)?, kind: kind(name), radius: 1.2 });
+    let only = findings.only_found.iter().filter_map(|at| found(*at, "only found"));
+    let matched = findings.features.iter().filter_map(|f| match f.class {
+        FeatureClass::Matched(at) => found(at, "found"),
+        _ => None,
+    });
+    predicted.chain(only).chain(matched).collect()
 }
 
 /// What the page tells of a frame. `extra` is what the log's own poses may be off, metres and radians.

@@ -1,4 +1,4 @@
-//! `presight simulate`: a log of what a robot's depth camera would measure on a drive.
+//! `presight simulate`: a log of what a robot's depth camera or scanner would measure on a drive.
 
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, open_scene};
@@ -6,19 +6,25 @@ use presight::frame::Frame;
 use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
+use presight::io::log::{LogFrame, lines};
+use presight::io::tum::StampedPose;
 use presight::io::{depth_folder, load_sensor, png, sensor_toml, tum};
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
-use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Threads};
-use std::io::Write;
+use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight simulate hall.glb --sensor laser-range-camera --poses drive.tum --out run
   presight localize run --map hall.glb --sensor run/sensor.toml --init reference --out run.tum
+  presight simulate hall.glb --sensor laser-scanner --intensities --poses drive.tum --out scans
+  presight localize scans/scans.jsonl --map hall.glb --layer reflectors.json --init reference --out scans.tum
   presight features hall.glb --class video --out edges.json
   presight simulate hall.glb --sensor laser.toml --grey video-camera --poses drive.tum --out both
   presight localize both --map hall.glb --sensor both/sensor.toml --layer edges.json --init reference --out both.tum";
 
+/// The log of a scanner.
+const SCANS: &str = "scans.jsonl";
 /// Blur of a camera that is in focus, one standard deviation, pixels.
 const BLUR: f64 = 0.7;
 
@@ -33,7 +39,7 @@ pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
-    /// The camera, with its noise and mount
+    /// The camera or the scanner, with its noise and mount
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: String,
 
@@ -45,7 +51,15 @@ pub struct Args {
     #[arg(long, value_name = "VALUE", default_value_t = 0.01)]
     grey_noise: f64,
 
-    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw, times of at least 0
+    /// Write the intensities of a scanner's echoes, too
+    #[arg(long)]
+    intensities: bool,
+
+    /// Noise of the intensities, one standard deviation; 1 is a retro-reflector
+    #[arg(long, value_name = "VALUE", default_value_t = 0.03, requires = "intensities")]
+    intensity_noise: f64,
+
+    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw, of cameras times of at least 0, of scanners rising ones
     #[arg(long, value_name = "FILE.tum")]
     poses: PathBuf,
 
@@ -88,16 +102,14 @@ pub struct Args {
 /// Those of the scene, the sensor and the poses, and of writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
-    files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml"])?;
+    files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
     files.check_named([args.scene.as_path(), args.poses.as_path(), Path::new(&args.sensor)])?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     super::print::notices(&notices);
-    let camera = depth_folder::camera_json(&sensor)?;
+    args.check_flags(&sensor)?;
+    let camera = sensor.is_camera().then(|| depth_folder::camera_json(&sensor)).transpose()?;
     let poses = tum::read(&args.poses)?;
-    if let Some(early) = poses.iter().find(|p| p.time < 0.0) {
-        let what = format!("a time of {} s", early.time);
-        return Err(Error::invalid(what, "give times of at least 0: images are named by them").in_file(&args.poses));
-    }
+    args.check_times(&poses, &sensor)?;
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut scene = open_scene(&args.scene, &import, Scheme::default())?;
@@ -106,37 +118,120 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut grey = args.grey_simulator(&threads)?;
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let mut simulator = Simulator::new(predictor, sensor.clone(), disturbances, args.seed)?;
+    if args.intensities {
+        simulator = simulator.with_intensities(args.intensity_noise)?;
+    }
     displace(&mut scene.world, args.displace, args.seed)?;
     let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
     files.check_read()?;
     folder::ready(&args.out)?;
-    folder::ready(&args.out.join("depth"))?;
-    if grey.is_some() {
-        folder::ready(&args.out.join("grey"))?;
-    }
-    for pose in &poses {
+    let mut next = |scene: &mut Scene, pose: &StampedPose| {
         walkers.walk(&mut scene.world, pose.time)?;
-        let frame = simulator.frame(&scene.world, pose.time, &pose.pose)?;
-        let path = args.out.join("depth").join(depth_folder::image_name(pose.time));
-        super::print::notices(&png::write_depth(&path, &images(&frame), &sensor)?);
-        if let Some(grey) = &mut grey {
-            let frame = grey.frame(&scene.world, pose.time, &pose.pose)?;
-            let image = frame.grey().expect("a grey simulator gives grey images");
-            png::write_grey(&args.out.join("grey").join(depth_folder::image_name(pose.time)), image)?;
+        simulator.frame(&scene.world, pose.time, &pose.pose)
+    };
+    match &camera {
+        None => write_scans(&args.out.join(SCANS), &sensor, &poses, |pose| next(&mut scene, pose))?,
+        Some(camera) => {
+            folder::ready(&args.out.join("depth"))?;
+            if grey.is_some() {
+                folder::ready(&args.out.join("grey"))?;
+            }
+            for pose in &poses {
+                let frame = next(&mut scene, pose)?;
+                write_images(&args.out, &frame, grey.as_mut(), &scene, pose)?;
+            }
+            write_text(&args.out.join("camera.json"), camera)?;
+            write_text(&args.out.join("poses.txt"), &depth_folder::poses_txt(&sensor, &poses))?;
         }
     }
-    let write = |name: &str, text: &str| write_atomically(&args.out.join(name), |file| file.write_all(text.as_bytes()));
-    write("camera.json", &camera)?;
-    write("sensor.toml", &sensor_toml::to_string(sensor.spec()))?;
+    write_text(&args.out.join("sensor.toml"), &sensor_toml::to_string(sensor.spec()))?;
     if let Some(grey) = &grey {
-        write("grey.toml", &sensor_toml::to_string(grey.camera().spec()))?;
+        write_text(&args.out.join("grey.toml"), &sensor_toml::to_string(grey.camera().spec()))?;
     }
-    write("poses.txt", &depth_folder::poses_txt(&sensor, &poses))?;
     Ok(CommandOutcome::Done)
 }
 
+fn write_text(path: &Path, text: &str) -> Result<()> {
+    write_atomically(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// The log of a scanner, whole or not at all.
+fn write_scans(
+    path: &Path,
+    sensor: &Sensor,
+    poses: &[StampedPose],
+    mut next: impl FnMut(&StampedPose) -> Result<Frame>,
+) -> Result<()> {
+    let mut failed = None;
+    let written = write_atomically(path, |file| {
+        let mut file = BufWriter::new(file);
+        writeln!(file, "{}", lines::header(sensor.spec()))?;
+        for pose in poses {
+            match next(pose) {
+                Ok(frame) => writeln!(file, "{}", lines::line(&log_frame(&frame, pose)))?,
+                Err(e) => {
+                    failed = Some(e);
+                    return Err(std::io::Error::other("a frame was not simulated"));
+                }
+            }
+        }
+        file.flush()
+    });
+    failed.map_or(written, Err)
+}
+
+fn log_frame(frame: &Frame, pose: &StampedPose) -> LogFrame {
+    LogFrame {
+        time: frame.stamp,
+        range: frame.ranges().to_vec(),
+        intensities: frame.intensities().map(|i| i.values().to_vec()),
+        odometry: frame.motion.map(|m| m.previous_from_current),
+        reference: Some(pose.pose),
+    }
+}
+
+/// The images of one time.
+fn write_images(
+    out: &Path,
+    frame: &Frame,
+    grey: Option<&mut GreySimulator>,
+    scene: &Scene,
+    pose: &StampedPose,
+) -> Result<()> {
+    let path = out.join("depth").join(depth_folder::image_name(pose.time));
+    super::print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
+    let Some(grey) = grey else { return Ok(()) };
+    let frame = grey.frame(&scene.world, pose.time, &pose.pose)?;
+    let image = frame.grey().expect("a grey simulator gives grey images");
+    png::write_grey(&out.join("grey").join(depth_folder::image_name(pose.time)), image)
+}
+
 impl Args {
+    fn check_flags(&self, sensor: &Sensor) -> Result<()> {
+        if self.intensities && sensor.is_camera() {
+            let remedy = "leave it out: --grey gives grey images of a camera";
+            return Err(Error::usage("--intensities of a camera: its images have no place for them", remedy));
+        }
+        if self.grey.is_some() && !sensor.is_camera() {
+            return Err(Error::usage("--grey beside a scanner: logs of scans have no images", "give a depth camera"));
+        }
+        Ok(())
+    }
+
+    fn check_times(&self, poses: &[StampedPose], sensor: &Sensor) -> Result<()> {
+        if let Some(early) = poses.iter().find(|p| p.time < 0.0 && sensor.is_camera()) {
+            let what = format!("a time of {} s", early.time);
+            return Err(Error::invalid(what, "give times of at least 0: images are named by them").in_file(&self.poses));
+        }
+        let falling = poses.windows(2).find(|pair| !(pair[1].time > pair[0].time));
+        if let Some([a, b]) = falling.filter(|_| !sensor.is_camera()) {
+            let what = format!("a time of {} s after one of {} s", b.time, a.time);
+            return Err(Error::invalid(what, "sort the poses by time, each once").in_file(&self.poses));
+        }
+        Ok(())
+    }
+
     /// With another seed than the ranges have.
     fn grey_simulator(&self, threads: &Threads) -> Result<Option<GreySimulator>> {
         let Some(name) = &self.grey else { return Ok(None) };

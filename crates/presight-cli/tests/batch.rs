@@ -40,8 +40,13 @@ impl Place {
         gltf::write_glb(&place.path("room.glb"), &scenes::room(4, 20)).unwrap();
         place.write("a.tum", &tum(POSES));
         place.write("s.toml", &sensor_toml::to_string(scanner().spec()));
-        let frame =
-            |time: f64, range: f32| log::LogFrame { time, range: vec![range; 361], odometry: None, reference: None };
+        let frame = |time: f64, range: f32| log::LogFrame {
+            time,
+            range: vec![range; 361],
+            intensities: None,
+            odometry: None,
+            reference: None,
+        };
         let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)));
         place.write("run.jsonl", &format!("{}\n{}\n", log::lines::header(scanner().spec()), lines.join("\n")));
         place

@@ -113,6 +113,7 @@ impl Document {
         let frame = LogFrame {
             time: scan.t.unwrap_or(index as f64),
             range: ranges,
+            intensities: None,
             odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
             reference: scan.reference.map(|p| planar(p.x, p.y, p.yaw)),
         };

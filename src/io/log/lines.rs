@@ -9,6 +9,7 @@
 //! - `t`: seconds, rising.
 //! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` for nothing sensed, `"-inf"` for something
 //!   nearer than `range_min`.
+//! - `intensities`, optional: how strong the echo was, one for each ray, 0 to 1: as bright as a retro-reflector; `null` for no echo.
 //! - `odometry`, optional: the robot's motion since the frame before, previous_robot_from_robot, as
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, written the same way.
@@ -62,6 +63,10 @@ pub fn line(frame: &LogFrame) -> String {
     let pose = |p: &Pose| [p.translation.to_array().as_slice(), p.rotation.to_array().as_slice()].concat();
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
     let mut text = format!("{{\"t\":{:?},\"range\":[{}]", frame.time, range.join(","));
+    if let Some(intensities) = &frame.intensities {
+        let values: Vec<String> = intensities.iter().map(|v| reading(*v)).collect();
+        text += &format!(",\"intensities\":[{}]", values.join(","));
+    }
     for (name, p) in [("odometry", &frame.odometry), ("reference", &frame.reference)] {
         if let Some(p) = p {
             text += &format!(",\"{name}\":{:?}", pose(p));
@@ -98,14 +103,16 @@ impl Lines {
     }
 
     fn parse(&self, text: &str) -> Result<LogFrame> {
-        let Entry { t, range, odometry, reference } = serde_json::from_str(text).map_err(|e| match e.is_eof() {
-            true => Error::invalid("the line is cut in the middle", "drop it, or record the log again"),
-            false => Error::invalid(format!("it is no frame: {e}"), REMEDY),
-        })?;
+        let Entry { t, range, intensities, odometry, reference } =
+            serde_json::from_str(text).map_err(|e| match e.is_eof() {
+                true => Error::invalid("the line is cut in the middle", "drop it, or record the log again"),
+                false => Error::invalid(format!("it is no frame: {e}"), REMEDY),
+            })?;
         let pose = |numbers: Option<Vec<f64>>, name| numbers.map(|n| pose(&n).map_err(|e| e.at(name))).transpose();
         let frame = LogFrame {
             time: t,
             range: range.into_iter().map(|r| r.0).collect(),
+            intensities: intensities.map(|all| all.into_iter().map(|i| i.map_or(f32::NAN, |i| i as f32)).collect()),
             odometry: pose(odometry, "odometry")?,
             reference: pose(reference, "reference")?,
         };
@@ -158,6 +165,7 @@ fn read_header(line: &str, path: &Path) -> Result<Sensor> {
 struct Entry {
     t: f64,
     range: Vec<Reading>,
+    intensities: Option<Vec<Option<f64>>>,
     odometry: Option<Vec<f64>>,
     reference: Option<Vec<f64>>,
 }

@@ -21,7 +21,7 @@ pub use frames::{Frames, Observation};
 use super::file;
 use super::text::read_line;
 use crate::error::{Error, Result};
-use crate::frame::{Measurement, Motion, OdometryNoise};
+use crate::frame::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use crate::geometry::Pose;
 use crate::limits;
 use crate::sensor::{Sensor, SensorSpec};
@@ -36,6 +36,8 @@ pub struct LogFrame {
     /// Metres along each ray, row-major, after REP-117: `+inf` where nothing was sensed, `-inf` where something was nearer than
     /// `range_min`, NaN where there is no reading.
     pub range: Vec<f32>,
+    /// How strong the echo along each ray was, as many as ranges: 0 to 1, as bright as a retro-reflector; NaN where there was none.
+    pub intensities: Option<Vec<f32>>,
     /// The robot's motion since the frame before, by its odometry: previous_robot_from_robot.
     pub odometry: Option<Pose>,
     /// Where the robot was, as far as somebody knows better: world_from_robot. No estimate may use it.
@@ -49,12 +51,15 @@ impl LogFrame {
     /// Those of [`crate::frame::Frame::new`].
     pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<crate::frame::Frame> {
         let mut frame = crate::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+        if let Some(values) = self.intensities {
+            frame = frame.with_intensities(GreyImage::new(sensor.width(), sensor.height(), values)?)?;
+        }
         frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
         Ok(frame)
     }
 
-    /// Checks the frame of a sensor: its size, finite times and poses, and that each reading is within the sensor's limits, or
-    /// not finite.
+    /// Checks the frame of a sensor: its size, finite times and poses, that each reading is within the sensor's limits, or
+    /// not finite, and that intensities are 0 to 1.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming what is wrong.
@@ -78,6 +83,13 @@ impl LogFrame {
                 );
             }
         }
+        if let Some(intensities) = &self.intensities {
+            if intensities.len() != pixels {
+                let remedy = "give one for each ray, row by row; null for none";
+                return Err(Error::invalid(format!("{} intensities for {pixels} rays", intensities.len()), remedy));
+            }
+            check_intensities(intensities)?;
+        }
         let poses = [("odometry", self.odometry), ("reference", self.reference)];
         for (name, pose) in poses {
             pose.map_or(Ok(()), |p| p.check_as(crate::error::ErrorKind::Invalid)).map_err(|e| e.at(name))?;
@@ -99,7 +111,7 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("run.log.jsonl");
 /// let sensor = presight::preset("laser-scanner")?;
-/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], odometry: None, reference: None };
+/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
 /// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)))?;
 /// let mut log = log::open(&path)?;
 /// assert_eq!(log.sensor().spec(), sensor.spec());

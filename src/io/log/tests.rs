@@ -37,13 +37,16 @@ proptest! {
             0.5..30f32, Just(f32::INFINITY), Just(f32::NEG_INFINITY), Just(f32::NAN)
         ]),
         moved in prop::option::of(prop::array::uniform3(-3.0..3.0f64)),
+        bright in prop::option::of(prop::array::uniform3(prop_oneof![0.0..=1f32, Just(0.0), Just(1.0), Just(f32::NAN)])),
     ) {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
-        let frame = LogFrame { time, range: range.to_vec(), odometry, reference: odometry };
+        let intensities = bright.map(|all| all.to_vec());
+        let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference: odometry };
         let read = frames(&log(&[&lines::line(&frame), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
-        let bits = |f: &LogFrame| f.range.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
-        prop_assert_eq!(bits(&read[0]), bits(&frame));
+        let bits = |all: &[f32]| all.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
+        let told = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
+        prop_assert_eq!(told(&read[0]), told(&frame));
         prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry));
     }
 }
@@ -66,6 +69,25 @@ fn readings_and_poses_are_what_the_line_says() {
     assert_eq!((read[0].odometry, read[0].reference), (None, None));
 }
 
+/// Beside each range its echo; a frame may have none, and the sensor's frame carries them on.
+#[test]
+fn intensities_are_read_beside_ranges() {
+    let text = log(&[
+        r#"{"t": 1, "range": [2, null, "inf"], "intensities": [0.25, 1, null]}"#,
+        r#"{"t": 2, "range": [2, 2, 2]}"#,
+    ]);
+    let read = frames(&text).unwrap();
+    let told = read[0].intensities.as_ref().unwrap();
+    assert!(told[..2] == [0.25, 1.0] && told[2].is_nan() && read[1].intensities.is_none());
+    let sensor = Sensor::new(scanner(3)).unwrap();
+    let sensed: Vec<_> = read.into_iter().map(|f| f.sensed(&sensor, &OdometryNoise::default()).unwrap()).collect();
+    let image = sensed[0].intensities().unwrap();
+    assert_eq!((image.width(), image.height(), image.values()[1]), (3, 1, 1.0));
+    assert!(sensed[1].intensities().is_none());
+    // The beam in the middle keeps its own.
+    assert_eq!(sensed[0].thinned(3).unwrap().intensities().unwrap().values(), [1.0]);
+}
+
 #[test]
 fn what_is_wrong_is_told_with_file_and_line() {
     let good = r#"{"t": 1, "range": [2, 2, 2]}"#;
@@ -82,6 +104,14 @@ fn what_is_wrong_is_told_with_file_and_line() {
         (r#"{"t": 2, "range": [2, 2, 2], "odometry": [1, 2]}"#, "odometry: it is no pose"),
         (r#"{"t": 2, "range": [2, 2, 2], "reference": [0, 0, 0, 0, 0, 0, 0]}"#, "reference: it is no pose"),
         (r#"{"t": 2, "range": [2, 2"#, "cut in the middle"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0.5, 1"#, "cut in the middle"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0.5, 1]}"#, "2 intensities for 3 rays"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": []}"#, "0 intensities for 3 rays"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, -0.1]}"#, "intensity 2: an intensity of -0.1"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 255, 1]}"#, "intensity 1: an intensity of 255"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, 1e300]}"#, "intensity 2"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, "inf"]}"#, "it is no frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensity": [0, 1, 1]}"#, "it is no frame"),
         ("nonsense", "it is no frame"),
     ];
     for (line, what) in cases {

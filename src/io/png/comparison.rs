@@ -36,6 +36,17 @@ pub struct Comparison<'a> {
     pub features: Option<&'a Overlay<'a>>,
     /// A grey image that was taken at the same time, and what was found in it.
     pub grey: Option<GreyPanel<'a>>,
+    /// What was predicted and found of features in a scan of one row.
+    pub plan: Option<PlanMarks<'a>>,
+}
+
+/// Points over the plan of a scan of one row.
+#[derive(Clone, Copy, Debug)]
+pub struct PlanMarks<'a> {
+    /// Points in metres, x forward and y left of the sensor; the first lowest.
+    pub marks: &'a [GreyMark],
+    /// Names and colours (sRGB) of marks.
+    pub legend: &'a [(&'a str, [u8; 3])],
 }
 
 /// A grey image with what was predicted and found in it.
@@ -49,10 +60,10 @@ pub struct GreyPanel<'a> {
     pub legend: &'a [(&'a str, [u8; 3])],
 }
 
-/// A point or a line over a grey image.
+/// A point or a line over an image or a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GreyMark {
-    /// Columns and rows.
+    /// Columns and rows; in a plan metres.
     pub points: Vec<DVec2>,
     /// Index into the legend.
     pub kind: usize,
@@ -170,7 +181,10 @@ fn from_above(c: &Comparison<'_>) -> Canvas {
     let map = Map::around(&[&predicted[..], &sensed].concat());
     let lines = legend_lines(c.legend, map.size[0] + 2 * MARGIN);
     let (top, below) = (MARGIN + HEADER, 2 * MARGIN + HEADER + map.size[1]);
-    let mut canvas = Canvas::new(map.size[0] + 2 * MARGIN, below + legend_height(c, &lines) + MARGIN);
+    let (own, names) = (legend_height(c, &lines), c.plan.map_or(&[][..], |plan| plan.legend));
+    let of_features = if names.is_empty() { Vec::new() } else { legend_lines(names, map.size[0] + 2 * MARGIN) };
+    let height = below + own + LEGEND * of_features.len() as u32 + MARGIN;
+    let mut canvas = Canvas::new(map.size[0] + 2 * MARGIN, height);
     canvas.text(MARGIN, MARGIN, "predicted: lines, sensed: dots", INK);
     canvas.fill(MARGIN, top, map.size[0], map.size[1], MISS);
     polar::free_space(&mut canvas, &map, &sensed, ray);
@@ -196,8 +210,15 @@ fn from_above(c: &Comparison<'_>) -> Canvas {
         let frame = PageRect { left: MARGIN, top, width: map.size[0], height: map.size[1] };
         draw_from_above(overlay, &mut canvas, frame, &c.predicted.range, &|p| map.page(p));
     }
+    if let Some(plan) = &c.plan {
+        for mark in plan.marks {
+            let color = plan.legend.get(mark.kind).map_or(FAINT, |(_, color)| *color);
+            mark.points.iter().for_each(|at| canvas.disc(map.page(*at), 2.5 * mark.radius, color));
+        }
+    }
     polar::marker(&mut canvas, &map);
     draw_legends(&mut canvas, c, &lines, below);
+    draw_names(&mut canvas, &of_features, below + own);
     canvas
 }
 

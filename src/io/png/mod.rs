@@ -20,7 +20,7 @@ use crate::sensor::{Geometry, Sensor};
 use crate::virtual_sensors::Mask;
 use canvas::Canvas;
 use color::Palette;
-pub use comparison::{Comparison, GreyMark, GreyPanel, write_comparison};
+pub use comparison::{Comparison, GreyMark, GreyPanel, PlanMarks, write_comparison};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use map::{GridMap, write_maps};

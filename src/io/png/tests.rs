@@ -108,7 +108,7 @@ const LEGEND: [(&str, [u8; 3]); 2] = [("confirmed", CONFIRMED), ("nearer", NEARE
 
 /// What is sensed is near at the first pixel, all else is as predicted.
 fn compared<'a>(sensor: &'a Sensor, predicted: &'a Images, sensed: &'a [f32], verdicts: &'a [u8]) -> Comparison<'a> {
-    Comparison { sensor, predicted, sensed, verdicts, legend: &LEGEND, features: None, grey: None }
+    Comparison { sensor, predicted, sensed, verdicts, legend: &LEGEND, features: None, grey: None, plan: None }
 }
 
 /// Predicted, sensed and verdicts stand in this order, side by side or below each other, in one scale of ranges.

@@ -178,7 +178,12 @@ impl Simulator {
                     shape: Shape::Point(pixel + off),
                     covariances: vec![DMat2::IDENTITY],
                     properties: if self.disturbance.properties {
-                        ExpectedProperties { strength: told(0), contrast: told(1), direction: told(2), marker: None }
+                        ExpectedProperties {
+                            strength: told(0),
+                            contrast: told(1),
+                            direction: told(2),
+                            ..ExpectedProperties::default()
+                        }
                     } else {
                         ExpectedProperties::default()
                     },
@@ -210,7 +215,8 @@ impl Simulator {
                 None => [random.unit(), random.unit(), PI * random.unit()],
             };
             let [strength, contrast, direction] = told.map(Some);
-            detection.properties = DetectionProperties { strength, contrast, direction, marker: None };
+            detection.properties =
+                DetectionProperties { strength, contrast, direction, ..DetectionProperties::default() };
         }
         detection
     }

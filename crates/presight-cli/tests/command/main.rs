@@ -13,6 +13,8 @@ mod outputs;
 #[cfg(unix)]
 mod poses;
 #[cfg(feature = "script")]
+mod reflectors;
+#[cfg(feature = "script")]
 mod scripts;
 #[cfg(unix)]
 mod signals;
