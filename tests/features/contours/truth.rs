@@ -14,11 +14,14 @@ use glam::{DVec2, DVec3};
 use presight::environment::FeatureLayer;
 use presight::environment::FeatureShape;
 use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{FeatureSettings, PlacedFeature, SeenFeature, place, predict_features};
+use presight::features::{FeatureOptions, PlacedFeature, PlacedFeatures, SeenFeature, place};
 use presight::io::gltf::{ImportOptions, import};
-use presight::{Camera, Geometry, Output, Outputs, Pose, Sensor, SensorSpec, World};
+use presight::{
+    Backend, Camera, Geometry, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World,
+};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, HashSet};
 
 /// Rays of the truth for a pixel of the base image, along each axis.
 const FINE: u32 = 4;
@@ -111,21 +114,27 @@ fn truth(oracle: &Oracle, sensor: &Sensor, pose: &Pose, crease: f64) -> Vec<(DVe
         (0..w).map(hit).collect()
     };
     let base = |c: f64, r: f64| (DVec2::new(c, r) + 0.5) / f64::from(FINE) - 0.5;
-    let rows = |r: u32| {
-        let (this, mut all) = (row(r), Vec::new());
-        let last = if r > 0 { row(r - 1) } else { Vec::new() };
-        for c in 0..w as usize {
-            let (x, y) = (c as f64, f64::from(r));
-            if c > 0 && parts(&this[c - 1], &this[c], crease) {
-                all.push((base(x - 0.5, y), [this[c - 1].polygon, this[c].polygon]));
+    // The row before some is seen twice.
+    const ROWS: u32 = 32;
+    let rows = |some: u32| {
+        let (first, mut all) = (some * ROWS, Vec::new());
+        let mut last = if first > 0 { row(first - 1) } else { Vec::new() };
+        for r in first..(first + ROWS).min(h) {
+            let this = row(r);
+            for c in 0..w as usize {
+                let (x, y) = (c as f64, f64::from(r));
+                if c > 0 && parts(&this[c - 1], &this[c], crease) {
+                    all.push((base(x - 0.5, y), [this[c - 1].polygon, this[c].polygon]));
+                }
+                if r > 0 && parts(&last[c], &this[c], crease) {
+                    all.push((base(x, y - 0.5), [last[c].polygon, this[c].polygon]));
+                }
             }
-            if r > 0 && parts(&last[c], &this[c], crease) {
-                all.push((base(x, y - 0.5), [last[c].polygon, this[c].polygon]));
-            }
+            last = this;
         }
         all
     };
-    (0..h).into_par_iter().flat_map_iter(rows).collect()
+    (0..h.div_ceil(ROWS)).into_par_iter().flat_map_iter(rows).collect()
 }
 
 /// Places every half pixel on what is seen of segments and contours, with the numbers of their features.
@@ -181,10 +190,27 @@ impl Shares {
     }
 }
 
+/// Features with a predictor that keeps what it has set up for them: the edges of a city's surfaces take seconds.
+struct Watched {
+    placed: PlacedFeatures,
+    predictor: RefCell<Predictor>,
+}
+
+impl Watched {
+    fn new(placed: Vec<PlacedFeature>) -> Self {
+        let predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
+        Self { placed: placed.into(), predictor: predictor.into() }
+    }
+
+    fn segments(&self) -> Self {
+        Self::new(self.placed.features.iter().filter(|p| p.feature.shape.kind() != "contour").cloned().collect())
+    }
+}
+
 /// The features of a layer that are lines: of the layer itself, and those that a layer has beside it that asks for a tenth of the length.
 struct Lines {
-    placed: Vec<PlacedFeature>,
-    short: Vec<PlacedFeature>,
+    placed: Watched,
+    short: Watched,
     crease: f64,
 }
 
@@ -198,23 +224,27 @@ impl Lines {
             FeatureShape::Segment { ends: [a, b], .. } => Some(a.distance(*b)),
             _ => None,
         };
+        let bits = |at: DVec3| at.to_array().map(f64::to_bits);
+        let anchor = |shape: &FeatureShape| match shape {
+            FeatureShape::Contour { anchor, .. } => Some(bits(*anchor)),
+            _ => None,
+        };
+        let anchors: HashSet<_> = made.features.iter().filter_map(|f| anchor(&f.shape)).collect();
         let is_line = |kind: &str| ["segment", "contour"].contains(&kind);
         let is_short = |shape: &FeatureShape| match length(shape) {
             Some(length) => length < options.min_length,
-            None => shape.kind() == "contour" && made.features.iter().all(|f| f.shape.points() != shape.points()),
+            None => anchor(shape).is_some_and(|anchor| !anchors.contains(&anchor)),
         };
         let some = |of: &FeatureLayer, wanted: &dyn Fn(&FeatureShape) -> bool| {
             let features = of.features.iter().filter(|f| wanted(&f.shape)).cloned().collect();
             place(world, &FeatureLayer { features, ..of.clone() }).unwrap()
         };
         let placed = some(&made, &|shape| is_line(shape.kind()));
-        Self { placed, short: some(&finer, &is_short), crease: options.crease }
+        Self { placed: Watched::new(placed), short: Watched::new(some(&finer, &is_short)), crease: options.crease }
     }
 
     fn segments(&self) -> Self {
-        let some =
-            |all: &[PlacedFeature]| all.iter().filter(|p| p.feature.shape.kind() != "contour").cloned().collect();
-        Self { placed: some(&self.placed), short: some(&self.short), crease: self.crease }
+        Self { placed: self.placed.segments(), short: self.short.segments(), crease: self.crease }
     }
 }
 
@@ -223,23 +253,20 @@ struct View<'a> {
     world: &'a World,
     pose: &'a Pose,
     base: &'a Sensor,
-    images: presight::Images,
     truth: Vec<(DVec2, [u32; 2])>,
 }
 
 impl<'a> View<'a> {
     fn new(world: &'a World, pose: &'a Pose, (base, fine): (&'a Sensor, &Sensor), crease: f64) -> Self {
         let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
-        let truth = truth(&oracle, fine, pose, crease);
-        let request = presight::Request::of(Outputs::of(&[Output::PolygonId]));
-        let plan = presight::FramePlan::new(world, base, pose, &request).unwrap();
-        Self { world, pose, base, images: super::common::reference(&plan), truth }
+        Self { world, pose, base, truth: truth(&oracle, fine, pose, crease) }
     }
 
-    fn see(&self, placed: &[PlacedFeature]) -> Vec<SeenFeature> {
-        let settings = FeatureSettings::default();
-        let seen = predict_features(self.world, self.base, self.pose, &self.images, placed, &settings).unwrap();
-        seen.features
+    fn see(&self, watched: &Watched) -> Vec<SeenFeature> {
+        let features = FeatureOptions::default().with_placed(watched.placed.clone());
+        let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(features);
+        let mut predictor = watched.predictor.borrow_mut();
+        predictor.predict(self.world, self.base, self.pose, &request).unwrap().features.unwrap().features
     }
 
     fn places(&self, all: Vec<DVec2>) -> Places {
