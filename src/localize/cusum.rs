@@ -90,6 +90,11 @@ impl Cusum {
     pub fn restart(&mut self) {
         self.sum = 0.0;
     }
+
+    /// Learns anew what is usual.
+    pub(super) fn forget(&mut self) {
+        (self.sum, self.mean, self.variance, self.count) = (0.0, 0.0, 0.0, 0.0);
+    }
 }
 
 impl fmt::Display for Cusum {

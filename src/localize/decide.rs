@@ -66,7 +66,7 @@ impl Localizer {
     }
 
     pub(super) fn restart_tests(&mut self) {
-        (self.is_anew, self.disagreed) = (false, 0);
+        (self.is_anew, self.disagreed, self.tracked, self.followed) = (false, 0, 0, None);
         self.explained.restart();
         self.standing.restart();
     }
@@ -84,9 +84,13 @@ impl Localizer {
                 Some(alarm) => {
                     self.phase = Phase::Lost;
                     self.restart_agreement();
+                    self.followed = (self.tracked >= self.options.patience).then_some(self.belief);
                     format!("{why}; {alarm}")
                 }
-                None => why,
+                None => {
+                    self.tracked += 1;
+                    why
+                }
             },
             Phase::Lost | Phase::Unknown | Phase::Candidates if estimate.is_determined() => {
                 if let Some(but) = self.disagrees(estimate) {

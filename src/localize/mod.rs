@@ -208,6 +208,10 @@ pub struct Localizer {
     stamp: Option<f64>,
     search: Option<Search>,
     candidates: Vec<Candidate>,
+    /// Frames since the robot was found or given.
+    tracked: usize,
+    /// Where a robot that is lost would be if it were not, carried on by its odometry.
+    followed: Option<Prior>,
     /// In place of one Gaussian, where that would settle too soon.
     hypotheses: Option<Hypotheses>,
     /// Frames in a row that explain enough for one Gaussian.
@@ -236,6 +240,8 @@ impl Localizer {
             stamp: None,
             search: None,
             candidates: Vec::new(),
+            tracked: 0,
+            followed: None,
             hypotheses: None,
             agreed_again: 0,
         }

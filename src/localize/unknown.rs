@@ -20,6 +20,9 @@ impl Localizer {
 
     /// One frame of the search.
     pub(super) fn search_on(&mut self, world: &World, frame: &Frame, motion: Option<&Motion>) -> Result<Step> {
+        if let (Some(followed), Some(motion)) = (&mut self.followed, motion) {
+            *followed = carried(followed, motion, self.estimator.options.freedom);
+        }
         match motion {
             Some(motion) if !self.candidates.is_empty() => self.carry(world, frame, motion)?,
             _ => {
@@ -76,7 +79,8 @@ impl Localizer {
             self.candidates.len(),
             100.0 * explained
         );
-        let enough = explained >= options.least_found;
+        let returned = self.has_returned();
+        let enough = returned || explained >= options.least_found;
         if enough && lead >= options.lead && frames >= options.least_frames {
             if self.add_rivals(world, frame)? {
                 self.phase = Phase::Candidates;
@@ -86,6 +90,11 @@ impl Localizer {
             self.candidates.clear();
             self.restart_tests();
             self.motion = Pose::IDENTITY;
+            if returned {
+                self.explained.forget();
+                self.standing.forget();
+                return Ok(format!("{why}; the robot was followed to there: the map has changed"));
+            }
             return Ok(why);
         }
         if frames % options.least_frames.max(1) == 0 && lead < options.lead {
@@ -95,6 +104,14 @@ impl Localizer {
         let given_up = !enough && frames >= options.patience;
         self.phase = if given_up { Phase::Unknown } else { Phase::Candidates };
         Ok(if given_up { format!("{why}: less than {:.0} %, none is right", 100.0 * options.least_found) } else { why })
+    }
+
+    /// True if the best place of the whole map is where the robot had been followed to before it counted as lost. A robot that was carried
+    /// away is elsewhere; this one's surroundings have changed, and little of them is explained.
+    fn has_returned(&self) -> bool {
+        let best = &self.candidates[0];
+        let there = self.followed.is_some_and(|followed| is_same(&followed.pose, &best.pose));
+        there && best.explained >= self.options.least_agreeing
     }
 
     /// Looks through the whole map once more: places that fit this frame better than the best candidate join them.

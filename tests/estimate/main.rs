@@ -39,9 +39,14 @@ pub fn add_box(environment: &mut Environment, name: &str, least: Vec3, most: Vec
 
 /// A room of 6 x 4 x 2.6 m with a table, a shelf and a pillar that make it like no other; `shift` moves all of these.
 pub fn room(shift: Vec3) -> World {
+    room_up_to(4.0, shift)
+}
+
+/// Likewise, with its last wall at so much.
+pub fn room_up_to(y: f32, shift: Vec3) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
-    add_box(&mut environment, "room", Vec3::ZERO, Vec3::new(6.0, 4.0, 2.6));
+    add_box(&mut environment, "room", Vec3::ZERO, Vec3::new(6.0, y, 2.6));
     for (name, least, most) in [
         ("table", [2.0, 0.8, 0.0], [3.2, 1.6, 0.75]),
         ("shelf", [4.6, 3.4, 0.0], [5.9, 4.0, 1.9]),

@@ -69,6 +69,40 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     assert!(found.contains(&25));
 }
 
+/// A wall that the map still has is taken down while the robot is followed: half of the beams pass through where it stood. The robot counts as
+/// lost; then no place of the map fits better than where it was followed to, and it is followed again. One that is carried away at that
+/// moment is never said to be there.
+#[test]
+fn a_robot_is_followed_on_where_the_map_has_changed() {
+    let (map, mut random) = (room(Vec3::ZERO), Random(25));
+    let changed = room_up_to(7.5, Vec3::ZERO);
+    let away = Pose::from_xyz_rpy(DVec3::new(4.6, 2.0, 0.0), 0.0, 0.0, -2.4);
+    for carried_away in [false, true] {
+        let mut robot = unknown(&map);
+        let (mut lost, mut told) = (None, Vec::new());
+        for k in 0..28 {
+            let (world, taken) = if k < 14 { (&map, false) } else { (&changed, carried_away) };
+            let (from, steps) = if taken { (away, k - 14) } else { (start(), k) };
+            let (mut frame, truth) = frame(world, &from, steps, &mut random);
+            frame.stamp = k as f64;
+            let step = robot.step(&map, &frame).unwrap();
+            if step.phase == Phase::Lost {
+                lost.get_or_insert(k);
+            }
+            if step.phase == Phase::Tracking && lost.is_some() {
+                told.push((k, apart(&step.pose, &truth), step.reason));
+            }
+        }
+        assert!(lost.is_some_and(|k| k < 19), "lost at {lost:?}");
+        assert!(told.iter().all(|(_, off, _)| off.0 < 0.1 && off.1 < 1.5), "{told:?}");
+        if !carried_away {
+            let (first, _, reason) = told.first().expect("it is followed again");
+            assert!(*first < lost.unwrap() + 10 && reason.contains("the map has changed"), "{told:?}");
+            assert_eq!(told.len(), 28 - first, "{told:?}");
+        }
+    }
+}
+
 /// An empty rectangle looks the same from the opposite place: no number of frames may decide, and both places are told.
 #[test]
 fn a_room_with_a_double_stays_undetermined() {

@@ -248,6 +248,17 @@ impl Drive {
         Ok(followed)
     }
 
+    /// What may help if most frames of a folder of depth images have no pose: such a folder does not say how noisy they are.
+    fn noise_is_assumed(&self, followed: &Followed) -> Option<String> {
+        let known = followed.steps.iter().filter(|s| s.is_known()).count();
+        let assumed = self.log.is_dir() && self.sensor.is_none() && 2 * known < followed.steps.len();
+        assumed.then(|| {
+            "the log does not say how noisy its depths are; if they scatter more than 5 mm, give a --sensor file with [noise] \
+             range_sigma and range_sigma_quadratic (docs/formats.md)"
+                .to_owned()
+        })
+    }
+
     /// The grey images beside depth images, if the log has some.
     fn grey(&self, depth: &Sensor) -> Result<Option<DepthFolder>> {
         let sensor = self.grey_sensor.as_deref().map(load_sensor).transpose()?;
@@ -393,6 +404,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     write(&args.out, &followed.steps)?;
     write_details(&details, &followed)?;
     print::data(&summary(&followed))?;
+    print::notices(&args.drive.noise_is_assumed(&followed));
     Ok(CommandOutcome::Done)
 }
 
@@ -442,8 +454,9 @@ pub fn summary(followed: &Followed) -> String {
     let Followed { steps, reference, .. } = followed;
     let known = steps.iter().filter(|s| s.is_known()).count();
     let mut text = format!("{known} of {} frames have a pose\n", steps.len());
-    for pair in steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase) {
-        text += &format!("{}: {}: {}\n", pair[1].stamp, pair[1].phase.name(), pair[1].reason);
+    let changed = steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase).map(|pair| &pair[1]);
+    for step in steps.first().into_iter().chain(changed) {
+        text += &format!("{}: {}: {}\n", step.stamp, step.phase.name(), step.reason);
     }
     let mut off: Vec<(f64, f64)> = Vec::new();
     for (step, there) in steps.iter().zip(reference).filter(|(step, _)| step.is_known()) {

@@ -2,7 +2,7 @@
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_max`, `range_std`,
 //! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`.
-//! Keys of a scan: `ranges` (metres; null is no reading), `valid` (a digit for each beam, 1 for a reading), and optionally `t` (seconds; without it frames
+//! Keys of a scan: `ranges` (metres; null is no reading), and optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds; without it frames
 //! are numbered from 0), `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`,
 //! `reference_pose` or `pose_in_model`. Other keys are not read.
 
@@ -69,7 +69,7 @@ struct Scan {
     #[serde(alias = "robot_pose", alias = "reference_pose", alias = "pose_in_model")]
     reference: Option<Planar>,
     ranges: Vec<Option<f64>>,
-    valid: String,
+    valid: Option<String>,
 }
 
 impl Document {
@@ -92,14 +92,14 @@ impl Document {
     }
 
     fn read(&mut self, index: usize, scan: Scan) -> Result<LogFrame> {
-        let valid = scan.valid.as_bytes();
+        let valid = scan.valid.map_or_else(|| vec![b'1'; scan.ranges.len()], String::into_bytes);
         if valid.len() != scan.ranges.len() || !valid.iter().all(|v| matches!(v, b'0' | b'1')) {
             let remedy = "give a digit 0 or 1 for each beam";
             return Err(Error::invalid(format!("valid does not fit the {} ranges", scan.ranges.len()), remedy));
         }
         let reading = |(range, valid): (&Option<f64>, &u8)| range.filter(|_| *valid == b'1');
         let mut ranges = Vec::with_capacity(valid.len());
-        for (i, reading) in scan.ranges.iter().zip(valid).map(reading).enumerate() {
+        for (i, reading) in scan.ranges.iter().zip(&valid).map(reading).enumerate() {
             ranges.push(match reading {
                 Some(range) if (range as f32).is_finite() => range as f32,
                 Some(range) => {
@@ -198,12 +198,15 @@ fn round_degrees(radians: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn parse(angle_max: &str) -> Result<Document> {
-        let text = format!(
+    fn text(angle_max: &str) -> String {
+        format!(
             r#"{{"beams":3,"angle_min":-1.5,"angle_max":{angle_max},"range_max":8,"sensor_on_robot":{{"x":0,"y":0,"z":1,"yaw":0}},
             "scans":[{{"ranges":[2.5,null,3.5],"valid":"110"}}]}}"#
-        );
-        Document::parse(Path::new("scans.json"), text.into_bytes())
+        )
+    }
+
+    fn parse(angle_max: &str) -> Result<Document> {
+        Document::parse(Path::new("scans.json"), text(angle_max).into_bytes())
     }
 
     /// null and what is marked as not valid are no readings, as other programs write them.
@@ -211,6 +214,14 @@ mod tests {
     fn a_missing_range_is_no_reading() {
         let frame = parse("1.5").unwrap().next().unwrap().unwrap();
         assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2].is_nan());
+    }
+
+    /// Programs that mark no beam leave the key out.
+    #[test]
+    fn without_marks_every_range_is_a_reading() {
+        let text = text("1.5").replace(r#","valid":"110""#, "");
+        let frame = Document::parse(Path::new("scans.json"), text.into_bytes()).unwrap().next().unwrap().unwrap();
+        assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2] == 3.5);
     }
 
     #[test]
