@@ -2,7 +2,7 @@
 //!
 //! An [`Estimator`] predicts at the pose that was known before, compares, moves, and predicts once more. The prior is a residual like
 //! all others (the form of an iterated extended Kalman filter). The covariance knows that beams share the errors of surfaces, and
-//! directions that the measurement leaves open are named. See `docs/localization.md` for the maths.
+//! directions that the measurement leaves open are named. See `docs/design/localization.md` for the maths.
 //!
 //! # Examples
 //! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
