@@ -251,7 +251,7 @@ impl Drive {
     /// What may help if most frames of a folder of depth images have no pose: such a folder does not say how noisy they are.
     fn noise_is_assumed(&self, followed: &Followed) -> Option<String> {
         let known = followed.steps.iter().filter(|s| s.is_known()).count();
-        let assumed = self.log.is_dir() && self.sensor.is_none() && 2 * known < followed.steps.len();
+        let assumed = self.log.join("depth").is_dir() && self.sensor.is_none() && 2 * known < followed.steps.len();
         assumed.then(|| {
             "the log does not say how noisy its depths are; if they scatter more than 5 mm, give a --sensor file with [noise] \
              range_sigma and range_sigma_quadratic (docs/formats.md)"
