@@ -200,6 +200,10 @@ impl FeatureShape {
                 for (k, covariance) in covariances.iter().enumerate() {
                     check_covariance(&rows(covariance)).map_err(|e| e.at(format!("end {k}")))?;
                 }
+                // Without a cross-covariance that of both is as sound as that of each.
+                if *cross == DMat3::ZERO {
+                    return Ok(());
+                }
                 check_covariance(&joint(covariances, cross)).map_err(|e| e.at("both ends with their cross-covariance"))
             }
             Self::Patch { corners, covariance } => {
@@ -354,6 +358,9 @@ fn joint(covariances: &[DMat3; 2], cross: &DMat3) -> [[f64; 6]; 6] {
 /// nanometre beside a kilometre, lose nothing. Entries wrong by `WRITTEN` then move no eigenvalue by more than
 /// 2 n `WRITTEN`; with that much added to the diagonal a Cholesky decomposition must succeed.
 pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()> {
+    if covariance.as_flattened().iter().all(|x| *x == 0.0) {
+        return Ok(());
+    }
     let wrong = |what: String| Err(Error::invalid(what, "give a covariance: symmetric, no eigenvalue below 0"));
     let most = limits::MAX_COORDINATE * limits::MAX_COORDINATE;
     if let Some(x) = covariance.as_flattened().iter().find(|x| !(x.abs() <= most)) {

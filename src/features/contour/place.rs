@@ -14,13 +14,14 @@ pub(in crate::features) struct ContourFinder<'a> {
     environment: &'a Environment,
     class: &'a str,
     objects: HashMap<u32, (MeshEdges, Reached)>,
+    known: KnownSurfaces,
     /// Facets of all surfaces found so far.
     facets: u64,
 }
 
 impl<'a> ContourFinder<'a> {
     pub fn new(environment: &'a Environment, class: &'a str) -> Self {
-        Self { environment, class, objects: HashMap::new(), facets: 0 }
+        Self { environment, class, objects: HashMap::new(), known: KnownSurfaces::default(), facets: 0 }
     }
 
     /// True if [`limits::MAX_CONTOUR_FACETS`] is met.
@@ -43,15 +44,13 @@ impl<'a> ContourFinder<'a> {
                 new.insert((edges, reached))
             }
         };
-        let mut all: Vec<Vec<u32>> = Vec::new();
+        let mut largest = Vec::new();
         for slot in slots {
-            let polygon = slot - of.first_slot;
-            if !reached.holds(polygon) {
-                all.push(connected(edges, polygon, crease_deg.to_radians(), reached));
+            let surface = self.known.of((object, slot - of.first_slot), crease_deg, edges, reached);
+            if surface.len() > largest.len() {
+                largest.clone_from(surface);
             }
         }
-        all.iter().for_each(|polygons| reached.forget(polygons));
-        let mut largest = all.into_iter().reduce(|a, b| if b.len() > a.len() { b } else { a }).unwrap_or_default();
         self.facets += largest.len() as u64;
         if self.is_full() {
             let what = format!("the contours of the layer hold over {} polygons", limits::MAX_CONTOUR_FACETS);
@@ -59,6 +58,43 @@ impl<'a> ContourFinder<'a> {
         }
         largest.iter_mut().for_each(|polygon| *polygon += of.first_slot);
         Ok(largest)
+    }
+}
+
+/// Surfaces found before: many contours may be of one.
+#[derive(Default)]
+struct KnownSurfaces {
+    /// By object, polygon and crease angle (its bits) the number of the surface.
+    numbers: HashMap<(u32, u32, u64), u32>,
+    /// Polygons, rising.
+    surfaces: Vec<Vec<u32>>,
+    /// Their facets, no more than [`limits::MAX_CONTOUR_FACETS`].
+    facets: u64,
+}
+
+impl KnownSurfaces {
+    /// The surface of a polygon of an object. All polygons of one are connected with each other.
+    fn of(
+        &mut self,
+        (object, polygon): (u32, u32),
+        crease_deg: f64,
+        edges: &MeshEdges,
+        reached: &mut Reached,
+    ) -> &Vec<u32> {
+        let key = |polygon: u32| (object, polygon, crease_deg.to_bits());
+        if let Some(number) = self.numbers.get(&key(polygon)) {
+            return &self.surfaces[*number as usize];
+        }
+        let polygons = connected(edges, polygon, crease_deg.to_radians(), reached);
+        reached.forget(&polygons);
+        if self.facets + polygons.len() as u64 > limits::MAX_CONTOUR_FACETS {
+            *self = Self::default();
+        }
+        self.facets += polygons.len() as u64;
+        let number = self.surfaces.len() as u32;
+        self.numbers.extend(polygons.iter().map(|polygon| (key(*polygon), number)));
+        self.surfaces.push(polygons);
+        &self.surfaces[number as usize]
     }
 }
 

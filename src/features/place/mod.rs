@@ -128,6 +128,10 @@ struct SupportFinder<'a> {
     contours: ContourFinder<'a>,
     /// [`limits::MAX_PLACING_PAIRS`].
     most_pairs: u64,
+    /// The object that was asked for last, by its path: neighbours in a layer tend to have the same.
+    last_object: Option<(&'a str, u32)>,
+    /// Memory for the corners of a polygon.
+    corners: Vec<DVec3>,
 }
 
 /// The frame a feature is given in.
@@ -144,30 +148,37 @@ impl FeatureFrame<'_> {
         PlacedFeature { feature: feature.clone(), object: self.object.map(|(_, index)| index), slots }
     }
 
-    fn to_world(&self, p: DVec3) -> DVec3 {
-        self.object.map_or(p, |(o, _)| o.world_from_object.transform_point(p))
-    }
-
     /// A polygon's corners in this frame about the anchor, and the bound of their rounding, metres.
-    fn corners(&self, other: &Object, index: u32, polygon: u32) -> (Vec<DVec3>, f64) {
+    fn corners(&self, other: &Object, index: u32, polygon: u32, corners: &mut Vec<DVec3>) -> f64 {
+        corners.clear();
         let in_other = other.mesh.corners_of(polygon).map(|p| other.object_from_mesh.transform_point3(p));
         let Pose { rotation: _, translation } = other.world_from_object;
-        let turn = other.world_from_object.rotation_matrix();
         // Origins are subtracted first: they may be far from the world's and near each other.
-        let (corners, apart): (Vec<DVec3>, f64) = match self.object {
-            Some((_, own)) if own == index => (in_other.map(|p| p - self.anchor).collect(), 0.0),
+        let apart = match self.object {
+            Some((_, own)) if own == index => {
+                corners.extend(in_other.map(|p| p - self.anchor));
+                0.0
+            }
             Some((own, _)) => {
+                let turn = other.world_from_object.rotation_matrix();
                 let own = own.world_from_object;
                 let (back, apart) = (own.rotation_matrix().transpose(), translation - own.translation);
-                (in_other.map(|p| back * (turn * p + apart) - self.anchor).collect(), apart.length())
+                corners.extend(in_other.map(|p| back * (turn * p + apart) - self.anchor));
+                apart.length()
             }
             None => {
+                let turn = other.world_from_object.rotation_matrix();
                 let apart = translation - self.anchor;
-                (in_other.map(|p| turn * p + apart).collect(), apart.length())
+                corners.extend(in_other.map(|p| turn * p + apart));
+                apart.length()
             }
         };
-        let reach = corners.iter().map(|c| c.length()).fold(apart, f64::max);
-        (corners, 64.0 * f64::EPSILON * (reach + self.anchor.length()))
+        let reach = corners.iter().map(|c| c.length_squared()).fold(apart * apart, f64::max).sqrt();
+        64.0 * f64::EPSILON * (reach + self.anchor.length())
+    }
+
+    fn to_world(&self, p: DVec3) -> DVec3 {
+        self.object.map_or(p, |(o, _)| o.world_from_object.transform_point(p))
     }
 }
 
@@ -180,7 +191,8 @@ impl<'a> SupportFinder<'a> {
         }
         let contours = ContourFinder::new(environment, &layer.class);
         let (tolerance, most_pairs) = (layer.tolerance, limits::MAX_PLACING_PAIRS);
-        Ok(Self { world, environment, tolerance, found: QueryResult::default(), contours, most_pairs })
+        let (found, last_object, corners) = (QueryResult::default(), None, Vec::new());
+        Ok(Self { world, environment, tolerance, found, contours, most_pairs, last_object, corners })
     }
 
     fn place(&mut self, feature: &Arc<Feature>, lying: Result<Lying<'a>>) -> Result<PlacedFeature> {
@@ -212,7 +224,8 @@ impl<'a> SupportFinder<'a> {
     /// One that knows nothing of contours yet.
     fn another(&self) -> Self {
         let contours = ContourFinder::new(self.environment, "");
-        Self { found: QueryResult::default(), contours, ..*self }
+        let (found, corners) = (QueryResult::default(), Vec::new());
+        Self { found, contours, last_object: None, corners, ..*self }
     }
 
     /// A contour's surface in place of what its anchor lies on.
@@ -227,12 +240,9 @@ impl<'a> SupportFinder<'a> {
     }
 
     /// The frame of a feature, and what it lies on, or a contour's anchor. The polygons near it are counted.
-    fn lie(&mut self, feature: &Feature, pairs: &AtomicU64) -> Result<Lying<'a>> {
+    fn lie(&mut self, feature: &'a Feature, pairs: &AtomicU64) -> Result<Lying<'a>> {
         let environment = self.environment;
-        let object = match &feature.object {
-            Some(path) => Some(environment.index_of(path)?),
-            None => None,
-        };
+        let object = feature.object.as_deref().map(|path| self.object_of(path)).transpose()?;
         let points = feature.shape.points();
         let frame = FeatureFrame { object: object.map(|i| (&environment.objects()[i as usize], i)), anchor: points[0] };
         let boxes = boxes_around(&frame, &feature.shape);
@@ -243,12 +253,30 @@ impl<'a> SupportFinder<'a> {
         }
         let slots = self.slots_near(&boxes);
         pairs.fetch_add(slots.len() as u64, Ordering::Relaxed);
-        let within = |tolerance: f64| lie(&self.locals(&frame, &slots, tolerance), &about, &|_| Ok(()));
-        let lie = match within(tolerance.min(ROUNDING))? {
-            Support::Off(_) if tolerance > ROUNDING => within(tolerance)?,
-            lie => lie,
+        let bounds = Aabb::of(about.iter().copied());
+        let mut within = |tolerance: f64, bounds: Option<&Aabb>| {
+            lie(&self.locals(&frame, &slots, tolerance, bounds), &about, &|_| Ok(()))
         };
-        Ok((frame, lie))
+        let mut found = within(tolerance.min(ROUNDING), Some(&bounds))?;
+        if tolerance > ROUNDING && matches!(found, Support::Off(_)) {
+            found = within(tolerance, Some(&bounds))?;
+        }
+        // Where it is farthest off is told by all that are near.
+        if matches!(found, Support::Off(_)) {
+            found = within(tolerance, None)?;
+        }
+        Ok((frame, found))
+    }
+
+    fn object_of(&mut self, path: &'a str) -> Result<u32> {
+        match self.last_object {
+            Some((last, index)) if last == path => Ok(index),
+            _ => {
+                let index = self.environment.index_of(path)?;
+                self.last_object = Some((path, index));
+                Ok(index)
+            }
+        }
     }
 
     /// The surface of a contour whose anchor lies on polygons: of its object, in the world of the object that came first.
@@ -278,18 +306,30 @@ impl<'a> SupportFinder<'a> {
         slots
     }
 
-    fn locals(&self, frame: &FeatureFrame<'_>, slots: &[u32], tolerance: f64) -> Vec<Local> {
-        slots.iter().filter_map(|slot| self.local(frame, *slot, tolerance)).collect()
+    /// The polygons of slots, without those that are farther from a box (the feature's frame) than counts as on them.
+    fn locals(&mut self, frame: &FeatureFrame<'_>, slots: &[u32], tolerance: f64, bounds: Option<&Aabb>) -> Vec<Local> {
+        let mut all = Vec::with_capacity(slots.len().min(16));
+        for slot in slots {
+            all.extend(self.local(frame, *slot, tolerance, bounds));
+        }
+        all
     }
 
-    fn local(&self, frame: &FeatureFrame<'_>, slot: u32, tolerance: f64) -> Option<Local> {
+    fn local(&mut self, frame: &FeatureFrame<'_>, slot: u32, tolerance: f64, near: Option<&Aabb>) -> Option<Local> {
         let (index, polygon) = self.environment.locate(slot)?;
         let object = &self.environment.objects()[index as usize];
-        let (corners, rounding) = frame.corners(object, index, polygon);
+        let rounding = frame.corners(object, index, polygon, &mut self.corners);
+        // More than counts as on it.
+        let far = 2.0 * (self.tolerance + rounding);
+        let own = Aabb::of(self.corners.iter().copied());
+        let is_beside = |b: &Aabb| (own.min.cmpgt(b.max + far) | own.max.cmplt(b.min - far)).any();
+        if near.is_some_and(is_beside) {
+            return None;
+        }
         // Vertices are f32, and so are planes as good as flat.
         let far = object.mesh.corners_of(polygon).map(|p| p.abs().max_element()).fold(0.0, f64::max);
         let reach = (tolerance + 4.0 * f64::from(f32::EPSILON) * far).min(self.tolerance);
-        Some(Local::new(slot, corners, reach + rounding))
+        Some(Local::new(slot, self.corners.clone(), reach + rounding))
     }
 
     fn off(&mut self, frame: &FeatureFrame<'_>, at: DVec3, feature: &Feature) -> Error {
@@ -336,7 +376,8 @@ impl<'a> SupportFinder<'a> {
         loop {
             let b = Aabb { min: p_in_world - half, max: p_in_world + half };
             let slots = self.slots_near(&[b]);
-            let nearest = self.locals(frame, &slots, self.tolerance).iter().map(|l| l.distance(at)).reduce(f64::min);
+            let nearest =
+                self.locals(frame, &slots, self.tolerance, None).iter().map(|l| l.distance(at)).reduce(f64::min);
             match nearest {
                 // Nothing outside of the box can be nearer.
                 Some(d) if d <= half || half > enough => return Some(d),

@@ -53,6 +53,10 @@ pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<Vec<LayerFile
             None => wrong,
         });
     }
+    // One file has the last word on all: what it removes it does not hold.
+    if files.len() < 2 {
+        return Ok(files);
+    }
     // Which file the last word on an id, or on an object's pose, is in.
     let (mut of_id, mut of_object) = (HashMap::new(), HashMap::new());
     for (i, LayerFile { layer, removed, .. }) in files.iter().enumerate() {
