@@ -29,6 +29,29 @@ pub(super) fn of_corners(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]>
     Some([low - back, high - back])
 }
 
+/// The share of the way from one place to another (image frame) at which a scanner sees it highest or lowest, if that is not at an
+/// end: the height by the distance from the axis is stationary there.
+pub(super) fn culmination_share(a: DVec3, b: DVec3) -> Option<f64> {
+    let d = b - a;
+    let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
+    let t = (d.z * aa - a.z * ad) / (a.z * dd - d.z * ad);
+    (t > 0.0 && t < 1.0).then_some(t)
+}
+
+/// Least and greatest row of the outline of a polygon.
+pub(super) fn rows_of_outline(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]> {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for (k, a) in corners.iter().enumerate() {
+        let b = corners[(k + 1) % corners.len()];
+        let highest = culmination_share(*a, b).map(|t| a.lerp(b, t));
+        for at in [*a].into_iter().chain(highest) {
+            let row = sensor.project(at)?.1;
+            (low, high) = (low.min(row), high.max(row));
+        }
+    }
+    Some([low, high])
+}
+
 /// Columns of 360 degrees, whether or not the image has as many.
 pub(crate) fn turn(sensor: &Sensor) -> Option<f64> {
     match &sensor.spec().geometry {
@@ -68,6 +91,35 @@ mod tests {
                 let apart = 0.5 * (low + high) - middle;
                 assert!((apart - 360.0 * (apart / 360.0).round()).abs() < 1e-9);
             }
+        }
+    }
+
+    /// Rows of places all along the outlines of walls and of roofs that do not reach over the axis.
+    #[test]
+    fn rows_of_outlines_hold_all_of_them() {
+        let sensor = scanner(-180.0, 1.0);
+        let square = [(-0.5, -3.0), (0.5, -3.0), (0.5, 3.0), (-0.5, 3.0)];
+        let shapes = [
+            square.map(|(z, y)| DVec3::new(2.0, y, z + 1.0)),
+            square.map(|(x, y)| DVec3::new(x + 2.0, y, 1.5)),
+            square.map(|(x, y)| DVec3::new(x - 2.0, y, -1.5)),
+        ];
+        for corners in shapes {
+            let [low, high] = rows_of_outline(&sensor, &corners).unwrap();
+            let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+            for k in 0..4 {
+                for i in 0..1000 {
+                    let at = corners[k].lerp(corners[(k + 1) % 4], f64::from(i) / 1000.0);
+                    let row = sensor.project(at).unwrap().1;
+                    assert!(row > low - 1e-9 && row < high + 1e-9, "{row} is not in {low}..{high}");
+                    (least, most) = (least.min(row), most.max(row));
+                }
+            }
+            assert!(least < low + 1e-3 && most > high - 1e-3, "{least} {low} {high} {most}");
+            // Corners alone do not.
+            let of_corners = corners.map(|c| sensor.project(c).unwrap().1);
+            let beyond = |row: f64| of_corners.iter().all(|c| (c - row).abs() > 1.0);
+            assert!(beyond(low) || beyond(high));
         }
     }
 

@@ -216,7 +216,7 @@ pub struct FeatureStats {
     pub features: usize,
     /// Features that were looked at one by one: those that may be in view and are not hidden by one polygon as a whole.
     pub asked: usize,
-    /// Samples that reached the test of visibility.
+    /// Samples that reached the test of visibility. One stands for a segment that is seen or hidden as a whole.
     pub samples: usize,
     /// Samples hidden by a polygon of the nine neighbouring pixels.
     pub hidden_by_neighbours: usize,

@@ -3,6 +3,7 @@
 
 use super::PlacedFeature;
 use super::contour::ContourSet;
+use super::visible::WorkspaceMemory;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::geometry::Aabb;
@@ -23,6 +24,8 @@ pub(crate) struct FeatureTree {
     carried: Vec<(u32, u32)>,
     /// The newest confirmation, UTC seconds.
     pub newest: f64,
+    /// What predictions work in.
+    pub memory: WorkspaceMemory,
 }
 
 /// The features of one object, or of the world.
@@ -64,7 +67,7 @@ impl FeatureTree {
         let on = |(at, i): (u32, &u32)| placed[*i as usize].slots.iter().map(move |slot| (*slot, at));
         let mut carried: Vec<(u32, u32)> = (0..).zip(&order).flat_map(on).collect();
         carried.sort_unstable();
-        Self { groups, nodes, order, carried, newest: newest(placed) }
+        Self { groups, nodes, order, carried, newest: newest(placed), memory: WorkspaceMemory::default() }
     }
 
     /// True if one of some features, by their places in `order`, lies on the polygon of a slot.

@@ -22,6 +22,8 @@ enum Form {
         azimuth: Option<[f64; 2]>,
         /// Least and greatest, radians.
         elevation: [f64; 2],
+        /// Their tangents, the height by the distance from the axis, if both are known.
+        slopes: Option<[f64; 2]>,
     },
     Anywhere,
 }
@@ -57,11 +59,24 @@ impl View {
                 let reach = |n: &DVec3| axes.iter().map(|a| n.dot(*a).abs()).sum::<f64>();
                 normals.iter().all(|n| n.dot(middle) + reach(n) >= -beyond)
             }
-            Form::Beams { azimuth, elevation: [low, high] } => {
+            Form::Beams { azimuth, elevation: [low, high], slopes } => {
                 if range <= radius {
                     return true;
                 }
-                let flat = middle.x.hypot(middle.y);
+                let flat = (middle.x * middle.x + middle.y * middle.y).sqrt();
+                // Without angles: all of the box is above the beams, or below them, nearest to the axis and farthest from it.
+                if let Some(slopes) = slopes {
+                    let up = axes.iter().map(|a| a.z.abs()).sum::<f64>() + SLACK * (range + radius);
+                    let wide = axes.iter().map(|a| a.x.abs() + a.y.abs()).sum::<f64>().min(radius);
+                    let rise = |slope: f64| [(flat - wide).max(0.0), flat + wide].map(|flat| slope * flat);
+                    let ([low, high], z) = (slopes.map(rise), middle.z);
+                    if z - up > high[0].max(high[1]) || z + up < low[0].min(low[1]) {
+                        return false;
+                    }
+                }
+                if azimuth.is_none() && slopes.is_some() {
+                    return true;
+                }
                 let (up, off) = (middle.z.atan2(flat), (radius / range).asin() + SLACK);
                 if up + off < *low || up - off > *high {
                     return false;
@@ -122,11 +137,13 @@ fn beams(sensor: &Sensor, scanner: &Scanner) -> Form {
     };
     let rows = scanner.rows_deg();
     let elevation = bounds(&rows, widest(&rows).max(0.5 * scanner.beam_height_deg.unwrap_or(0.0)));
+    // Beyond the poles there is nothing.
+    let slopes = elevation.iter().all(|e| e.abs() < 1.5).then(|| elevation.map(f64::tan));
     let columns: Vec<f64> = (0..scanner.azimuth.len()).map(|i| scanner.azimuth.degrees(i)).collect();
     let [low, high] = bounds(&columns, widest(&columns));
     // A lone column has a width that its projection knows.
     let all_around = sensor.columns_of_a_turn().is_some() || columns.len() < 2 || high - low >= std::f64::consts::TAU;
-    Form::Beams { azimuth: (!all_around).then_some([0.5 * (low + high), 0.5 * (high - low)]), elevation }
+    Form::Beams { azimuth: (!all_around).then_some([0.5 * (low + high), 0.5 * (high - low)]), elevation, slopes }
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Features by the GPU engine: what its images propose on the device, against what the CPU's images propose. Answers are
-//! the same bit by bit, for both are confirmed in f64; how much is proposed differs only by ties.
+//! the same bit by bit, for both are confirmed in f64. The device looks around every sample and the CPU at some of them, so that the device
+//! proposes no less, but for ties.
 #![cfg(feature = "gpu")]
 #![expect(clippy::print_stderr, reason = "counts are worth reading")]
 
@@ -132,14 +133,16 @@ fn check(
     [device.stats, host.stats]
 }
 
-/// What the device proposes is what the CPU finds in the same images, but for ties.
+/// The device proposes all that the CPU finds in the same images, but for ties.
 fn proposes_as_much(name: &str, [device, host]: [FeatureStats; 2]) {
     eprintln!(
         "{name}: {} of {} samples hidden, {} on the host",
         device.hidden_by_neighbours, device.samples, host.hidden_by_neighbours
     );
-    let apart = device.hidden_by_neighbours.abs_diff(host.hidden_by_neighbours);
-    assert!(host.hidden_by_neighbours > 500 && apart * 50 <= host.hidden_by_neighbours, "{name}: {device:?} {host:?}");
+    let is_enough = |proposed: usize| 50 * proposed >= 49 * host.hidden_by_neighbours;
+    assert!(host.hidden_by_neighbours > 500 && is_enough(device.hidden_by_neighbours), "{name}: {device:?} {host:?}");
+    // Planted: a tenth of it is not proposed.
+    assert!(!is_enough(host.hidden_by_neighbours / 10 * 9), "{name}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! A sensor's image as a projection of its body frame, with derivatives in closed form where there is one.
 
+use crate::features::columns;
 use crate::features::roi::Projection;
 use crate::sensor::{Angles, Distortion, Geometry, Sensor};
 use glam::{DMat3, DVec3};
@@ -45,16 +46,12 @@ impl<'a> Image<'a> {
     }
 
     /// The share of the way from one point to another (body frame) at which a scanner sees it highest or lowest, if that is not at an
-    /// end: z / rho is stationary there.
+    /// end.
     pub fn culmination_share(&self, from: DVec3, to: DVec3) -> Option<f64> {
         if !matches!(self.kind, Kind::Beams(_) | Kind::Scanner) {
             return None;
         }
-        let [a, b] = [from, to].map(|p| self.image_from_body * p);
-        let d = b - a;
-        let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
-        let t = (d.z * aa - a.z * ad) / (a.z * dd - d.z * ad);
-        (t > 0.0 && t < 1.0).then_some(t)
+        columns::culmination_share(self.image_from_body * from, self.image_from_body * to)
     }
 }
 

@@ -1,7 +1,9 @@
 //! Segments whose images may be curved: the arc of directions between their ends, halved until its image is short.
 
+use super::run::Run;
 use super::{MAX_SEGMENT_SAMPLES, Piece, Sample, Sampler};
 use glam::{DVec2, DVec3};
+use std::ops::Range;
 
 /// Pieces of arc that are looked at first, in pixels: no part of an image smaller than that between two places outside
 /// of it is found.
@@ -15,18 +17,77 @@ const BENT: f64 = 1.0 / 64.0;
 /// How often arcs are halved: beyond a pole's neighbourhood nothing needs as many.
 const MAX_DEPTH: u32 = 40;
 
+/// A part of a segment.
+pub(in crate::features) enum Part {
+    /// Samples in equal steps of a straight image.
+    Run(Run),
+    One(Piece),
+}
+
 impl Sampler<'_> {
     /// Any sensor: halves the arc of directions from a to b, which are at `span` of the whole feature.
     pub(super) fn arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Piece)) {
+        self.parts_of_arc(a, b, span, &mut |part| match part {
+            Part::Run(run) => run.samples().for_each(|sample| visit(Piece::Inside(sample))),
+            Part::One(piece) => visit(piece),
+        });
+    }
+
+    /// The parts of a segment whose image may be curved: in order, they cover all of 0..=1, and have the samples of
+    /// [`Sampler::segment`].
+    pub(in crate::features) fn curved_parts(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
+        match self.cone {
+            Some(cone) => self.cut(cone, a, b, &mut |piece| visit(Part::One(piece))),
+            None => self.parts_of_arc(a, b, [0.0, 1.0], visit),
+        }
+    }
+
+    /// How many pieces of an arc of some angle are looked at first.
+    fn coarse_pieces(&self, angle: f64) -> f64 {
+        (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE)
+    }
+
+    fn parts_of_arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Part)) {
+        self.some_parts_of_arc(a, b, span, |pieces| 0..pieces as u32, visit);
+    }
+
+    /// The parts around the place on a segment that is nearest to the sensor, of a segment that is in the image as a whole: all samples
+    /// that may be the nearest are among them. All parts of short ones.
+    pub(in crate::features) fn parts_around_foot(
+        &self,
+        [a, b]: [DVec3; 2],
+        foot: DVec3,
+        is_all: bool,
+        visit: &mut impl FnMut(Part),
+    ) {
+        let share = a.angle_between(foot) / a.angle_between(b);
+        let around = |pieces: f64| {
+            if is_all || pieces < 3.0 {
+                return 0..pieces as u32;
+            }
+            // An eighth is two samples at least, in which the steps of neighbours may differ.
+            let at = |by: f64| (share * pieces + by).clamp(0.0, pieces - 1.0) as u32;
+            at(-0.125)..at(0.125) + 1
+        };
+        self.some_parts_of_arc(a, b, [0.0, 1.0], around, visit);
+    }
+
+    fn some_parts_of_arc(
+        &self,
+        a: DVec3,
+        b: DVec3,
+        span: [f64; 2],
+        some: impl FnOnce(f64) -> Range<u32>,
+        visit: &mut impl FnMut(Part),
+    ) {
         let (near, far) = (a.length(), b.length());
         let angle = a.cross(b).length().atan2(a.dot(b));
         if !(angle > 1e-12 && near > 0.0 && far > 0.0) {
             // Seen from its end: a point.
-            match self.point(a.lerp(b, 0.5)) {
-                Piece::Inside(sample) => visit(Piece::Inside(Sample { t: span, ..sample })),
-                Piece::Outside { reason, .. } => visit(Piece::Outside { t: span, reason }),
-            }
-            return;
+            return visit(Part::One(match self.point(a.lerp(b, 0.5)) {
+                Piece::Inside(sample) => Piece::Inside(Sample { t: span, ..sample }),
+                Piece::Outside { reason, .. } => Piece::Outside { t: span, reason },
+            }));
         }
         let t_at = |phi: f64| {
             let (x, y) = (near * phi.sin(), far * (angle - phi).sin());
@@ -43,11 +104,14 @@ impl Sampler<'_> {
             let at = a + t * (b - a);
             End { phi, t: span[0] + t * (span[1] - span[0]), at, range: at.length(), pixel: self.project(at) }
         };
-        let pieces = (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE);
+        let pieces = self.coarse_pieces(angle);
         let mut left = MAX_SEGMENT_SAMPLES;
-        let mut from = end(0.0);
-        for i in 1..=pieces as u32 {
-            let mut to = end(angle * f64::from(i) / pieces);
+        let some = some(pieces);
+        // The last ends where the arc does, whatever rounding makes of its share.
+        let phi = |i: u32| if f64::from(i) == pieces { angle } else { angle * f64::from(i) / pieces };
+        let mut from = end(phi(some.start));
+        for i in some.start + 1..=some.end {
+            let mut to = end(phi(i));
             // Past the sensor's centre t hardly changes, and rounding could turn it back.
             to.t = to.t.max(from.t);
             self.halve(&from, &to, MAX_DEPTH, &end, &mut left, visit);
@@ -62,7 +126,7 @@ impl Sampler<'_> {
         depth: u32,
         end: &impl Fn(f64) -> End,
         left: &mut usize,
-        visit: &mut impl FnMut(Piece),
+        visit: &mut impl FnMut(Part),
     ) {
         let middle = || {
             let m = end(0.5 * (from.phi + to.phi));
@@ -77,7 +141,7 @@ impl Sampler<'_> {
             let m = middle();
             *left = left.saturating_sub(1);
             let inside = m.pixel.filter(|pixel| self.holds(m.at, *pixel));
-            return visit(match inside {
+            return visit(Part::One(match inside {
                 Some(pixel) => Piece::Inside(Sample {
                     t,
                     at: m.at,
@@ -86,7 +150,7 @@ impl Sampler<'_> {
                     weight: apart.unwrap_or(0.0).min(self.step),
                 }),
                 None => self.outside(m.at, t),
-            });
+            }));
         }
         if apart.is_some_and(|d| d <= RUN) && self.run(from, to, &middle(), left, visit) {
             return;
@@ -101,7 +165,7 @@ impl Sampler<'_> {
             _ => false,
         };
         if skipped {
-            return visit(self.outside(middle().at, t));
+            return visit(Part::One(self.outside(middle().at, t)));
         }
         let m = middle();
         self.halve(from, &m, depth - 1, end, left, visit);
@@ -109,10 +173,7 @@ impl Sampler<'_> {
     }
 
     /// Samples a piece of an arc whose image is straight but for [`BENT`]; false if it is not.
-    ///
-    /// Samples are at equal angles: at share s of it the arc is at share s p / (s p + (1 - s) q) of the straight line between
-    /// its ends in space, at ranges p and q, but for the square of the angle.
-    fn run(&self, from: &End, to: &End, middle: &End, left: &mut usize, visit: &mut impl FnMut(Piece)) -> bool {
+    fn run(&self, from: &End, to: &End, middle: &End, left: &mut usize, visit: &mut impl FnMut(Part)) -> bool {
         let (Some(p), Some(q), Some(m)) = (from.pixel, to.pixel, middle.pixel) else { return false };
         // Beams are tall or thin: samples are held to them one by one.
         let plain = self.cone.is_none() && self.beams.is_none();
@@ -122,21 +183,16 @@ impl Sampler<'_> {
             return false;
         }
         *left -= count as usize;
-        let step = 1.0 / count;
-        let along = |s: f64| s * from.range / (s * from.range + (1.0 - s) * to.range);
-        let (mut t0, mut p0) = (from.t, p);
-        for i in 0..count as u32 {
-            let s = f64::from(i + 1) * step;
-            let last = f64::from(i + 1) == count;
-            let (t1, p1) = if last { (to.t, q) } else { (from.t + along(s) * (to.t - from.t), p.lerp(q, s)) };
-            let half = s - 0.5 * step;
-            let (at, pixel, t) = (from.at.lerp(to.at, along(half)), p.lerp(q, half), [t0, t1]);
-            visit(if self.holds(at, pixel) {
-                Piece::Inside(Sample { t, at, pixel, ends: [p0, p1], weight: length * step })
-            } else {
-                self.outside(at, t)
-            });
-            (t0, p0) = (t1, p1);
+        let (t, ends, ranges) = ([from.t, to.t], [from.at, to.at], [from.range, to.range]);
+        let run = Run { t, ends, ranges, pixels: [p, q], count: count as usize, length };
+        // The image is convex.
+        if self.holds(from.at, p) && self.holds(to.at, q) {
+            visit(Part::Run(run));
+            return true;
+        }
+        for sample in run.samples() {
+            let is_inside = self.holds(sample.at, sample.pixel);
+            visit(Part::One(if is_inside { Piece::Inside(sample) } else { self.outside(sample.at, sample.t) }));
         }
         true
     }

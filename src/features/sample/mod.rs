@@ -10,15 +10,21 @@
 
 mod arc;
 mod patch;
+mod patch_columns;
 mod row;
+mod run;
 mod straight;
 
-pub(super) use patch::PatchCone;
+pub(super) use arc::Part;
+pub(super) use patch::{PatchCone, PatchOutline};
+pub(super) use patch_columns::{Column, PatchColumns};
+pub(super) use run::Run;
 pub(super) use straight::Straight;
 
-use super::Reason;
+use super::{Reason, columns};
 use crate::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
 use glam::{DVec2, DVec3};
+use std::sync::OnceLock;
 
 /// Longest piece of an image that one sample stands for unless it is to be finer, pixels.
 pub const STEP: f64 = 0.5;
@@ -75,6 +81,10 @@ pub struct Sampler<'a> {
     cone: Option<[f64; 2]>,
     /// Elevations of rows and half the height of the beam, degrees, where it does not reach from row to row.
     beams: Option<(Vec<f64>, f64)>,
+    /// The height by the distance from the axis of what a scanner that sees all around has just inside its last row and its first.
+    slopes: Option<[f64; 2]>,
+    /// Places along the border of the image with their rays, once they are asked for.
+    border: OnceLock<Vec<(DVec2, DVec3)>>,
 }
 
 impl<'a> Sampler<'a> {
@@ -96,21 +106,40 @@ impl<'a> Sampler<'a> {
             Geometry::Scanner(s) => beams = s.beam_height_deg.map(|h| (s.rows_deg(), 0.5 * h)),
             _ => {}
         }
+        let turn = sensor.columns_of_a_turn();
+        let slopes = if turn.is_some() && cone.is_none() && beams.is_none() { slopes(sensor) } else { None };
         Self {
             sensor,
             pinhole,
             size: DVec2::new(f64::from(sensor.width()), f64::from(sensor.height())),
-            turn: sensor.columns_of_a_turn(),
+            turn,
+            slopes,
             step,
             pixel_angle: pixel_angle(sensor),
             cone,
             beams,
+            border: OnceLock::new(),
         }
     }
 
     /// Columns of a whole turn, where the last column's neighbour is the first.
     pub fn turn(&self) -> Option<f64> {
         self.turn
+    }
+
+    /// True if all of a segment is surely in the image of a scanner that sees all around; also false if that is not known.
+    pub(super) fn holds_all(&self, a: DVec3, b: DVec3) -> bool {
+        let Some([low, high]) = self.slopes else { return false };
+        let is_in = |p: DVec3| {
+            let flat = (p.x * p.x + p.y * p.y).sqrt();
+            p.z > low * flat && p.z < high * flat
+        };
+        is_in(a) && is_in(b) && columns::culmination_share(a, b).is_none_or(|t| is_in(a.lerp(b, t)))
+    }
+
+    /// True of a pinhole camera.
+    pub(super) fn is_straight(&self) -> bool {
+        self.pinhole.is_some()
     }
 
     /// True of a scanner of one row, which sees cuts.
@@ -175,6 +204,17 @@ impl<'a> Sampler<'a> {
         let behind = self.sensor.is_camera() && at.z <= 0.0 && self.sensor.project(at).is_none();
         Piece::Outside { t, reason: if behind { Reason::BehindSensor } else { Reason::OutsideImage } }
     }
+}
+
+/// See [`Sampler`]; `None` if these are about vertical.
+fn slopes(sensor: &Sensor) -> Option<[f64; 2]> {
+    /// How far inside of the image, pixels.
+    const INSIDE: f64 = 1e-6;
+    const STEEP: f64 = 1e3;
+    let slope = |row: f64| sensor.ray_at(0.0, row).map(|ray| ray.z / ray.x.hypot(ray.y));
+    let [first, last] = [INSIDE - 0.5, f64::from(sensor.height()) - 0.5 - INSIDE].map(slope);
+    let slopes = [last?, first?];
+    slopes.iter().all(|slope| slope.abs() < STEEP).then_some(slopes)
 }
 
 /// About the finest angle between neighbouring rays, radians.

@@ -1,6 +1,7 @@
 //! The area of a convex patch, sampled on a grid in the image.
 
-use super::{MAX_PATCH_SAMPLES, Piece, STEP, Sample, Sampler};
+use super::patch_columns::PatchColumns;
+use super::{MAX_PATCH_SAMPLES, Part, Piece, STEP, Sample, Sampler};
 use crate::features::columns;
 use crate::geometry::plane_of_polygon;
 use crate::sensor::Geometry;
@@ -29,20 +30,11 @@ impl Sampler<'_> {
             // Seen from its edge, as far as can be told.
             return visit(self.edge_on(corners));
         };
-        let bounds = self.patch_bounds(corners, &cone);
         let mut any = false;
-        if let Some([low, high]) = bounds {
-            let flat = self.cone.is_some_and(|[l, h]| l == h);
-            let size = high - low;
-            let area = if flat { size.x * self.step } else { size.x * size.y };
-            let step = (area / most as f64).sqrt().max(self.step);
-            let columns = (size.x / step).ceil().max(1.0);
-            let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
-            let cell = DVec2::new(size.x / columns, size.y / rows);
-            let weight = if flat { cell.x } else { cell.x * cell.y };
-            self.visit_cells(&cone, [low, cell, DVec2::new(columns, rows)], flat, &mut |at, pixel| {
+        if let Some(cells) = self.cells(corners, &cone, most) {
+            self.visit_cells(&cone, &cells, &mut |at, pixel| {
                 any = true;
-                visit(Piece::Inside(Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight }));
+                visit(Piece::Inside(Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight: cells.weight }));
             });
         }
         if !any {
@@ -50,27 +42,70 @@ impl Sampler<'_> {
         }
     }
 
-    /// Visits the middles of the cells of a grid in which a patch is seen, row by row: where it is, and the pixel.
-    fn visit_cells(
-        &self,
-        cone: &PatchCone,
-        [low, cell, count]: [DVec2; 3],
-        flat: bool,
-        visit: &mut impl FnMut(DVec3, DVec2),
-    ) {
+    /// The grid over a patch; `None` if nothing of it is in the image.
+    fn cells(&self, corners: &[DVec3], cone: &PatchCone, most: usize) -> Option<Cells> {
+        Some(self.cells_in(self.patch_bounds(corners, cone)?, most))
+    }
+
+    fn cells_in(&self, [low, high]: [DVec2; 2], most: usize) -> Cells {
+        let flat = self.cone.is_some_and(|[l, h]| l == h);
+        let size = high - low;
+        let area = if flat { size.x * self.step } else { size.x * size.y };
+        let step = (area / most as f64).sqrt().max(self.step);
+        let columns = (size.x / step).ceil().max(1.0);
+        let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
+        let cell = DVec2::new(size.x / columns, size.y / rows);
         let at = |low: f64, cell: f64, count: f64| -> Vec<f64> {
             (0..count as u32).map(|i| low + cell * (f64::from(i) + 0.5)).collect()
         };
-        let (columns, rows) = (at(low.x, cell.x, count.x), at(low.y, cell.y, count.y));
+        let (columns, rows) = (at(low.x, cell.x, columns), at(low.y, cell.y, rows));
         let rows = if flat { vec![0.0] } else { rows };
+        Cells { columns, rows, cell, weight: if flat { cell.x } else { cell.x * cell.y } }
+    }
+
+    /// Where the image of a patch lies; `None` if the sensor is in its plane.
+    pub(in crate::features) fn patch_outline(&self, corners: &[DVec3]) -> Option<PatchOutline> {
+        let cone = PatchCone::new(corners)?;
+        let bounds = self.patch_bounds(corners, &cone);
+        Some(PatchOutline { cone, bounds })
+    }
+
+    /// True if a patch surely covers no more than so many pixels.
+    pub(in crate::features) fn covers_at_most(&self, outline: &PatchOutline, most: usize) -> bool {
+        // Other images may show things twice.
+        let is_once = self.pinhole.is_some() || self.is_all_around();
+        let pixels = |size: f64| (size + 1e-6).floor() + 1.0;
+        let [low, high] = outline.bounds.unwrap_or_default();
+        is_once && pixels(high.x - low.x) * pixels(high.y - low.y) <= most as f64
+    }
+
+    /// True of a scanner of several rows that sees once all around, whatever is between its rows.
+    fn is_all_around(&self) -> bool {
+        self.turn.is_some() && self.cone.is_none() && self.beams.is_none()
+    }
+
+    /// The samples of [`Sampler::small_patch`] by columns; `None` for sensors whose columns do not see straight lines, and if there are
+    /// none.
+    pub(in crate::features) fn patch_columns(&self, outline: PatchOutline) -> Option<PatchColumns> {
+        if self.cone.is_some() || self.beams.is_some() {
+            return None;
+        }
+        let PatchOutline { cone, bounds } = outline;
+        let cells = self.cells_in(bounds?, MAX_PATCH_CELLS);
+        let (parts, axis, times) = self.sensor.rays_by_column(&cells.columns, &cells.rows)?;
+        PatchColumns::new(cone, cells, (parts, axis, times))
+    }
+
+    /// Visits the middles of the cells of a grid in which a patch is seen, row by row: where it is, and the pixel.
+    fn visit_cells(&self, cone: &PatchCone, Cells { columns, rows, .. }: &Cells, visit: &mut impl FnMut(DVec3, DVec2)) {
         let mut meet = |ray: Option<DVec3>, pixel: DVec2| {
             let at = ray.and_then(|ray| cone.meet(ray));
             if let Some(at) = at.filter(|at| self.holds(*at, pixel)) {
                 visit(at, pixel);
             }
         };
-        let Some((parts, axis, times)) = self.sensor.rays_by_column(&columns, &rows) else {
-            for v in &rows {
+        let Some((parts, axis, times)) = self.sensor.rays_by_column(columns, rows) else {
+            for v in rows {
                 columns.iter().for_each(|u| meet(self.sensor.ray_at(*u, *v), DVec2::new(*u, *v)));
             }
             return;
@@ -91,32 +126,56 @@ impl Sampler<'_> {
         self.point(corners.iter().sum::<DVec3>() / corners.len().max(1) as f64)
     }
 
+    /// Places along the border of the image, and its middle, with their rays, as far as they have any.
+    fn border(&self) -> &[(DVec2, DVec3)] {
+        self.border.get_or_init(|| {
+            let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
+            let mut border = vec![0.5 * (least + greatest)];
+            for i in 0..=16 {
+                let s = f64::from(i) / 16.0;
+                let (x, y) = (least.x + s * self.size.x, least.y + s * self.size.y);
+                border.extend([(x, least.y), (x, greatest.y), (least.x, y), (greatest.x, y)].map(DVec2::from));
+                if self.cone.is_some() {
+                    border.push(DVec2::new(x, 0.0));
+                }
+            }
+            border.into_iter().filter_map(|p| Some((p, self.sensor.ray_at(p.x, p.y)?))).collect()
+        })
+    }
+
     /// A box around a patch's image, cut to the image; over a seam its columns go on beyond the width.
     pub(in crate::features) fn patch_bounds(&self, corners: &[DVec3], cone: &PatchCone) -> Option<[DVec2; 2]> {
         let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
+        if self.is_all_around()
+            && let Some(columns) = columns::of_corners(self.sensor, corners)
+            && let Some(rows) = columns::rows_of_outline(self.sensor, corners)
+        {
+            // It is not around the axis, so that its outline has its highest and lowest places.
+            let is_seen = rows[1] >= least.y && rows[0] <= greatest.y;
+            let [low, high] = [0, 1].map(|k| DVec2::new(columns[k], rows[k].clamp(least.y, greatest.y)));
+            return is_seen.then(|| widened(low, high));
+        }
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        let mut take = |p: DVec2| (low, high) = (low.min(p), high.max(p));
+        let mut take = |p: DVec2| {
+            let p = p.clamp(least, greatest);
+            (low, high) = (low.min(p), high.max(p));
+        };
         for (k, a) in corners.iter().enumerate() {
             let b = corners[(k + 1) % corners.len()];
-            self.segment(*a, b, &mut |piece| {
-                if let Piece::Inside(s) = piece {
-                    s.ends.into_iter().chain([s.pixel]).for_each(|p| take(p.clamp(least, greatest)));
-                }
-            });
-        }
-        // Where the image is inside the patch, its own border is the patch's image's border.
-        let middle = 0.5 * (least + greatest);
-        let mut border = vec![middle];
-        for i in 0..=16 {
-            let s = f64::from(i) / 16.0;
-            let (x, y) = (least.x + s * self.size.x, least.y + s * self.size.y);
-            border.extend([(x, least.y), (x, greatest.y), (least.x, y), (greatest.x, y)].map(DVec2::from));
-            if self.cone.is_some() {
-                border.push(DVec2::new(x, 0.0));
+            // Of what is straight the ends reach farthest.
+            if let Some(part) = self.straight_part(*a, b) {
+                part.pixels.into_iter().for_each(&mut take);
+            } else if self.pinhole.is_none() {
+                self.curved_parts(*a, b, &mut |part| match part {
+                    Part::Run(run) => run.pixels.into_iter().for_each(&mut take),
+                    Part::One(Piece::Inside(s)) => s.ends.into_iter().chain([s.pixel]).for_each(&mut take),
+                    Part::One(Piece::Outside { .. }) => {}
+                });
             }
         }
-        let covers = |p: &DVec2| self.sensor.ray_at(p.x, p.y).is_some_and(|ray| cone.meet(ray).is_some());
-        border.into_iter().filter(covers).for_each(&mut take);
+        // Where the image is inside the patch, its own border is the patch's image's border.
+        let covered = self.border().iter().filter(|(_, ray)| cone.meet(*ray).is_some());
+        covered.for_each(|(p, _)| take(*p));
         if low.x > high.x {
             return None;
         }
@@ -128,10 +187,31 @@ impl Sampler<'_> {
         if self.turn.is_some() {
             [low.x, high.x] = columns::of_corners(self.sensor, corners).unwrap_or([least.x, greatest.x]);
         }
-        // A row without height, or an edge-on sliver: one sample wide at least.
-        let (mid, half) = (0.5 * (low + high), (0.5 * (high - low)).max(DVec2::splat(1e-9)));
-        Some([mid - half, mid + half])
+        Some(widened(low, high))
     }
+}
+
+/// A box around a patch: of a row without height, or an edge-on sliver, one sample wide at least.
+fn widened(low: DVec2, high: DVec2) -> [DVec2; 2] {
+    let (mid, half) = (0.5 * (low + high), (0.5 * (high - low)).max(DVec2::splat(1e-9)));
+    [mid - half, mid + half]
+}
+
+/// The directions to a patch, and a box around its image, if any of it is in the image.
+pub(in crate::features) struct PatchOutline {
+    pub cone: PatchCone,
+    bounds: Option<[DVec2; 2]>,
+}
+
+/// A grid over the image of a patch.
+pub(super) struct Cells {
+    /// Middles of its columns and rows, pixels.
+    pub columns: Vec<f64>,
+    pub rows: Vec<f64>,
+    /// The size of one.
+    pub cell: DVec2,
+    /// What one stands for.
+    pub weight: f64,
 }
 
 /// The directions to a convex patch, and its plane.
@@ -165,7 +245,7 @@ impl PatchCone {
     }
 
     /// Between which multiples of an axis, added to a vector, it may be met; hardly more than needed.
-    fn between(&self, part: DVec3, axis: DVec3) -> [f64; 2] {
+    pub(super) fn between(&self, part: DVec3, axis: DVec3) -> [f64; 2] {
         let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
         for e in &self.edges {
             let (at_0, slope) = (e.dot(part), e.dot(axis));
@@ -180,8 +260,13 @@ impl PatchCone {
         [from, to]
     }
 
+    /// Where a ray of any length meets its plane.
+    pub(super) fn place(&self, ray: DVec3) -> DVec3 {
+        ray / (self.normal.dot(ray) / self.offset)
+    }
+
     /// Where a ray of any length meets it.
-    fn meet(&self, ray: DVec3) -> Option<DVec3> {
+    pub(super) fn meet(&self, ray: DVec3) -> Option<DVec3> {
         let inverse = self.normal.dot(ray) / self.offset;
         (inverse > 0.0 && self.edges.iter().all(|e| e.dot(ray) >= 0.0)).then(|| ray / inverse)
     }

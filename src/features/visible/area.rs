@@ -8,6 +8,7 @@
 //! Two kinds of pixels are left to the index: those at which the device's f32 shows a surface beside its own edge, and those
 //! of patches that lie behind their own polygon, which hides what may be between the two.
 
+use super::grid;
 use super::polygon::{PolygonCache, RelativeDepth};
 use super::samples::space_at_samples;
 use super::spans::{self, Span};
@@ -15,7 +16,7 @@ use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::undecided::UndecidedSample;
 use super::windows::Windows;
-use crate::features::sample::PatchCone;
+use crate::features::sample::{PatchCone, PatchOutline};
 use crate::features::{FeatureStats, MAX_PATCH_SAMPLES, Reason, STEP};
 use crate::sensor::{LineAxis, PixelGrid};
 use glam::{DVec2, DVec3};
@@ -47,9 +48,19 @@ struct PatchPixels<'p> {
     stats: FeatureStats,
 }
 
-/// Decides about a patch that covers many pixels.
+/// Decides about a patch: by its pixels if it covers many, by columns of a grid otherwise, if that is for it.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
-    let (cone, spans) = pixels_of(query)?;
+    if !query.shape.is_area() || query.frame.sampler.is_one_row() {
+        return None;
+    }
+    let outline = query.frame.sampler.patch_outline(query.points)?;
+    match spans_of(query, &outline) {
+        Some(spans) => Some(by_pixels(query, &outline.cone, &spans, workspace)),
+        None => grid::decide(query, outline, workspace),
+    }
+}
+
+fn by_pixels(query: &FeatureQuery<'_>, cone: &PatchCone, spans: &[Span], workspace: &mut Workspace) -> Decision {
     let spec = query.frame.sensor.spec();
     let ranges = [cone.distance(), query.points.iter().map(|p| p.length()).fold(0.0, f64::max)];
     let within = ranges[0] >= spec.range_min && ranges[1] <= spec.range_max && ranges[0] > 0.0;
@@ -68,25 +79,31 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
         let ends = spans.iter().flat_map(|span| [(span, span.samples.start), (span, span.samples.end - 1)]);
         pixels.tally.windows = Some(Windows::new(ends.map(|(span, sample)| pixels.pixel_at(span, sample))).into());
     }
-    for span in &spans {
+    for span in spans {
         pixels.decide_span(span);
         if pixels.waiting.len() >= WAITING {
             pixels.ask_index();
         }
     }
     pixels.ask_index();
-    Some(Decision { tally: pixels.tally, stats: pixels.stats })
+    Decision { tally: pixels.tally, stats: pixels.stats }
 }
 
-/// The pixels that a patch covers, if they are many and the image can decide about them.
-pub(super) fn pixels_of(query: &FeatureQuery<'_>) -> Option<(PatchCone, Vec<Span>)> {
-    if !query.shape.is_area() || query.frame.sampler.is_one_row() {
+/// True of a patch that covers many pixels, so that the image decides about it.
+pub(super) fn covers_many(query: &FeatureQuery<'_>) -> bool {
+    let is_for_it = query.shape.is_area() && !query.frame.sampler.is_one_row();
+    let outline = is_for_it.then(|| query.frame.sampler.patch_outline(query.points)).flatten();
+    outline.is_some_and(|outline| spans_of(query, &outline).is_some())
+}
+
+/// The pixels that a patch covers, if they are many.
+fn spans_of(query: &FeatureQuery<'_>, outline: &PatchOutline) -> Option<Vec<Span>> {
+    if query.frame.sampler.covers_at_most(outline, MANY) {
         return None;
     }
-    let cone = PatchCone::new(query.points)?;
-    let spans = spans::of_patch(query, &cone);
+    let spans = spans::of_patch(query, &outline.cone);
     let pixels: usize = spans.iter().map(|span| span.samples.len()).sum();
-    (pixels > MANY).then_some((cone, spans))
+    (pixels > MANY).then_some(spans)
 }
 
 impl PatchPixels<'_> {

@@ -1,7 +1,7 @@
 //! What all features of a prediction share.
 
 use super::FeatureSettings;
-use crate::environment::Environment;
+use crate::environment::{Appearance, Environment};
 use crate::error::{Error, Result};
 use crate::features::sample::Sampler;
 use crate::features::{Occluder, PlacedFeature, STEP};
@@ -24,10 +24,23 @@ pub(super) struct VisibilityContext<'a> {
     pub options: FeatureSettings,
     pub time: f64,
     pub facings: Vec<Facing>,
+    /// By material, whether the sensor's class sees nothing of it.
+    pub invisible: Vec<bool>,
     pub instances: Vec<OnceLock<Instance>>,
+    /// By object: where its frame is in the image frame.
+    frames: Vec<OnceLock<FrameInImage>>,
     /// Slot by `source` id.
     pub of_source: HashMap<u32, u32>,
     pub sampler: Sampler<'a>,
+}
+
+/// The frame of an object, seen from the image frame.
+#[derive(Clone, Copy)]
+struct FrameInImage {
+    turn: DMat3,
+    shift: DVec3,
+    /// How far its origin is from the sensor, metres.
+    apart: f64,
 }
 
 impl<'a> VisibilityContext<'a> {
@@ -63,7 +76,13 @@ impl<'a> VisibilityContext<'a> {
             options: *options,
             time,
             facings: facings(environment, &sensor.spec().class).collect(),
+            invisible: environment
+                .materials()
+                .iter()
+                .map(|m| m.appearance(&sensor.spec().class) == Appearance::Invisible)
+                .collect(),
             instances: (0..objects).map(|_| OnceLock::new()).collect(),
+            frames: (0..objects).map(|_| OnceLock::new()).collect(),
             of_source: if options.ids == IdScheme::Source { slots_of_sources(environment) } else { HashMap::new() },
             sampler: Sampler::with_step(sensor, options.step),
         })
@@ -82,6 +101,19 @@ impl<'a> VisibilityContext<'a> {
             IdScheme::Model => id.checked_sub(1),
             IdScheme::Source => self.of_source.get(&id).copied(),
         }
+    }
+
+    /// The slot of the polygon that the image shows in a direction.
+    pub fn slot_in(&self, direction: DVec3) -> Option<u32> {
+        let (u, v) = self.sensor.project(direction)?;
+        let (w, h) = (self.images.width, self.images.height);
+        let within = |x: f64, n: u32| x >= -0.5 && x <= f64::from(n) - 0.5;
+        if !within(v, h) || !(self.sampler.turn().is_some() || within(u, w)) {
+            return None;
+        }
+        let (column, row) = self.sampler.nearest_pixel((u, v).into());
+        let id = self.images.polygon_id[row as usize * w as usize + column as usize];
+        if id == 0 { None } else { self.slot_of_id(id) }
     }
 
     pub fn occluder(&self, slot: u32) -> Option<Occluder> {
@@ -115,20 +147,24 @@ impl<'a> VisibilityContext<'a> {
         match object {
             None => (self.image_from_world, self.image_from_world * -self.world_from_sensor.translation),
             Some(object) => {
-                let pose = &self.environment.objects()[object as usize].world_from_object;
-                let turn = self.image_from_world * pose.rotation_matrix();
-                (turn, self.image_from_world * (pose.translation - self.world_from_sensor.translation))
+                let FrameInImage { turn, shift, .. } = self.frame_of(object);
+                (*turn, *shift)
             }
         }
     }
 
+    fn frame_of(&self, object: u32) -> &FrameInImage {
+        self.frames[object as usize].get_or_init(|| {
+            let pose = &self.environment.objects()[object as usize].world_from_object;
+            let apart = pose.translation - self.world_from_sensor.translation;
+            let turn = self.image_from_world * pose.rotation_matrix();
+            FrameInImage { turn, shift: self.image_from_world * apart, apart: apart.length() }
+        })
+    }
+
     /// How far points of an object's frame may be off by rounding in the image frame, `reach` metres from its origin at most.
     pub fn rounding(&self, reach: f64, object: Option<u32>) -> f64 {
-        let apart = |o: u32| {
-            let at = self.environment.objects()[o as usize].world_from_object.translation;
-            (at - self.world_from_sensor.translation).length()
-        };
-        let size = object.map_or(0.0, apart);
+        let size = object.map_or(0.0, |object| self.frame_of(object).apart);
         // Roundings of the sums and of the matrices, and of the world positions themselves.
         let far = self.world_from_sensor.translation.abs().max_element();
         f64::EPSILON * (8.0 * (reach + size) + 2.0 * far)

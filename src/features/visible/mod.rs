@@ -13,9 +13,10 @@
 //! what is not hidden yet is confirmed by the index: its queries are shared by tiles of the directions around the sensor
 //! ([`tiles`]); single points have a ray each. Each polygon found is tested like those of the pixels.
 //!
-//! **Strategies.** [`strategy`] tries functions of one signature: [`runs`] for segments in a straight image, [`area`] for patches of
-//! many pixels, [`samples`] for all else, and [`rays`] where a ray to each sample is asked for. They share [`candidates`], the
-//! polygons that may hide a feature, the polygons set up so far ([`polygon`]) and the tiles.
+//! **Strategies.** [`strategy`] tries functions of one signature: [`runs`] for segments in a straight image, [`whole`] and [`curved`] for
+//! those in a curved one, [`area`] and [`grid`] for patches of many pixels and of few, [`samples`] for all else, and [`rays`] where a ray
+//! to each sample is asked for. They share [`candidates`], the polygons that may hide a feature, the polygons set up so far ([`polygon`])
+//! and the tiles.
 //!
 //! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
 //! depth with the plane of its pixel's polygon would be wrong at silhouettes, because that plane says nothing about places that
@@ -25,6 +26,8 @@ mod area;
 mod candidates;
 mod context;
 mod contour;
+mod curved;
+mod grid;
 mod marks;
 mod polygon;
 mod rays;
@@ -38,6 +41,7 @@ mod surface;
 mod tally;
 mod tiles;
 mod undecided;
+mod whole;
 mod windows;
 mod worker;
 
@@ -55,7 +59,8 @@ use glam::DVec3;
 pub(crate) use marks::Marks;
 use marks::Part;
 use rayon::prelude::*;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use strategy::Workspace;
 use worker::Worker;
 
 /// How visibility is decided.
@@ -163,6 +168,7 @@ pub(crate) struct PreparedFeatures<'a> {
     /// Numbers of those that are told of without a look, rising, and why they are out of view.
     out_of_view: Vec<(u32, Reason)>,
     contours: Contours<'a>,
+    workspaces: IdleWorkspaces,
 }
 
 /// The surfaces of contours.
@@ -221,7 +227,9 @@ impl<'a> PreparedFeatures<'a> {
         world_from_sensor.check()?;
         let none = Contours::Made(ContourSet::default());
         let (feature_id, some, out_of_view) = (options.feature_id, Vec::new(), Vec::new());
-        let prepared = Self { frame: None, images, placed, feature_id, some, out_of_view, contours: none };
+        let memory = known.map(|(tree, _)| tree.memory.clone());
+        let workspaces = IdleWorkspaces::new(memory.unwrap_or_default());
+        let prepared = Self { frame: None, images, placed, feature_id, some, out_of_view, contours: none, workspaces };
         if placed.is_empty() {
             return Ok(prepared);
         }
@@ -239,7 +247,7 @@ impl<'a> PreparedFeatures<'a> {
         let surfaces = known.unwrap_or(&contours);
         let (some, out_of_view) = match tree {
             Some(tree) if options.hidden == Hidden::Count => {
-                let some = select::select(&frame, tree, (placed, surfaces))?;
+                let some = select::select(&frame, tree, (placed, surfaces), &prepared.workspaces)?;
                 (some.into_iter().map(|i| i as usize).collect(), Vec::new())
             }
             Some(tree) => {
@@ -256,11 +264,10 @@ impl<'a> PreparedFeatures<'a> {
     /// What would be asked of the images, feature by feature: for a device that still has them.
     pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
-        let workers = WorkerPool::new(frame);
         self.some
             .par_iter()
             .with_min_len(BATCH)
-            .map_init(|| workers.wake(), |awake, i| awake.worker().query_samples(&self.placed[*i]))
+            .map_init(|| self.workspaces.wake(frame), |awake, i| awake.worker().query_samples(&self.placed[*i]))
             .collect()
     }
 
@@ -290,10 +297,9 @@ impl<'a> PreparedFeatures<'a> {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
         prediction.time = frame.time;
-        let workers = WorkerPool::new(frame);
         let some = which.par_iter().enumerate().with_min_len(BATCH);
         let parts = some.fold(
-            || (workers.wake(), Part::default()),
+            || (self.workspaces.wake(frame), Part::default()),
             |(mut awake, mut part), (at, number)| {
                 let told = told.map(|told| told[at].as_slice());
                 let placed = &self.placed[*number];
@@ -378,40 +384,77 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
 /// Features that a worker takes at a time, at least.
 const BATCH: usize = 32;
 
-/// Workers at rest, with what they have set up: a pool may split the work into many tasks.
-struct WorkerPool<'a> {
-    frame: &'a VisibilityContext<'a>,
-    idle: Mutex<Vec<Worker<'a>>>,
+/// Workspaces at rest. In one prediction they keep what was set up: a thread pool may split the work into many tasks.
+#[derive(Default)]
+struct IdleWorkspaces {
+    idle: Mutex<Vec<Workspace>>,
+    /// Where they rest between predictions.
+    memory: WorkspaceMemory,
 }
 
-impl<'a> WorkerPool<'a> {
-    fn new(frame: &'a VisibilityContext<'a>) -> Self {
-        Self { frame, idle: Mutex::new(Vec::new()) }
-    }
+/// Workspaces between predictions: their memory need not be asked for again.
+#[derive(Clone, Default)]
+pub(crate) struct WorkspaceMemory(Arc<Mutex<Vec<Workspace>>>);
 
-    fn idle(&self) -> MutexGuard<'_, Vec<Worker<'a>>> {
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn wake(&self) -> WorkerGuard<'_, 'a> {
-        WorkerGuard { worker: self.idle().pop(), of: self }
+impl std::fmt::Debug for WorkspaceMemory {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("WorkspaceMemory").finish_non_exhaustive()
     }
 }
 
-/// A worker that rests again when it is let go.
+fn lock(workspaces: &Mutex<Vec<Workspace>>) -> MutexGuard<'_, Vec<Workspace>> {
+    workspaces.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl IdleWorkspaces {
+    fn new(memory: WorkspaceMemory) -> Self {
+        Self { idle: Mutex::default(), memory }
+    }
+
+    /// One of this prediction, or a new one.
+    fn take(&self, frame: &VisibilityContext<'_>) -> Workspace {
+        let known = lock(&self.idle).pop();
+        known.unwrap_or_else(|| match lock(&self.memory.0).pop() {
+            Some(mut workspace) => {
+                workspace.renew(frame);
+                workspace
+            }
+            None => Workspace::new(frame),
+        })
+    }
+
+    fn give(&self, workspace: Workspace) {
+        lock(&self.idle).push(workspace);
+    }
+
+    fn wake<'j, 'a>(&'j self, frame: &'a VisibilityContext<'a>) -> WorkerGuard<'j, 'a> {
+        WorkerGuard { worker: None, frame, of: self }
+    }
+}
+
+impl Drop for IdleWorkspaces {
+    fn drop(&mut self) {
+        lock(&self.memory.0).append(&mut lock(&self.idle));
+    }
+}
+
+/// A worker whose workspace rests again when it is let go.
 struct WorkerGuard<'j, 'a> {
     worker: Option<Worker<'a>>,
-    of: &'j WorkerPool<'a>,
+    frame: &'a VisibilityContext<'a>,
+    of: &'j IdleWorkspaces,
 }
 
 impl<'a> WorkerGuard<'_, 'a> {
     fn worker(&mut self) -> &mut Worker<'a> {
-        self.worker.get_or_insert_with(|| Worker::new(self.of.frame))
+        self.worker.get_or_insert_with(|| Worker { frame: self.frame, workspace: self.of.take(self.frame) })
     }
 }
 
 impl Drop for WorkerGuard<'_, '_> {
     fn drop(&mut self) {
-        self.of.idle().extend(self.worker.take());
+        if let Some(worker) = self.worker.take() {
+            self.of.give(worker.workspace);
+        }
     }
 }

@@ -8,6 +8,7 @@ use glam::DVec3;
 /// A polygon in the image frame, and how far off its plane may be.
 pub(super) struct PreparedPolygon {
     pub slot: u32,
+    pub material: u16,
     /// It covers rays: opaque, seen from this side, not edge-on.
     pub covers: bool,
     /// Unit normal, and whether the sensor is on its side.
@@ -93,6 +94,16 @@ impl PolygonCache {
         }
     }
 
+    /// Forgets all polygons, for another prediction.
+    pub fn renew(&mut self, frame: &VisibilityContext<'_>) {
+        let Self { at, known, planes, corners, .. } = self;
+        known.iter().for_each(|known| at[known.slot as usize] = 0);
+        at.resize(frame.environment.slot_count() as usize, 0);
+        known.clear();
+        planes.clear();
+        corners.clear();
+    }
+
     /// The polygon of a number.
     #[inline]
     pub fn get(&self, number: u32) -> &PreparedPolygon {
@@ -118,12 +129,14 @@ impl PolygonCache {
         let bound = PlaneBound::new(face, instance.center_in_mesh, Precision::F64);
         let known = face.distance.abs() - bound.distance;
         let off = if known > 0.0 { [bound.cosine / known, bound.distance / known] } else { [f64::INFINITY; 2] };
-        let facing = frame.facings[usize::from(mesh.material(polygon))];
+        let material = mesh.material(polygon);
+        let facing = frame.facings[usize::from(material)];
         let first = self.planes.len() as u32;
         self.planes.extend(face.edges.iter().map(|e| e.plane));
         self.corners.extend_from_slice(&face.corners);
         self.known.push(PreparedPolygon {
             slot,
+            material,
             covers: facing.opaque && (!facing.one_sided || face.distance < 0.0) && !face.edge_on(),
             normal: face.normal,
             faces_sensor: face.distance < 0.0,

@@ -4,7 +4,7 @@ use super::VisibilityContext;
 use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth};
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
-use super::tiles::Square;
+use super::tiles::{Look, Square};
 use crate::environment::FeatureShape;
 use crate::features::sample::Straight;
 use crate::features::{FeatureStats, Reason};
@@ -164,12 +164,18 @@ fn hide_by_tiles(
     while start < some.end {
         let first = part.middle(start).0;
         let end = end_in(part, &tiles.of(first).1, start..some.end);
-        let farthest = first.length().max(part.middle(end - 1).0.length());
-        let tile = tiles.tile(frame, polygons, first, farthest);
-        let stretch = Stretch::new(part, start..end, whole.ranges, whole.rounding);
-        tiles.between(tile, &stretch.ends, own, polygons, near);
-        for number in near.iter() {
-            stretch.hide(polygons.get(*number), polygons, by)?;
+        for look in [Look::First, Look::All] {
+            let stretch = Stretch::new(part, start..end, whole.ranges, whole.rounding);
+            let farthest = stretch.ends[0].length().max(stretch.ends[1].length());
+            let (tile, has_all) = tiles.tile(frame, polygons, first, farthest, look);
+            tiles.between(tile, &stretch.ends, own, polygons, near);
+            for number in near.iter() {
+                stretch.hide(polygons.get(*number), polygons, by)?;
+            }
+            start = open_from(start, by).min(end);
+            if has_all || start == end {
+                break;
+            }
         }
         start = open_from(end, by);
     }
@@ -217,7 +223,7 @@ fn tally_of(frame: &VisibilityContext<'_>, part: &Straight, [a, b]: [DVec3; 2], 
             NONE => SampleState::Seen,
             slot => SampleState::Hidden(Reason::Occluded, Some(slot)),
         };
-        tally.take_run(frame, state, run.len(), [t0, t1], [p0, p1]);
+        tally.take_run(state, run.len(), [t0, t1], [p0, p1]);
         if state == SampleState::Seen {
             for i in [nearest.floor(), nearest.ceil()] {
                 tally.see_at(part.middle((i.max(0.0) as usize).clamp(start, end - 1)).0);
@@ -229,5 +235,7 @@ fn tally_of(frame: &VisibilityContext<'_>, part: &Straight, [a, b]: [DVec3; 2], 
         start = end;
     }
     part.after(a, b, &mut |piece| outside(&mut tally, piece));
+    // Not of parts, which depend on which of several polygons is known to hide them.
+    tally.weigh(part.length, 0.0);
     tally
 }

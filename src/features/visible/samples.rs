@@ -2,6 +2,7 @@
 
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
+use super::tiles::Look;
 use super::undecided::{Line, UndecidedSample, hide_along};
 use super::windows::Windows;
 use super::{Visibility, rays};
@@ -202,11 +203,16 @@ fn space_along(line: Line, left: &mut [UndecidedSample], query: &FeatureQuery<'_
         if some.iter().any(|o| o.by.is_none()) {
             let farthest = some.iter().map(|o| o.range).fold(0.0, f64::max);
             let ends = [some[0].at, some[some.len() - 1].at];
-            let tile = tiles.tile(frame, polygons, ends[0], farthest);
-            tiles.between(tile, &ends, own, polygons, near);
-            for number in near.iter() {
-                let known = polygons.get(*number);
-                hide_along(known, polygons.planes_of(known), line, some, own.rounding());
+            for look in [Look::First, Look::All] {
+                let (tile, has_all) = tiles.tile(frame, polygons, ends[0], farthest, look);
+                tiles.between(tile, &ends, own, polygons, near);
+                for number in near.iter() {
+                    let known = polygons.get(*number);
+                    hide_along(known, polygons.planes_of(known), line, some, own.rounding());
+                }
+                if has_all || some.iter().all(|o| o.by.is_some()) {
+                    break;
+                }
             }
         }
         start = end;
@@ -231,11 +237,16 @@ pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuer
             continue;
         }
         let Workspace { polygons, tiles, near, .. } = &mut *workspace;
-        let tile = tiles.tile(frame, polygons, places[0], farthest);
-        tiles.between(tile, &places, own, polygons, near);
-        for (_, i) in some {
-            for number in near.iter() {
-                left[*i].hide_by(polygons.get(*number), polygons, own.rounding());
+        for look in [Look::First, Look::All] {
+            let (tile, has_all) = tiles.tile(frame, polygons, places[0], farthest, look);
+            tiles.between(tile, &places, own, polygons, near);
+            for (_, i) in some {
+                for number in near.iter() {
+                    left[*i].hide_by(polygons.get(*number), polygons, own.rounding());
+                }
+            }
+            if has_all || some.iter().all(|(_, i)| left[*i].by.is_some()) {
+                break;
             }
         }
     }

@@ -6,9 +6,9 @@
 //! the image shows nothing there that could hide it. The image only proposes, so that no feature is left out of which a sample
 //! is seen.
 
-use super::VisibilityContext;
-use super::polygon::{PolygonCache, PreparedPolygon};
-use super::tiles::Tiles;
+use super::polygon::PreparedPolygon;
+use super::strategy::Workspace;
+use super::{IdleWorkspaces, VisibilityContext};
 use crate::error::Result;
 use crate::features::contour::ContourSet;
 use crate::features::place::clip;
@@ -36,13 +36,18 @@ const MANY_BOXES: usize = 64;
 pub(super) fn select(
     frame: &VisibilityContext<'_>,
     tree: &FeatureTree,
-    of: (&[PlacedFeature], &ContourSet),
+    (placed, contours): (&[PlacedFeature], &ContourSet),
+    workspaces: &IdleWorkspaces,
 ) -> Result<Vec<u32>> {
-    let (view, tiles) = (View::new(frame.sensor), Tiles::of_sensor(frame));
+    let view = View::new(frame.sensor);
     let begin = || {
-        let (polygons, points, some) = (PolygonCache::new(frame), Vec::new(), Vec::new());
-        let (placed, contours) = of;
-        Selection { frame, tree, placed, contours, view: &view, tiles: &tiles, polygons, points, some }
+        let (workspace, points, some) = (workspaces.take(frame), Vec::new(), Vec::new());
+        Selection { frame, tree, placed, contours, view: &view, workspace, points, some }
+    };
+    // What was set up serves the next.
+    let end = |selection: Selection<'_, '_>| {
+        workspaces.give(selection.workspace);
+        selection.some
     };
     let mut first = begin();
     let mut boxes: VecDeque<(&Group, u32)> = tree.groups.iter().map(|group| (group, group.root)).collect();
@@ -51,7 +56,7 @@ pub(super) fn select(
     {
         boxes.extend(first.step(group, node).into_iter().flatten().map(|node| (group, node)));
     }
-    let mut some = first.some;
+    let mut some = end(first);
     if !boxes.is_empty() {
         let boxes = Vec::from(boxes);
         let parts = parallel(|| {
@@ -59,7 +64,7 @@ pub(super) fn select(
             let parts = boxes.par_chunks(share).map(|boxes| {
                 let mut selection = begin();
                 boxes.iter().for_each(|(group, node)| selection.below(group, *node));
-                selection.some
+                end(selection)
             });
             parts.collect::<Vec<_>>()
         })?;
@@ -126,8 +131,7 @@ struct Selection<'s, 'a> {
     placed: &'s [PlacedFeature],
     contours: &'s ContourSet,
     view: &'s View,
-    tiles: &'s Tiles,
-    polygons: PolygonCache,
+    workspace: Workspace,
     points: Vec<DVec3>,
     /// The tile of its middle, the range of that, the farthest first, and the number of each feature that may be seen.
     some: Vec<(u32, Reverse<u32>, u32)>,
@@ -162,7 +166,7 @@ impl Selection<'_, '_> {
         if !self.is_hidden(feature, image_from_object, shift) {
             let middle = self.points.iter().sum::<DVec3>() / self.points.len().max(1) as f64;
             // As integers these rise like the ranges.
-            self.some.push((self.tiles.of(middle).0, Reverse((middle.length() as f32).to_bits()), feature));
+            self.some.push((self.workspace.tiles.of(middle).0, Reverse((middle.length() as f32).to_bits()), feature));
         }
     }
 
@@ -173,8 +177,8 @@ impl Selection<'_, '_> {
             return true;
         }
         let Some(number) = self.polygon_at(middle) else { return false };
-        let known = self.polygons.get(number);
-        hides_box(known, self.polygons.planes_of(known), middle, &axes, rounding)
+        let known = self.workspace.polygons.get(number);
+        hides_box(known, self.workspace.polygons.planes_of(known), middle, &axes, rounding)
             && !self.tree.carries(known.slot, &node.some)
     }
 
@@ -195,9 +199,9 @@ impl Selection<'_, '_> {
             return true;
         }
         // The polygon that the image shows in the middle.
-        let number = self.polygon_at(middle).filter(|n| !placed.slots.contains(&self.polygons.get(*n).slot));
-        if let Some(known) = number.map(|number| self.polygons.get(number))
-            && hides_points(known, self.polygons.planes_of(known), &self.points, rounding)
+        let number = self.polygon_at(middle).filter(|n| !placed.slots.contains(&self.workspace.polygons.get(*n).slot));
+        if let Some(known) = number.map(|number| self.workspace.polygons.get(number))
+            && hides_points(known, self.workspace.polygons.planes_of(known), &self.points, rounding)
         {
             return true;
         }
@@ -213,13 +217,14 @@ impl Selection<'_, '_> {
             let Some(part) = rest.pop() else { return true };
             let middle = part.iter().sum::<DVec3>() / part.len() as f64;
             let Some(number) = self.polygon_at(middle) else { return false };
-            let known = self.polygons.get(number);
-            if placed.slots.contains(&known.slot) {
+            let known = self.workspace.polygons.get(number);
+            // What is before its plane it does not hide.
+            if placed.slots.contains(&known.slot) || !part.iter().any(|p| known.inverse.dot(*p) > 1.0) {
                 return false;
             }
             let far = part.iter().map(|p| p.length()).fold(0.0, f64::max);
             let mut inside = part;
-            for e in self.polygons.planes_of(known) {
+            for e in self.workspace.polygons.planes_of(known) {
                 let beyond = INSIDE * far * e.length();
                 let out = clip(&inside, |p| -e.dot(*p));
                 if out.iter().any(|p| e.dot(*p) < -beyond) {
@@ -237,17 +242,9 @@ impl Selection<'_, '_> {
 
     /// The polygon that the image shows in a direction, by its number in the cache, if it covers rays.
     fn polygon_at(&mut self, at: DVec3) -> Option<u32> {
-        let frame = self.frame;
-        let (u, v) = frame.sensor.project(at)?;
-        let (w, h) = (frame.images.width, frame.images.height);
-        let within = |x: f64, n: u32| x >= -0.5 && x <= f64::from(n) - 0.5;
-        if !within(v, h) || !(frame.sampler.turn().is_some() || within(u, w)) {
-            return None;
-        }
-        let (column, row) = frame.sampler.nearest_pixel((u, v).into());
-        let id = frame.images.polygon_id[row as usize * w as usize + column as usize];
-        let slot = if id == 0 { None } else { frame.slot_of_id(id) };
-        self.polygons.of_slot(frame, slot?).filter(|number| self.polygons.get(*number).covers)
+        let slot = self.frame.slot_in(at)?;
+        let polygons = &mut self.workspace.polygons;
+        polygons.of_slot(self.frame, slot).filter(|number| polygons.get(*number).covers)
     }
 }
 

@@ -5,12 +5,13 @@
 //! it finds there only saves finding them again.
 
 use super::candidates::Candidates;
+use super::curved::CurvedSegment;
 use super::polygon::PolygonCache;
 use super::samples::Samples;
 use super::surface::FeatureSurface;
 use super::tally::Tally;
 use super::tiles::Tiles;
-use super::{Visibility, VisibilityContext, area, rays, runs, samples};
+use super::{Visibility, VisibilityContext, area, curved, rays, runs, samples, whole};
 use crate::environment::FeatureShape;
 use crate::features::FeatureStats;
 use glam::DVec3;
@@ -19,7 +20,7 @@ use glam::DVec3;
 pub(super) type Strategy = fn(&FeatureQuery<'_>, &mut Workspace) -> Option<Decision>;
 
 /// In the order in which they are tried. The last decides about every feature.
-const BY_IMAGE: [Strategy; 3] = [runs::decide, area::decide, samples::decide];
+const BY_IMAGE: [Strategy; 5] = [runs::decide, whole::decide, curved::decide, area::decide, samples::decide];
 
 /// A feature whose visibility is asked for.
 pub(super) struct FeatureQuery<'q> {
@@ -30,6 +31,8 @@ pub(super) struct FeatureQuery<'q> {
     pub own: &'q FeatureSurface<'q>,
     /// For each sample left open, in order, the slot that may hide it: in place of the images.
     pub hints: Option<&'q [Option<u32>]>,
+    /// It is a piece of a curve, of which the length in the image counts.
+    pub is_piece: bool,
 }
 
 /// What was found of a feature.
@@ -47,6 +50,8 @@ pub(super) struct Workspace {
     pub near: Vec<u32>,
     /// Memory for samples; empty while they are in use.
     pub samples: Samples,
+    /// Memory for a segment in a curved image; empty while it is in use.
+    pub curved: CurvedSegment,
 }
 
 impl Workspace {
@@ -57,7 +62,14 @@ impl Workspace {
             candidates: Candidates::default(),
             near: Vec::new(),
             samples: Samples::default(),
+            curved: CurvedSegment::default(),
         }
+    }
+
+    /// For another prediction, with the memory of the last.
+    pub fn renew(&mut self, frame: &VisibilityContext<'_>) {
+        self.polygons.renew(frame);
+        self.tiles = Tiles::of_sensor(frame);
     }
 }
 

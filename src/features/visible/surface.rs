@@ -2,7 +2,7 @@
 
 use super::VisibilityContext;
 use super::polygon::PolygonCache;
-use crate::environment::{Appearance, FeatureShape};
+use crate::environment::FeatureShape;
 use crate::features::{PlacedFeature, Reason};
 use crate::geometry::plane_of_polygon;
 use glam::{DMat3, DVec3};
@@ -28,23 +28,8 @@ impl<'a> FeatureSurface<'a> {
         (placed, slots): (&PlacedFeature, &'a [u32]),
         (points, image_from_object, rounding): &(Vec<DVec3>, DMat3, f64),
     ) -> Self {
-        let class = &frame.sensor.spec().class;
-        let (mut normals, mut there, mut away) = (Vec::new(), 0, 0);
-        for slot in slots {
-            let Some((object, polygon)) = frame.environment.locate(*slot) else { continue };
-            let material = frame.environment.objects()[object as usize].mesh.material(polygon);
-            if frame.environment.materials()[usize::from(material)].appearance(class) == Appearance::Invisible {
-                continue;
-            }
-            there += 1;
-            let Some(number) = polygons.of_slot(frame, *slot) else { continue };
-            let known = polygons.get(number);
-            if frame.facings[usize::from(material)].one_sided && !known.faces_sensor {
-                away += 1;
-            } else {
-                normals.push(known.normal);
-            }
-        }
+        let mut normals = Vec::new();
+        let reason = lies_on(frame, polygons, slots, |normal| normals.push(normal));
         let landmark = matches!(placed.feature.shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. });
         let given = placed.feature.properties.normal.and_then(|n| (*image_from_object * n).try_normalize());
         // Corners are clockwise seen from the front: the right-hand normal points away from there.
@@ -52,16 +37,21 @@ impl<'a> FeatureSurface<'a> {
         let fiducial = matches!(placed.feature.shape, FeatureShape::Fiducial { .. });
         let front = given.or(of_outline.filter(|_| fiducial).map(|n| -n)).filter(|_| landmark);
         normals.extend(front);
-        if normals.is_empty() && !(there > 0 && there == away) {
+        if normals.is_empty() && reason != Some(Reason::FacingAway) {
             normals.extend(given.or(of_outline));
         }
-        let reason = match (slots.len(), there) {
-            (0, _) => None,
-            (_, 0) => Some(Reason::Material),
-            _ if there == away => Some(Reason::FacingAway),
-            _ => None,
-        };
         FeatureSurface { slots, normals, front, reason, rounding: *rounding }
+    }
+
+    /// Of a piece of a silhouette, and the polygons around it: where a surface ends, it is never seen too flat.
+    pub fn of_silhouette(
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        slots: &'a [u32],
+        rounding: f64,
+    ) -> Self {
+        let reason = lies_on(frame, polygons, slots, |_| ());
+        FeatureSurface { slots, normals: Vec::new(), front: None, reason, rounding }
     }
 
     /// Only what is in between decides.
@@ -72,11 +62,6 @@ impl<'a> FeatureSurface<'a> {
     /// How far its points may be off by rounding, metres.
     pub fn rounding(&self) -> f64 {
         self.rounding
-    }
-
-    /// Leaves open from where it is seen flat.
-    pub fn forget_normals(&mut self) {
-        self.normals.clear();
     }
 
     /// True of polygons that it lies on.
@@ -110,5 +95,34 @@ impl<'a> FeatureSurface<'a> {
         }
         let flat = |most: f64| self.cosine(at / range).is_some_and(|cosine| cosine < most.cos());
         spec.max_incidence.is_some_and(flat).then_some(Reason::Oblique)
+    }
+}
+
+/// Why something on these polygons is not seen, whatever is in between. Visits the normals of those that may be seen.
+fn lies_on(
+    frame: &VisibilityContext<'_>,
+    polygons: &mut PolygonCache,
+    slots: &[u32],
+    mut visit: impl FnMut(DVec3),
+) -> Option<Reason> {
+    let (mut there, mut away) = (0, 0);
+    for slot in slots {
+        let Some(number) = polygons.of_slot(frame, *slot) else { continue };
+        let known = polygons.get(number);
+        if frame.invisible[usize::from(known.material)] {
+            continue;
+        }
+        there += 1;
+        if frame.facings[usize::from(known.material)].one_sided && !known.faces_sensor {
+            away += 1;
+        } else {
+            visit(known.normal);
+        }
+    }
+    match (slots.len(), there) {
+        (0, _) => None,
+        (_, 0) => Some(Reason::Material),
+        _ if there == away => Some(Reason::FacingAway),
+        _ => None,
     }
 }

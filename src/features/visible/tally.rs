@@ -12,11 +12,26 @@ pub(super) enum SampleState {
     Hidden(Reason, Option<u32>),
 }
 
+/// A hidden part, with the slot of the polygon that hides it: what that is called is looked up only of what is told.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HiddenPart {
+    t: [f64; 2],
+    pub reason: Reason,
+    slot: Option<u32>,
+}
+
+impl HiddenPart {
+    pub fn told(&self, frame: &VisibilityContext<'_>) -> HiddenInterval {
+        let Self { t, reason, slot } = *self;
+        HiddenInterval { t, reason, by: slot.and_then(|slot| frame.occluder(slot)) }
+    }
+}
+
 /// Intervals and sums of one feature, sample by sample.
 #[derive(Default)]
 pub(super) struct Tally {
     pub visible: Vec<VisibleInterval>,
-    pub hidden: Vec<HiddenInterval>,
+    pub hidden: Vec<HiddenPart>,
     /// The state of the piece before, and where its sum is.
     last: Option<(SampleState, usize)>,
     /// Weights and numbers of samples: all inside image and limits, and those seen.
@@ -33,11 +48,19 @@ pub(super) struct Tally {
 
 impl Tally {
     pub fn take(&mut self, frame: &VisibilityContext<'_>, piece: &Piece, state: SampleState) {
-        let (t, sample) = match piece {
-            Piece::Inside(sample) => (sample.t, Some(sample)),
-            Piece::Outside { t, .. } => (*t, None),
-        };
-        let more = [sample.map_or(0.0, |s| s.weight), 1.0];
+        match piece {
+            Piece::Inside(sample) => {
+                self.take_some(state, sample.t, sample.ends, [sample.weight, 1.0]);
+                if state == SampleState::Seen {
+                    self.see(frame, sample);
+                }
+            }
+            Piece::Outside { t, .. } => self.take_some(state, *t, [DVec2::ZERO; 2], [0.0, 1.0]),
+        }
+    }
+
+    /// Takes neighbouring samples of a state: their part of the length and of the image, and their weight and number.
+    pub fn take_some(&mut self, state: SampleState, t: [f64; 2], pixels: [DVec2; 2], more: [f64; 2]) {
         let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
         let goes_on = self.last.is_some_and(|(last, _)| last == state);
         let at = match self.last {
@@ -52,48 +75,38 @@ impl Tally {
         if !matches!(state, SampleState::Hidden(reason, _) if reason.is_outside()) {
             add(&mut self.inside);
         }
-        match (state, sample) {
-            (SampleState::Seen, Some(sample)) => {
-                add(&mut self.seen);
-                self.see(frame, sample);
-                match self.visible.last_mut().filter(|_| goes_on) {
-                    Some(v) => (v.t[1], v.pixels[1]) = (t[1], sample.ends[1]),
-                    None => self.visible.push(VisibleInterval { t, pixels: sample.ends }),
-                }
-            }
-            (SampleState::Hidden(reason, slot), _) => match self.hidden.last_mut().filter(|_| goes_on) {
-                Some(h) => h.t[1] = t[1],
-                None => {
-                    let by = slot.and_then(|slot| frame.occluder(slot));
-                    self.hidden.push(HiddenInterval { t, reason, by });
-                }
-            },
-            (SampleState::Seen, None) => {}
-        }
-    }
-
-    /// Takes several samples of a segment at once: how many, their part of the length and of the image.
-    pub fn take_run(
-        &mut self,
-        frame: &VisibilityContext<'_>,
-        state: SampleState,
-        count: usize,
-        [t0, t1]: [f64; 2],
-        pixels: [DVec2; 2],
-    ) {
-        let more = [pixels[0].distance(pixels[1]), count as f64];
-        let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
-        add(&mut self.inside);
-        self.last = None;
         match state {
             SampleState::Seen => {
                 add(&mut self.seen);
+                match self.visible.last_mut().filter(|_| goes_on) {
+                    Some(v) => (v.t[1], v.pixels[1]) = (t[1], pixels[1]),
+                    None => self.visible.push(VisibleInterval { t, pixels }),
+                }
+            }
+            SampleState::Hidden(reason, slot) => match self.hidden.last_mut().filter(|_| goes_on) {
+                Some(h) => h.t[1] = t[1],
+                None => self.hidden.push(HiddenPart { t, reason, slot }),
+            },
+        }
+    }
+
+    /// Adds the weight of samples inside the image, and of those that are seen.
+    pub fn weigh(&mut self, inside: f64, seen: f64) {
+        self.inside[0] += inside;
+        self.seen[0] += seen;
+    }
+
+    /// Takes several samples of a segment at once: how many, their part of the length and of the image.
+    pub fn take_run(&mut self, state: SampleState, count: usize, [t0, t1]: [f64; 2], pixels: [DVec2; 2]) {
+        self.inside[1] += count as f64;
+        self.last = None;
+        match state {
+            SampleState::Seen => {
+                self.seen[0] += pixels[0].distance(pixels[1]);
+                self.seen[1] += count as f64;
                 self.visible.push(VisibleInterval { t: [t0, t1], pixels });
             }
-            SampleState::Hidden(reason, slot) => {
-                let by = slot.and_then(|slot| frame.occluder(slot));
-                self.hidden.push(HiddenInterval { t: [t0, t1], reason, by });
-            }
+            SampleState::Hidden(reason, slot) => self.hidden.push(HiddenPart { t: [t0, t1], reason, slot }),
         }
     }
 
@@ -110,10 +123,10 @@ impl Tally {
         }
         for h in piece.hidden {
             let t = h.t.map(place);
-            let is_same = |last: &&mut HiddenInterval| last.t[1] == t[0] && (last.reason, last.by) == (h.reason, h.by);
+            let is_same = |last: &&mut HiddenPart| last.t[1] == t[0] && (last.reason, last.slot) == (h.reason, h.slot);
             match self.hidden.last_mut().filter(is_same) {
                 Some(last) => last.t[1] = t[1],
-                None => self.hidden.push(HiddenInterval { t, ..h }),
+                None => self.hidden.push(HiddenPart { t, ..h }),
             }
         }
         for i in 0..2 {
@@ -126,14 +139,14 @@ impl Tally {
         self.pixels.extend(piece.pixels);
     }
 
-    /// Takes several pixels of a patch at once.
+    /// Takes several samples of a patch at once, all of the same weight.
     pub fn take_pixels(&mut self, state: SampleState, count: usize) {
-        let more = count as f64;
-        let add = |sum: &mut [f64; 2]| sum.iter_mut().for_each(|s| *s += more);
+        let more = [count as f64; 2];
+        let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
         // What was there last comes again soonest.
         match self.by_state.iter_mut().rev().find(|(known, _)| *known == state) {
             Some((_, sum)) => add(sum),
-            None => self.by_state.push((state, [more; 2])),
+            None => self.by_state.push((state, more)),
         }
         if !matches!(state, SampleState::Hidden(reason, _) if reason.is_outside()) {
             add(&mut self.inside);
@@ -184,33 +197,36 @@ impl Tally {
         }
     }
 
+    /// True if nothing of the feature is seen.
+    pub fn is_unseen(&self, is_area: bool) -> bool {
+        if is_area { self.bounds.is_none() } else { self.visible.is_empty() }
+    }
+
     /// For patches: shares of the area in place of parts of a length, one for what is seen and one for each reason and object
     /// that hides; of an object's polygons the one that hides most is told.
-    pub fn shares(&mut self, frame: &VisibilityContext<'_>) -> (Vec<VisibleInterval>, Vec<HiddenInterval>) {
-        let key = |(state, _): &(SampleState, [f64; 2])| match state {
-            SampleState::Seen => (0, None),
+    pub fn shares(&self, frame: &VisibilityContext<'_>) -> (Vec<VisibleInterval>, Vec<HiddenPart>) {
+        let keyed = |(state, sum): &(SampleState, [f64; 2])| match state {
+            SampleState::Seen => ((0, None, None), *sum),
             SampleState::Hidden(reason, slot) => {
                 let object = slot.and_then(|slot| frame.environment.locate(slot)).map(|(object, _)| object);
-                (1 + *reason as usize, object)
+                ((1 + *reason as usize, object, *slot), *sum)
             }
         };
-        let slot = |state: &SampleState| if let SampleState::Hidden(_, slot) = state { *slot } else { None };
-        self.by_state.sort_by_key(|s| (key(s), slot(&s.0)));
-        let sum =
-            |some: &[(SampleState, [f64; 2])]| some.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
-        let whole = sum(&self.by_state);
-        let (mut visible, mut hidden, mut from, mut left) = (Vec::new(), Vec::new(), 0.0, self.by_state.len());
-        for some in self.by_state.chunk_by(|a, b| key(a) == key(b)) {
+        type Keyed = ((usize, Option<u32>, Option<u32>), [f64; 2]);
+        let mut all: Vec<Keyed> = self.by_state.iter().map(keyed).collect();
+        all.sort_by_key(|(key, _)| *key);
+        let sum = |some: &[Keyed]| some.iter().fold([0.0; 2], |sum, (_, w)| [sum[0] + w[0], sum[1] + w[1]]);
+        let whole = sum(&all);
+        let (mut visible, mut hidden, mut from, mut left) = (Vec::new(), Vec::new(), 0.0, all.len());
+        for some in all.chunk_by(|(a, _), (b, _)| (a.0, a.1) == (b.0, b.1)) {
             left -= some.len();
             let to = if left == 0 { 1.0 } else { (from + share(sum(some), whole)).min(1.0) };
             let t = [from, to];
             let most = some.iter().skip(1).fold(&some[0], |most, s| if s.1[1] > most.1[1] { s } else { most });
-            match most.0 {
-                SampleState::Seen => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
-                SampleState::Hidden(reason, slot) => {
-                    let by = slot.and_then(|slot| frame.occluder(slot));
-                    hidden.push(HiddenInterval { t, reason, by });
-                }
+            let (reason, _, slot) = most.0;
+            match reason.checked_sub(1).map(|reason| Reason::ALL[reason]) {
+                None => visible.extend(self.bounds.map(|pixels| VisibleInterval { t, pixels })),
+                Some(reason) => hidden.push(HiddenPart { t, reason, slot }),
             }
             from = to;
         }

@@ -3,7 +3,8 @@
 //! Tiles are pyramids with their apex at the sensor. The index is asked once for what is in one, and samples of all features look
 //! through that: first those polygons go that are beside or behind all samples of a feature in the tile, then each sample is held to
 //! the few that are left. Where a polygon covers all of a tile, what is behind it there hides nothing that it does not hide itself:
-//! only features that lie on it look at what is behind.
+//! only features that lie on it look at what is behind. The index is asked for no more than lies before what the image shows in a tile,
+//! until something farther is not hidden by that.
 
 use super::VisibilityContext;
 use super::polygon::{PolygonCache, PreparedPolygon};
@@ -116,6 +117,13 @@ pub(super) struct Tiles {
     numbers: HashMap<u32, u32>,
     tiles: Vec<Tile>,
     found: QueryResult,
+}
+
+/// How much of a tile is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Look {
+    First,
+    All,
 }
 
 /// A part of a side of the cube.
@@ -242,6 +250,27 @@ impl Tile {
     }
 }
 
+/// How far away is the farthest that the image shows in some directions of a tile: what is farther is probably hidden by this, and by
+/// what is nearer.
+fn depth_of(frame: &VisibilityContext<'_>, polygons: &mut PolygonCache, square: &Square) -> f64 {
+    /// Directions along each side.
+    const LOOKS: u32 = 4;
+    let [c00, c10, c11, c01] = square.corners();
+    let share = |i: u32| (f64::from(i) + 0.5) / f64::from(LOOKS);
+    let mut depth = 0f64;
+    for (i, j) in (0..LOOKS).flat_map(|i| (0..LOOKS).map(move |j| (i, j))) {
+        let ray = c00.lerp(c10, share(i)).lerp(c01.lerp(c11, share(i)), share(j));
+        if let Some(number) = frame.slot_in(ray).and_then(|slot| polygons.of_slot(frame, slot)) {
+            let known = polygons.get(number);
+            let range = ray.length() / known.inverse.dot(ray);
+            if known.covers && range.is_finite() {
+                depth = depth.max(range);
+            }
+        }
+    }
+    depth
+}
+
 /// True if rounding of its distance is far below [`BEHIND`].
 fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
     known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
@@ -280,21 +309,34 @@ impl Tiles {
         self.numbers.get(&number).is_some_and(|tile| self.tiles[*tile as usize].radius >= farthest)
     }
 
-    /// The tile of a place, with what may hide something in it up to a range in metres at least.
+    /// The tile of a place, with what may hide something in it up to a range in metres, and whether it has all of that. A first look
+    /// may end behind what the image shows: nearly all that is farther is hidden by what is nearer, and much more is there.
     pub fn tile(
         &mut self,
         frame: &VisibilityContext<'_>,
         polygons: &mut PolygonCache,
         at: DVec3,
         farthest: f64,
-    ) -> u32 {
+        look: Look,
+    ) -> (u32, bool) {
         let (number, square) = self.of(at);
-        if !self.knows(number, farthest) {
-            let tile = self.find(frame, polygons, square, FARTHER * farthest);
-            self.numbers.insert(number, self.tiles.len() as u32);
-            self.tiles.push(tile);
+        if let Some(tile) = self.numbers.get(&number) {
+            let has_all = self.tiles[*tile as usize].radius >= farthest;
+            if has_all || look == Look::First {
+                return (*tile, has_all);
+            }
         }
-        self.numbers[&number]
+        let mut radius = FARTHER * farthest;
+        if look == Look::First {
+            let depth = FARTHER * depth_of(frame, polygons, &square);
+            if depth > 0.0 {
+                radius = radius.min(depth);
+            }
+        }
+        let (tile, found) = (self.tiles.len() as u32, self.find(frame, polygons, square, radius));
+        self.numbers.insert(number, tile);
+        self.tiles.push(found);
+        (tile, radius >= farthest)
     }
 
     /// Puts together the polygons, by number in the cache, that may hide something at some places of a tile, or between them: those

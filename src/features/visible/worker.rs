@@ -2,7 +2,7 @@
 
 use super::strategy::{Decision, FeatureQuery, Workspace, decide};
 use super::surface::FeatureSurface;
-use super::tally::share;
+use super::tally::{HiddenPart, share};
 use super::windows::Windows;
 use super::{QuerySamples, Visibility, VisibilityContext, area, samples::Samples, sheet};
 use crate::environment::FeatureShape;
@@ -23,11 +23,7 @@ pub(super) struct Worker<'a> {
     pub(super) workspace: Workspace,
 }
 
-impl<'a> Worker<'a> {
-    pub fn new(frame: &'a VisibilityContext<'a>) -> Self {
-        Self { frame, workspace: Workspace::new(frame) }
-    }
-
+impl Worker<'_> {
     /// The samples that only what is in between decides.
     pub fn query_samples(&mut self, placed: &PlacedFeature) -> QuerySamples {
         if placed.feature.shape.is_contour() {
@@ -37,8 +33,15 @@ impl<'a> Worker<'a> {
         let mut in_image = frame.in_image(placed);
         let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
         let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
-        let query = FeatureQuery { frame, shape: &placed.feature.shape, points: &in_image.0, own: &own, hints: None };
-        if frame.options.visibility == Visibility::Image && area::pixels_of(&query).is_some() {
+        let query = FeatureQuery {
+            frame,
+            shape: &placed.feature.shape,
+            points: &in_image.0,
+            own: &own,
+            hints: None,
+            is_piece: false,
+        };
+        if frame.options.visibility == Visibility::Image && area::covers_many(&query) {
             return Vec::new();
         }
         let samples = Samples::of(&query, workspace);
@@ -61,23 +64,19 @@ impl<'a> Worker<'a> {
         }
         let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
         let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
-        let query = FeatureQuery { frame, shape, points: &in_image.0, own: &own, hints };
+        let query = FeatureQuery { frame, shape, points: &in_image.0, own: &own, hints, is_piece: false };
         let Decision { mut tally, mut stats } = decide(&query, workspace);
-        let (visible, mut hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
+        stats.asked = 1;
+        if frame.options.hidden == Hidden::Count && tally.is_unseen(shape.is_area()) {
+            return FeatureResult { seen: None, stats, pixels: Vec::new() };
+        }
+        let (visible, hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         // What is outside the image is no hidden part.
         let is_inside = |p: &DVec3| matches!(frame.sampler.point(*p), Piece::Inside(_));
         let is_whole = || hidden.is_empty() && in_image.0.iter().all(is_inside);
         let windows = tally.windows.take().filter(|_| !visible.is_empty() && !is_whole());
         let windows = windows.map(|windows| seen_in(windows, &query, workspace)).unwrap_or_default();
-        stats.asked = 1;
-        match frame.options.hidden {
-            Hidden::Count if visible.is_empty() => return FeatureResult { seen: None, stats, pixels: Vec::new() },
-            Hidden::Reason if visible.is_empty() => {
-                let last = hidden.iter().map(|h| h.reason).max();
-                hidden = last.map(|reason| HiddenInterval { t: [0.0, 1.0], reason, by: None }).into_iter().collect();
-            }
-            _ => {}
-        }
+        let hidden = told(frame, &hidden, visible.is_empty());
         let seen = SeenFeature {
             visible_fraction: share(tally.seen, tally.inside),
             visible,
@@ -89,6 +88,15 @@ impl<'a> Worker<'a> {
         };
         FeatureResult { seen: Some(seen), stats, pixels: tally.pixels }
     }
+}
+
+/// What is told of the hidden parts of a feature: only the last reason where nothing is seen and no more is asked for.
+pub(super) fn told(frame: &VisibilityContext<'_>, hidden: &[HiddenPart], is_unseen: bool) -> Vec<HiddenInterval> {
+    if frame.options.hidden == Hidden::Reason && is_unseen {
+        let last = hidden.iter().map(|h| h.reason).max();
+        return last.map(|reason| HiddenInterval { t: [0.0, 1.0], reason, by: None }).into_iter().collect();
+    }
+    hidden.iter().map(|part| part.told(frame)).collect()
 }
 
 /// The windows of a patch, with what is seen along its sides: between samples a patch is seen as far as its outline is.

@@ -26,7 +26,7 @@ fn shares(seen: &SeenFeature) -> Vec<(Reason, f64)> {
     Reason::ALL.into_iter().map(share).collect()
 }
 
-fn same(a: &SeenFeature, b: &SeenFeature) -> bool {
+pub(super) fn same(a: &SeenFeature, b: &SeenFeature) -> bool {
     let near = |(a, b): ((Reason, f64), (Reason, f64))| (a.1 - b.1).abs() < 1e-9;
     let shown = |seen: &SeenFeature| SeenFeature { hidden: Vec::new(), ..seen.clone() };
     shown(a) == shown(b) && shares(a).into_iter().zip(shares(b)).all(near)

@@ -13,6 +13,7 @@ mod fractions;
 mod occluders;
 mod patches;
 mod thin;
+mod whole;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, scenes};
@@ -335,12 +336,18 @@ fn real_scenes_agree_with_rays_in_space() {
 
 #[test]
 fn planted_faults_are_caught() {
-    let (world, sensor) = (scenes::room_world(11, 40), scenes::camera(320, 240));
+    // Two pixels of either.
+    planted_in(&scenes::camera(320, 240), 2.0 / 320.0);
+    planted_in(&scenes::scanner(360, 91), 2f64.to_radians());
+}
+
+fn planted_in(sensor: &Sensor, two_pixels: f64) {
+    let world = scenes::room_world(11, 40);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.0, 0.1, 0.4);
     let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
     let placed = edges(world.environment(), usize::MAX, &mut Random(1));
-    let (right, _) = predict(&world, &sensor, &pose, &placed);
-    assert!(check(&oracle, &sensor, &pose, &placed, &right, SHORT).wrong.is_empty());
+    let (right, _) = predict(&world, sensor, &pose, &placed);
+    assert!(check(&oracle, sensor, &pose, &placed, &right, SHORT).wrong.is_empty());
 
     // Every feature 2 pixels to the right of where it is.
     let aside = pose.rotation * (sensor.body_from_image() * DVec3::X);
@@ -349,22 +356,22 @@ fn planted_faults_are_caught() {
         let FeatureShape::Segment { ends, .. } = &mut Arc::make_mut(&mut moved.feature).shape else { continue };
         *ends = [0, 1].map(|i| {
             let p = seen.points_world[i];
-            p + aside * (2.0 / 320.0 * p.distance(pose.translation))
+            p + aside * (two_pixels * p.distance(pose.translation))
         });
         moved.object = None;
     }
-    let (mut shifted, _) = predict(&world, &sensor, &pose, &moved);
+    let (mut shifted, _) = predict(&world, sensor, &pose, &moved);
     for (shifted, seen) in shifted.features.iter_mut().zip(&right.features) {
         shifted.points_world.clone_from(&seen.points_world);
     }
-    assert!(check(&oracle, &sensor, &pose, &placed, &shifted, SHORT).wrong.len() > 50);
+    assert!(check(&oracle, sensor, &pose, &placed, &shifted, SHORT).wrong.len() > 50);
 
     let mut dropped = right.clone();
     let with_two = dropped.features.iter_mut().find(|f| f.visible.len() > 1).expect("a feature seen in parts");
     with_two.visible.remove(0);
-    assert!(check(&oracle, &sensor, &pose, &placed, &dropped, SHORT).wrong_share() > 0.0);
-    let before = check(&oracle, &sensor, &pose, &placed, &right, SHORT).wrong.len();
-    assert!(check(&oracle, &sensor, &pose, &placed, &dropped, SHORT).wrong.len() > before);
+    assert!(check(&oracle, sensor, &pose, &placed, &dropped, SHORT).wrong_share() > 0.0);
+    let before = check(&oracle, sensor, &pose, &placed, &right, SHORT).wrong.len();
+    assert!(check(&oracle, sensor, &pose, &placed, &dropped, SHORT).wrong.len() > before);
 }
 
 /// Layers generated from the model and placed as files are.
