@@ -11,7 +11,7 @@ use presight::frame::{Frame, Measurement};
 use presight::free_poses::free_poses;
 use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight::simulate::{Disturbances, Simulator};
-use presight::{Backend, Camera, Distortion, Geometry, Options, Pose, Predictor, Sensor, World, preset};
+use presight::{Backend, Camera, Distortion, Geometry, Options, Pose, Predictor, Sensor, SensorSpec, World, preset};
 use presight_testkit::{Random, data};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -220,16 +220,51 @@ fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, r
     Prior::of_sigmas(moved(truth, &off), metres, radians)
 }
 
+/// A depth camera with lens distortion, noise that grows with the square of the range and noise of directions.
+fn depth_camera() -> SensorSpec {
+    let distorted = Distortion::PlumbBob([-0.12, 0.03, 0.0, 0.0, 0.0]);
+    let camera = Camera { distortion: distorted, ..Camera::pinhole(160, 120, 130.0, 130.0, 79.5, 59.5) };
+    let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
+    spec.range_max = 10.0;
+    (spec.noise.range_sigma, spec.noise.range_sigma_quadratic, spec.noise.angle_sigma) = (0.004, 0.002, 0.002);
+    spec
+}
+
+/// That camera around six places, among things that are nearer to each other than its noise is wide, by a model that knows all of it; each frame
+/// from a prior that is off by as much as it says.
+pub fn noise(frames: usize) {
+    let Some(world) = hall() else { return };
+    let sensor = Sensor::new(depth_camera()).expect("a camera");
+    println!("{frames} frames of a noisy depth camera around each of six places of the factory hall\n{HEAD}");
+    let mut all = Errors::default();
+    for place in free_poses(&world, 6, 11).expect("free poses") {
+        let mut simulator =
+            Simulator::new(predictor(), sensor.clone(), Disturbances::default(), 5).expect("a simulator");
+        let mut estimator = Estimator::new(predictor(), EstimateOptions::default());
+        let (mut random, mut errors) = (Random(7), Errors::default());
+        for k in 0..frames {
+            let truth = on_the_way(&place, k);
+            let frame = simulator.frame(&world, k as f64, &truth).expect("a frame");
+            let prior = drawn_around(&truth, (0.02, 0.01), Freedom::Full, &mut random);
+            let start = ProcessTime::now();
+            let found = estimator.estimate(&world, &[&frame], &prior).expect("an estimate");
+            let cpu_ms = 1e3 * start.elapsed().as_secs_f64();
+            for errors in [&mut errors, &mut all] {
+                errors.cpu_ms += cpu_ms;
+                errors.add(&found, &truth);
+            }
+        }
+        errors.row(&format!("{:.1}", place.translation));
+    }
+    all.row("all");
+}
+
 /// What a model of the sensor is worth: frames of a camera with lens distortion, noise that grows with the range and noise of
 /// directions, estimated with models that know of ever more of it. The 1995 paper's Fig. 15 in our terms.
 pub fn fidelity(frames: usize) {
     let Some(world) = hall() else { return };
     let place = free_poses(&world, 6, 11).expect("free poses")[2];
-    let distorted = Distortion::PlumbBob([-0.12, 0.03, 0.0, 0.0, 0.0]);
-    let camera = Camera { distortion: distorted, ..Camera::pinhole(160, 120, 130.0, 130.0, 79.5, 59.5) };
-    let mut real = presight::SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
-    real.range_max = 10.0;
-    (real.noise.range_sigma, real.noise.range_sigma_quadratic, real.noise.angle_sigma) = (0.004, 0.002, 0.002);
+    let real = depth_camera();
     let simulated = Sensor::new(real.clone()).expect("a camera");
     let (mut pinhole, mut flat, mut growing) = (real.clone(), real.clone(), real.clone());
     for spec in [&mut pinhole, &mut flat] {

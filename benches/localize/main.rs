@@ -1,6 +1,6 @@
 //! What one update costs, prediction and verdicts included: `cargo bench --bench localize`. Medians and 95th percentiles on
 //! two threads, from where the frame before was. Sets of ../shared/data (or $PRESIGHT_DATA) that are not there are left out.
-//! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `kidnapped`) simulates drives, see `drives.rs`;
+//! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates drives, see `drives.rs`;
 //! `-- frames DIR` also writes the frames and what was found there, for `benches/peers/localize.sh`.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
@@ -67,15 +67,24 @@ impl Case {
             ms.sort_by(f64::total_cmp);
             ms[((ms.len() - 1) as f64 * share).round() as usize]
         };
+        let off = |(known, found): (&Known, &Pose)| {
+            let (a, b) = (&known.truth, found);
+            ((a.translation - b.translation).length(), a.rotation.angle_between(b.rotation).to_degrees())
+        };
+        let (metres, degrees): (Vec<f64>, Vec<f64>) = self.frames.iter().zip(&found).map(off).unzip();
         println!(
-            "{}: p50 {:.2} ms, p95 {:.2} ms; CPU p50 {:.2} ms, p95 {:.2} ms; {} updates (aim: {})",
+            "{}: p50 {:.2} ms, p95 {:.2} ms; CPU p50 {:.2} ms, p95 {:.2} ms; {} updates (aim: {}); off p50 {:.2} mm, {:.4} deg, p95 {:.2} mm, {:.4} deg",
             self.name,
             at(&wall, 0.5),
             at(&wall, 0.95),
             at(&cpu, 0.5),
             at(&cpu, 0.95),
             wall.len(),
-            self.aim
+            self.aim,
+            at(&metres, 0.5) * 1e3,
+            at(&degrees, 0.5),
+            at(&metres, 0.95) * 1e3,
+            at(&degrees, 0.95)
         );
     }
 
@@ -161,7 +170,8 @@ fn main() {
         Some("alarms") => drives::alarms(number(30_000) as u64),
         Some("accuracy") => drives::accuracy(number(200)),
         Some("fidelity") => drives::fidelity(number(40)),
+        Some("noise") => drives::noise(number(60)),
         Some("kidnapped") => drives::kidnapped(),
-        Some(other) => panic!("{other}: give frames DIR, alarms, accuracy, fidelity or kidnapped, or nothing"),
+        Some(other) => panic!("{other}: give frames DIR, alarms, accuracy, fidelity, noise or kidnapped, or nothing"),
     }
 }

@@ -7,7 +7,7 @@ use super::run::{Expectation, FrameMeasurement, Minimum, Run};
 use super::solve::length;
 use super::{Gate, Kernel, Residuals};
 use crate::geometry::Pose;
-use crate::matrix::{add_to, apply, inverse, restricted};
+use crate::matrix::{add_to, apply, inverse, quadratic, restricted};
 use crate::motion::{Vector, motion_between, moved};
 use crate::verdict::{ExpectedImage, body_from_image};
 use std::sync::Arc;
@@ -20,6 +20,9 @@ const FAR_POINTS: usize = 500;
 const APPROACH_POINTS: usize = 5000;
 /// Steps that are smaller change nothing any more, metres and radians.
 const AT_REST: f64 = 2e-6;
+/// Square of half a standard deviation, of independent errors. After a step that is smaller one more is worth while, which is a fifth of it, as
+/// the weights of the kernel follow.
+const CLOSE: f64 = 0.25;
 /// A step that is a smaller part of the gate leaves nothing to find at this width: the gate narrows faster.
 const STILL: f64 = 0.05;
 /// By how much faster, as steps at once.
@@ -66,7 +69,9 @@ pub(super) fn descend(
     let sources = sources(run, &expected.images);
     let images = images(run, expected);
     let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
-    let (mut factor, mut rests, mut few) = (schedule.first, false, FEW);
+    let (mut factor, mut rests) = (schedule.first, false);
+    // Where few points are all there are, they are looked at at once.
+    let mut few = if run.measured.iter().all(|m| m.points.len() <= schedule.points.0) { 0 } else { FEW };
     let mut matches: Vec<Vec<u32>> = vec![Vec::new(); sources.len()];
     let pitch = sources.iter().map(RangeSource::pitch).fold(f64::INFINITY, f64::min);
     // How far the measured points moved since they were matched, radians.
@@ -94,11 +99,14 @@ pub(super) fn descend(
         images.iter().for_each(|source| normal.add(&source.linearize(&end.pose, &gate)));
         end.spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
         end.normal = normal;
-        if last {
+        if last && !rests {
             break;
         }
         let step = step(&end.normal, run, &end.pose, freedom);
         end.pose = moved(&end.pose, &step);
+        if last {
+            break;
+        }
         if schedule.settle == usize::MAX {
             end.pose = run.within_reach(&end.pose);
         }
@@ -109,16 +117,25 @@ pub(super) fn descend(
         since += metres / run.reach + radians;
         let still = metres < STILL * gate.translation && radians < STILL * gate.rotation;
         // With the least gate every further step is like this one.
-        let at_rest =
-            if settled { step.iter().all(|x| x.abs() < AT_REST) } else { still && schedule.settle == usize::MAX };
-        rests = factor <= schedule.least && at_rest && (whole || !settled);
+        let least = factor <= schedule.least;
+        if least && still && schedule.settle == usize::MAX {
+            break;
+        }
         if settled {
+            let at_rest = is_at_rest(run, &end.normal, &step, images.is_empty());
+            rests = least && at_rest && whole;
             few = if at_rest { 0 } else { few.saturating_sub(1) };
         }
         let narrower = if still { schedule.shrink.powi(HASTE) } else { schedule.shrink };
         factor = (factor * narrower).max(schedule.least);
     }
     end
+}
+
+/// True if a step leaves next to nothing to the ones after it. Features make up for few residuals: each of them counts.
+fn is_at_rest(run: &Run<'_>, normal: &Normal, step: &Vector, by_ranges: bool) -> bool {
+    let known = || quadratic(&normal.information, step) + quadratic(&run.prior_information, step);
+    if by_ranges { known() < CLOSE } else { step.iter().all(|x| x.abs() < AT_REST) }
 }
 
 /// What was matched in each frame in which features are looked for.

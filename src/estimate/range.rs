@@ -11,7 +11,7 @@ use crate::geometry::Pose;
 use crate::matrix::{Matrix, add_to, apply, product, sandwich};
 use crate::motion::turn;
 use crate::threads::parallel_or_here;
-use crate::verdict::{ExpectedImage, LANES, ObjectError, body_from_image};
+use crate::verdict::{ExpectedImage, ExpectedPixel, LANES, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -152,13 +152,13 @@ impl<'a> RangeSource<'a> {
         Self { only: Some(object), ..self }
     }
 
-    /// The expected pixel nearest to a point, both in the expected image's frame, and its distance squared.
+    /// The expected pixel nearest to a point, both in the expected image's frame.
     #[inline(always)]
-    fn nearest(&self, q: Vec3, m: Vec3, lambda2: f32, half: (i32, i32)) -> Option<(usize, f32)> {
+    fn nearest(&self, q: Vec3, m: Vec3, lambda2: f32, half: (i32, i32)) -> Option<usize> {
         let e = self.expected;
         let (u, v) = self.project(q)?;
         let (w, h) = (e.width as i32, e.height as i32);
-        let (u, v) = (u.round(), v.round());
+        let (u, v) = (u.round_ties_even(), v.round_ties_even());
         let near = |x: f32, side: i32, half: i32| x >= -(half as f32) && x <= (side + half) as f32;
         if !(near(u, w, half.0) && near(v, h, half.1)) {
             return None;
@@ -172,31 +172,34 @@ impl<'a> RangeSource<'a> {
             let (nu, nv) = (hu / su, hv / sv);
             let (mut bu, mut bv) = (cu, cv);
             let first = cu - nu * su;
+            let (rows, looked) = (e.strided.rows(&e.pixels, e.width, first, su as usize), 2 * nu as usize + 1);
             for n in 0..=2 * nv {
                 // From the middle on: what is near is found soon, and bounds the rest.
                 let row = cv + sv * if n % 2 == 0 { n / 2 } else { -(n / 2) - 1 };
                 if row < 0 || row >= h {
                     continue;
                 }
-                let [x, y, z] = e.strided.row(&e.pixels, e.width, (row as usize, first), su as usize);
+                let [x, y, z] = rows.row(row as usize);
                 let mut apart = [0.0f32; LANES];
                 for k in 0..LANES {
                     let (dx, dy, dz) = (x[k] - q.x, y[k] - q.y, z[k] - q.z);
-                    apart[k] = dx * dx + dy * dy + dz * dz;
+                    let a = dx * dx + dy * dy + dz * dz;
+                    // Not a number where nothing is predicted.
+                    apart[k] = if k < looked && a < f32::INFINITY { a } else { f32::INFINITY };
                 }
-                // The nearest one first: it bounds the rest. Most are too far off whatever their normals; those without a point are, too.
-                let apart = &apart[..2 * nu as usize + 1];
-                let nearest = (1..apart.len()).fold(0, |at, k| if apart[k] < apart[at] { k } else { at });
-                for k in std::iter::once(nearest).chain(0..apart.len()) {
-                    if !(apart[k] < best.1) {
-                        continue;
+                // The nearest one first: it bounds the rest. Most are too far off whatever their normals.
+                loop {
+                    let (least, lane) = least_of(&apart);
+                    if !(least < best.1) {
+                        break;
                     }
-                    let column = first + k as i32 * su;
+                    apart[lane] = f32::INFINITY;
+                    let column = first + lane as i32 * su;
                     let at = (row * w + column) as usize;
                     let pixel = &e.pixels[at];
                     let agree = pixel.normal.dot(m);
                     let agree = if pixel.offset > 0.0 { -agree } else { agree };
-                    let apart = apart[k] + lambda2 * (1.0 - agree);
+                    let apart = least + lambda2 * (1.0 - agree);
                     if apart < best.1 {
                         best = (at, apart);
                         (bu, bv) = (column, row);
@@ -204,7 +207,7 @@ impl<'a> RangeSource<'a> {
                 }
             }
             if su == 1 && sv == 1 {
-                return (best.1 < f32::INFINITY).then_some(best);
+                return (best.1 < f32::INFINITY).then_some(best.0);
             }
             (cu, cv) = (bu, bv);
             (hu, hv) = ((su - 1).max(0), (sv - 1).max(0));
@@ -213,18 +216,45 @@ impl<'a> RangeSource<'a> {
 
     #[inline(always)]
     fn project(&self, q: Vec3) -> Option<(f32, f32)> {
-        if let crate::Geometry::Camera(c) = &self.expected.sensor.spec().geometry
-            && c.distortion.is_none()
-        {
-            let s = 1.0 / q.z;
-            return (q.z > 0.0).then_some((q.x * s * c.fx as f32 + c.cx as f32, q.y * s * c.fy as f32 + c.cy as f32));
+        // Windows make up for what this is off.
+        self.expected.sensor.project_nearly(q)
+    }
+
+    /// True if some of what noise makes of an expected range is beyond the sensor's limits: what is left of it is nearer, or farther, than
+    /// the surface in the mean.
+    #[inline(always)]
+    fn is_cut_off(&self, pixel: &ExpectedPixel, compared: &Comparison) -> bool {
+        let spec = self.expected.sensor.spec();
+        let range = f64::from(pixel.range);
+        let nearest = if spec.range_min > 0.0 { range - spec.range_min } else { f64::INFINITY };
+        let room = compared.cos * nearest.min(spec.range_max - range);
+        room < TUKEY * compared.noise.sqrt()
+    }
+
+    /// The expected pixel on the ray of a point.
+    #[inline(always)]
+    fn on_ray(&self, q: Vec3) -> Option<usize> {
+        let (u, v) = self.project(q)?;
+        let (w, h) = (self.expected.width as f32, self.expected.height as f32);
+        let (u, v) = (u.round_ties_even(), v.round_ties_even());
+        let inside = u >= 0.0 && v >= 0.0 && u < w && v < h;
+        inside.then(|| v as usize * self.expected.width + u as usize)
+    }
+
+    /// How far a point is from the plane of a pixel; `None` without a plane, or where its ray meets that too flatly.
+    #[inline(always)]
+    fn compare(&self, pixel: &ExpectedPixel, q: DVec3, range: f64, moved: &FramePoses) -> Option<Comparison> {
+        let normal = pixel.normal.as_dvec3();
+        let cos = normal.dot(q - moved.centre).abs() / range;
+        // NaN where nothing is predicted.
+        if !(cos >= FLATTEST) {
+            return None;
         }
-        if let crate::Geometry::Rays(_) = &self.expected.sensor.spec().geometry {
-            // The window makes up for what this is off.
-            let (u, v) = self.expected.sensor.near_pixel(q.as_dvec3().try_normalize()?)?;
-            return Some((u as f32, v as f32));
-        }
-        self.expected.sensor.project(q.as_dvec3()).map(|(u, v)| (u as f32, v as f32))
+        // The noise is that of the range that is expected here: were it that of the measured one, points that noise has brought nearer would
+        // weigh more than those that it has taken farther off.
+        let noise = self.noise.variance_along_normal(f64::from(pixel.range), cos);
+        let e = normal.dot(q) - f64::from(pixel.offset);
+        Some(Comparison { normal, cos, e, noise, per_sigma: (noise + self.surface).max(1e-12).sqrt().recip() })
     }
 
     /// The expected pixel that a point is compared with; [`NOWHERE`] without one.
@@ -233,17 +263,26 @@ impl<'a> RangeSource<'a> {
         let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
         let m = moved.expected_from_now.transform_vector3(p.normal.as_dvec3());
         let range = f64::from(p.point.length());
+        // Once outliers have no weight, what the point's own ray should meet comes first: of surfaces that are no farther apart than noise is
+        // wide, the nearest one is the one that noise chose, which hides a part of every error. Where noise does not explain it, and the model may be
+        // off, the nearest one is the best guess.
+        if self.surface == 0.0
+            && matches!(gate.kernel, Kernel::Redescending { .. })
+            && let Some(at) = self.on_ray(q.as_vec3())
+            && let Some(compared) = self.compare(&self.expected.pixels[at], q, range, moved)
+            && compared.e * compared.e <= EXPLAINED * EXPLAINED * compared.noise
+        {
+            return at as u32;
+        }
         let reach = gate.translation + gate.rotation * range;
-        let flat = if self.expected.sensor.is_camera() {
-            1.0
-        } else {
-            f64::from((p.point.truncate().length() / p.point.length()).max(0.1))
-        };
-        let half = |spacing: f64, slant: f64| ((reach / (range * spacing * slant)).ceil() as i32).clamp(1, 1 << 12);
         let (su, sv) = self.expected.spacing;
-        let lambda = reach as f32;
-        let found = self.nearest(q.as_vec3(), m.as_vec3(), lambda * lambda, (half(su, flat), half(sv, 1.0)));
-        found.map_or(NOWHERE, |(at, _)| at as u32)
+        let (lambda, range) = (reach as f32, range as f32);
+        // Columns of a scanner are closer together the higher a beam looks.
+        let across =
+            if self.expected.sensor.is_camera() { range } else { p.point.truncate().length().max(0.1 * range) };
+        let half = |spacing: f64, radius: f32| ((lambda / (radius * spacing as f32)).ceil() as i32).clamp(1, 1 << 12);
+        let found = self.nearest(q.as_vec3(), m.as_vec3(), lambda * lambda, (half(su, across), half(sv, range)));
+        found.map_or(NOWHERE, |at| at as u32)
     }
 
     /// Adds what a point says that is compared with the pixel `at`.
@@ -264,26 +303,30 @@ impl<'a> RangeSource<'a> {
             return;
         };
         let apart = pixel.point.distance_squared(q.as_vec3());
-        let normal = pixel.normal.as_dvec3();
-        let cos = normal.dot(q - moved.centre).abs() / range;
+        let Some(compared) = self.compare(pixel, q, range, moved) else {
+            sum.cost += constant;
+            return;
+        };
+        let Comparison { normal, cos, e, per_sigma, .. } = compared;
         // A neighbour's point may be as far as the pixels are apart on the surface.
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
-        let within = 2.0 * pitch / cos.max(FLATTEST) + reach + 4.0 * self.noise.range_sigma(range);
-        if !(f64::from(apart) <= within * within) || cos < FLATTEST {
+        let within = 2.0 * pitch / cos + reach + 4.0 * self.noise.range_sigma(range);
+        if !(f64::from(apart) <= within * within) {
             sum.cost += constant;
             return;
         }
-        let e = normal.dot(q) - f64::from(pixel.offset);
-        let per_sigma = (self.noise.variance_along_normal(range, cos) + self.surface).max(1e-12).sqrt().recip();
         let normalized = e * per_sigma;
         sum.normalized.push(normalized.abs() as f32);
         let (weight, cost) = gate.kernel.weigh(normalized, reach * per_sigma);
         sum.cost += cost;
         sum.explained += usize::from(normalized.abs() <= EXPLAINED);
-        if weight == 0.0 {
+        let settles = matches!(gate.kernel, Kernel::Redescending { .. });
+        if weight == 0.0 || (settles && self.is_cut_off(pixel, &compared)) {
             return;
         }
         let w = weight * per_sigma * per_sigma;
+        // Where the ray meets the plane, not where noise has it: the product of a noisy lever and the noise itself is not zero in the mean.
+        let q = if settles { q - (q - moved.centre) * (e / normal.dot(q - moved.centre)) } else { q };
         let turned = (q - moved.robot).cross(normal);
         let j = [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z];
         for a in 0..6 {
@@ -319,6 +362,39 @@ impl<'a> RangeSource<'a> {
             group.variance += w * weight;
         }
     }
+}
+
+/// The least of numbers and the first place where it is. By halves, which become operations on many at once.
+#[inline(always)]
+fn least_of(all: &[f32; LANES]) -> (f32, usize) {
+    let mut least = *all;
+    let mut half = LANES / 2;
+    while half > 0 {
+        for k in 0..half {
+            least[k] = if least[k + half] < least[k] { least[k + half] } else { least[k] };
+        }
+        half /= 2;
+    }
+    let mut places: [u32; LANES] = std::array::from_fn(|k| if all[k] <= least[0] { 1 << k } else { 0 });
+    let mut half = LANES / 2;
+    while half > 0 {
+        (0..half).for_each(|k| places[k] |= places[k + half]);
+        half /= 2;
+    }
+    (least[0], places[0].trailing_zeros() as usize)
+}
+
+/// A measured point and the plane of a pixel.
+struct Comparison {
+    normal: DVec3,
+    /// Of the incidence.
+    cos: f64,
+    /// Distance from the plane, metres.
+    e: f64,
+    /// Its variance by the measurement's noise alone, square metres.
+    noise: f64,
+    /// 1 / its standard deviation, by all that is known.
+    per_sigma: f64,
 }
 
 /// Where things are in the expected image's frame.

@@ -132,6 +132,12 @@ impl Estimator {
     /// [`crate::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without features to look for;
     /// those of [`Predictor::predict`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
+        // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
+        let threads = self.predictor.task_threads()?;
+        threads.run(|| self.estimate_here(world, frames, prior))?
+    }
+
+    fn estimate_here(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
         let mut run = self.start(world, frames, prior)?;
         if run.is_blind() {
             return Ok(self.blind(&run));

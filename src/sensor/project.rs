@@ -8,7 +8,7 @@ use super::ray_grid::RayGrid;
 use super::scanner::{Angles, Scanner};
 use super::{Geometry, Lens, Sensor, SensorSpec};
 use crate::error::{Error, Result};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 
 /// Precomputed data for projection, one per sensor.
 #[derive(Debug)]
@@ -114,12 +114,38 @@ impl Beams {
         (self.azimuth.number(azimuth), self.elevation.number(elevation))
     }
 
+    /// [`Beams::project`] for what needs no more than the pixel.
+    #[inline(always)]
+    fn project_nearly(&self, p: Vec3) -> (f32, f32) {
+        let flat = (p.x * p.x + p.y * p.y).sqrt();
+        let azimuth = f64::from(atan2_nearly(p.y, p.x)).to_degrees();
+        let elevation = f64::from(atan2_nearly(p.z, flat)).to_degrees();
+        let (first, last) = self.azimuth.ends();
+        let turns = (0.5 * (first + last) - azimuth) / 360.0;
+        let azimuth = azimuth + 360.0 * turns.round_ties_even();
+        (self.azimuth.number(azimuth) as f32, self.elevation.number(elevation) as f32)
+    }
+
     fn ray(&self, u: f64, v: f64) -> DVec3 {
         let elevation = self.elevation.angle(v).clamp(-90.0, 90.0).to_radians();
         let azimuth = (self.azimuth.angle(u) % 360.0).to_radians();
         let ((sa, ca), (se, ce)) = (azimuth.sin_cos(), elevation.sin_cos());
         DVec3::new(ce * ca, ce * sa, se)
     }
+}
+
+/// atan2 to 3e-6 radians, NaN at the origin.
+#[inline(always)]
+fn atan2_nearly(y: f32, x: f32) -> f32 {
+    use std::f32::consts::{FRAC_PI_2, PI};
+    let (ax, ay) = (x.abs(), y.abs());
+    let t = ax.min(ay) / ax.max(ay);
+    let s = t * t;
+    // The odd polynomial of degree 11 that is nearest to the arc tangent from 0 to 1.
+    let p = ((((-0.011_721_2 * s + 0.052_653_32) * s - 0.116_432_87) * s + 0.193_543_46) * s - 0.332_623_47) * s
+        + 0.999_977_26;
+    let first = if ay > ax { FRAC_PI_2 - p * t } else { p * t };
+    (if x < 0.0 { PI - first } else { first }).copysign(y)
 }
 
 impl Projector {
@@ -171,6 +197,24 @@ impl Sensor {
                 PixelGrid::Rays(table) => in_table(table, p.normalize()).map(|p| (p.x, p.y)),
                 PixelGrid::Lines(_) => None,
             },
+        }
+    }
+
+    /// [`Sensor::project`] in f32, to 1e-5 radians, for what looks around in an image; in a ray table to a pixel. At the sensor itself the result
+    /// is `None` or no number.
+    #[inline(always)]
+    pub(crate) fn project_nearly(&self, p: Vec3) -> Option<(f32, f32)> {
+        match (self.projector(), &self.spec().geometry) {
+            (Projector::Pinhole, Geometry::Camera(c)) => {
+                let s = 1.0 / p.z;
+                (p.z > 0.0).then_some((p.x * s * c.fx as f32 + c.cx as f32, p.y * s * c.fy as f32 + c.cy as f32))
+            }
+            (Projector::Scanner(beams), _) => Some(beams.project_nearly(p)),
+            (Projector::Table, _) => {
+                let (u, v) = self.near_pixel(p.as_dvec3().try_normalize()?)?;
+                Some((u as f32, v as f32))
+            }
+            _ => self.project(p.as_dvec3()).map(|(u, v)| (u as f32, v as f32)),
         }
     }
 
@@ -376,6 +420,21 @@ mod tests {
             sensor(Geometry::Rays(RayTable::new(30, 20, table).unwrap())),
         ]);
         all
+    }
+
+    /// Of the rays of tables it is only the pixel.
+    #[test]
+    fn what_is_projected_nearly_is_near() {
+        for sensor in sensors() {
+            let all = (0..sensor.height()).flat_map(|row| (0..sensor.width()).map(move |column| (column, row)));
+            for (column, row) in all.step_by(7) {
+                let Some(ray) = sensor.ray(column, row) else { continue };
+                let (u, v) = sensor.project_nearly(3.0 * ray.as_vec3()).unwrap();
+                let off = (u - column as f32).hypot(v - row as f32);
+                assert!(off < 0.01, "{}: {u} {v} instead of {column} {row}", sensor.spec().name);
+            }
+            assert!(!sensor.project_nearly(Vec3::ZERO).is_some_and(|(u, v)| u.is_finite() && v.is_finite()));
+        }
     }
 
     #[test]

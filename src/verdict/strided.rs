@@ -37,34 +37,47 @@ impl Strided {
     }
 }
 
+/// Rows of a window: from a column on, each point `stride` columns after the one before.
+pub(crate) struct WindowRows<'a> {
+    pixels: &'a [ExpectedPixel],
+    width: usize,
+    first: i32,
+    stride: usize,
+    /// The ordered points, where a row of these columns begins, and how far it is from row to row.
+    ordered: Option<(&'a [Vec<f32>; 3], usize, usize)>,
+}
+
 impl StridedPoints {
-    /// x, y and z of the points of a row from a column on, each `stride` columns after the one before.
+    /// The rows that begin in a column.
     #[inline(always)]
-    pub fn row(
-        &self,
-        pixels: &[ExpectedPixel],
-        width: usize,
-        (row, first): (usize, i32),
-        stride: usize,
-    ) -> [[f32; LANES]; 3] {
+    pub fn rows<'a>(&'a self, pixels: &'a [ExpectedPixel], width: usize, first: i32, stride: usize) -> WindowRows<'a> {
         let (step, phase) = (first.div_euclid(stride as i32), first.rem_euclid(stride as i32) as usize);
         let from = AROUND as i32 + step;
+        let mut ordered = None;
         if stride <= WIDEST && from >= 0 {
-            let ordered = self.by_stride[stride - 1].get_or_init(|| Strided::new(pixels, width, stride));
+            let all = self.by_stride[stride - 1].get_or_init(|| Strided::new(pixels, width, stride));
             let from = from as usize;
-            if from + LANES <= ordered.length {
-                let at = (row * stride + phase) * ordered.length + from;
-                return ordered
-                    .axes
-                    .each_ref()
-                    .map(|axis| axis[at..at + LANES].try_into().unwrap_or([f32::NAN; LANES]));
+            if from + LANES <= all.length {
+                ordered = Some((&all.axes, phase * all.length + from, stride * all.length));
             }
+        }
+        WindowRows { pixels, width, first, stride, ordered }
+    }
+}
+
+impl WindowRows<'_> {
+    /// x, y and z of the points in a row of the image.
+    #[inline(always)]
+    pub fn row(&self, row: usize) -> [[f32; LANES]; 3] {
+        if let Some((axes, from, apart)) = self.ordered {
+            let at = from + row * apart;
+            return axes.each_ref().map(|axis| axis[at..at + LANES].try_into().unwrap_or([f32::NAN; LANES]));
         }
         let mut found = [[f32::NAN; LANES]; 3];
         for lane in 0..LANES {
-            let column = first + (lane * stride) as i32;
-            if (0..width as i32).contains(&column) {
-                let point = pixels[row * width + column as usize].point;
+            let column = self.first + (lane * self.stride) as i32;
+            if (0..self.width as i32).contains(&column) {
+                let point = self.pixels[row * self.width + column as usize].point;
                 (0..3).for_each(|k| found[k][lane] = point[k]);
             }
         }
@@ -87,7 +100,7 @@ mod tests {
         let strided = StridedPoints::default();
         for stride in 1..40 {
             for first in -300..300 {
-                let [x, y, _] = strided.row(&pixels, width, (1, first), stride);
+                let [x, y, _] = strided.rows(&pixels, width, first, stride).row(1);
                 for lane in 0..LANES {
                     let column = first + (lane * stride) as i32;
                     let inside = (0..width as i32).contains(&column);

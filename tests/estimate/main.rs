@@ -8,6 +8,7 @@ mod fused;
 mod hall;
 mod livingroom;
 mod malaga;
+mod noise;
 mod objects;
 mod reflectors;
 mod rooms;
