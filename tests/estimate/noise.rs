@@ -85,7 +85,7 @@ fn noise_does_not_choose_the_weight() {
 }
 
 /// A wall met aslant, with 15 cm of noise and more: a lever that noise has made longer meets noise of the same sign. With levers to measured points
-/// the robot seems turned, in each frame by 1.8 of its deviations, and all frames agree on it.
+/// the robot seems turned, in each frame by 1.6 of its deviations, and all frames agree on it.
 #[test]
 fn noise_does_not_choose_the_lever() {
     let world = slatted_wall(6.0, 0.0);
@@ -117,7 +117,7 @@ fn a_surface_at_the_end_of_the_reach_says_nothing() {
 
 /// A depth camera in the factory hall, among things that are nearer to each other than its noise is wide, by a model that knows all of it, from
 /// priors that are off by as much as they say: as far off as its covariance says. By nearest points NEES was 2.5 at both places, headings were 0.09 and
-/// 0.07 degrees off; with levers to measured points it was 1.4 at the first.
+/// 0.07 degrees off; with levers to measured points it was 1.6 at the first.
 #[test]
 fn a_noisy_depth_camera_is_as_certain_as_it_may_be() {
     let Some(path) = presight_testkit::data::file("env/factory_hall.glb") else { return };
