@@ -17,9 +17,10 @@ const ENOUGH: usize = 20;
 const UNKNOWN: f64 = 3.0;
 /// Weight of the defaults beside that of one frame.
 const PULL: f64 = 1e-3;
-/// Sweeps over the costs at most, and the change at which they are done.
-const SWEEPS: usize = 400;
-const DONE: f64 = 1e-10;
+/// Sweeps over the costs at most, and the change at which they are done. Each frame goes on where the last one ended: what a few sweeps
+/// leave is made up for by the next frames.
+const SWEEPS: usize = 24;
+const DONE: f64 = 1e-6;
 
 /// Seconds by kind of work before a frame has been measured: a slow core of today.
 const DEFAULTS: [f64; KINDS] = [1e-4, 5e-7, 5e-7, 2e-5, 2e-9, 2e-9, 5e-9, 2e-6, 5e-7, 1e-5];
@@ -64,12 +65,12 @@ impl UnitCosts {
 
     /// [`UnitCosts::factors`] of these ratios.
     pub fn factors_of(ratios: &VecDeque<f64>) -> [f64; 2] {
-        let mut sorted: Vec<f64> = ratios.iter().copied().collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let rank = (QUANTILE * sorted.len() as f64).ceil() as usize;
-        let at = |i: usize| sorted.get(i).copied().unwrap_or(1.0);
-        let (low, high) = (at(sorted.len() - rank), at(rank.saturating_sub(1)));
-        if sorted.len() < ENOUGH { [low.min(1.0 / UNKNOWN), high.max(UNKNOWN)] } else { [low, high] }
+        let mut some: Vec<f64> = ratios.iter().copied().collect();
+        let rank = (QUANTILE * some.len() as f64).ceil() as usize;
+        // Each frame asks for them after each forecast: two places in the order, not the order.
+        let mut at = |i: usize| if i < some.len() { *some.select_nth_unstable_by(i, f64::total_cmp).1 } else { 1.0 };
+        let (low, high) = (at(ratios.len() - rank), at(rank.saturating_sub(1)));
+        if ratios.len() < ENOUGH { [low.min(1.0 / UNKNOWN), high.max(UNKNOWN)] } else { [low, high] }
     }
 
     #[cfg(test)]
@@ -112,7 +113,9 @@ impl UnitCosts {
         for _ in 0..SWEEPS {
             let mut change: f64 = 0.0;
             for &k in &counted {
-                let others: f64 = counted.iter().filter(|j| **j != k).map(|j| self.normal[k][*j] * u[*j]).sum();
+                // What was never counted has 0 here.
+                let all: f64 = self.normal[k].iter().zip(&u).map(|(n, u)| n * u).sum();
+                let others = all - self.normal[k][k] * u[k];
                 let best = ((self.right[k] + PULL - others) / (self.normal[k][k] + PULL)).max(0.0);
                 change = change.max((best - u[k]).abs());
                 u[k] = best;

@@ -62,6 +62,8 @@ pub(super) struct Batch {
     pub nearest: f32,
     /// False if the time was up before.
     pub is_set_up: bool,
+    /// Pixels of the boxes around its polygons' images; only of the first wave, with a deadline.
+    pub pixels: u64,
     /// Polygons by band: `by_band[band_start[b]..band_start[b + 1]]`.
     by_band: Vec<u32>,
     band_start: Vec<u32>,

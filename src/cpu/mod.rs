@@ -331,6 +331,7 @@ fn draw_wave(
     // In step every band draws a batch before any draws the next one: stopped, they are complete to about the same distance.
     let step = if progress.in_step { 1 } else { batches.len().max(1) };
     let steps = batches.len().div_ceil(step).max(1);
+    let at_once = plan.watch.is_none() || progress.has_plenty;
     for k in 0..steps {
         let (some, next) = batches.split_at(batches.len().min((k + 1) * step));
         let (some, beyond) = (&some[k * step..], next.first().map_or(wave.beyond, |batch| batch.nearest));
@@ -341,8 +342,8 @@ fn draw_wave(
         let parts = canvas.par_iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate();
         parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
             let target = (wave.last && end).then_some(target);
-            let draw = Draw { buffer, target, plan, batches: some, winners, bands, band, clear, end, beyond, progress };
-            arch.dispatch(draw);
+            let part = WavePart { clear, end, at_once, beyond };
+            arch.dispatch(Draw { buffer, target, plan, batches: some, winners, bands, band, part, progress });
         });
     }
 }
@@ -382,7 +383,10 @@ fn set_up(
         let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
         batch.is_set_up = !plan.watch.as_ref().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
         if batch.is_set_up {
-            arch.dispatch(SetUp { batch, plan, runs: &runs[group.clone()], bands, occlusion });
+            arch.dispatch(SetUp { batch: &mut *batch, plan, runs: &runs[group.clone()], bands, occlusion });
+            if plan.watch.is_some() && occlusion.is_none() {
+                batch.pixels = batch.polygons.iter().map(thinning::pixels).sum();
+            }
         }
     });
     let left_out = new.iter().position(|batch| !batch.is_set_up);
@@ -440,6 +444,19 @@ impl pulp::WithSimd for SetUp<'_> {
     }
 }
 
+/// Where the batches of a task lie in their wave.
+#[derive(Clone, Copy)]
+struct WavePart {
+    /// Nothing was drawn before.
+    clear: bool,
+    /// They are the last ones of the wave.
+    end: bool,
+    /// They are drawn without a look at the clock between them.
+    at_once: bool,
+    /// Metres: nothing that follows them is nearer.
+    beyond: f32,
+}
+
 /// Draws a wave into a band and, after the last one, resolves it.
 struct Draw<'a, 't> {
     buffer: &'a mut Buffer,
@@ -450,12 +467,7 @@ struct Draw<'a, 't> {
     winners: &'a Winners,
     bands: &'a Bands,
     band: usize,
-    /// Nothing was drawn before.
-    clear: bool,
-    /// These are the last batches of the wave.
-    end: bool,
-    /// Metres: nothing that follows these batches is nearer.
-    beyond: f32,
+    part: WavePart,
     progress: &'a mut progress::Band,
 }
 
@@ -464,7 +476,8 @@ impl pulp::WithSimd for Draw<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self { buffer, target, plan, batches, winners, bands, band, clear, end, beyond, progress } = self;
+        let Self { buffer, target, plan, batches, winners, bands, band, part, progress } = self;
+        let WavePart { clear, end, at_once, beyond } = part;
         let (slots, grid) = (&winners.slots, plan.sensor.grid());
         match grid {
             PixelGrid::Lines(_) if clear => {
@@ -479,8 +492,8 @@ impl pulp::WithSimd for Draw<'_, '_> {
         if !progress.has_stopped {
             progress.complete_to = beyond;
         }
-        // One by one where there is a clock to look at.
-        let together = if plan.watch.is_some() { 1 } else { batches.len().max(1) };
+        // One by one where the time may run out.
+        let together = if at_once { batches.len().max(1) } else { 1 };
         for some in batches.chunks(together) {
             let over = plan.watch.as_ref().is_some_and(|watch| {
                 let polygons: u64 = some.iter().map(|batch| batch.in_band(band).len() as u64).sum();
@@ -526,10 +539,9 @@ impl pulp::WithSimd for Resolve<'_, '_> {
     fn with_simd<S: pulp::Simd>(self, _: S) {
         let Self { buffer, target, plan, winners, bands, band, progress } = self;
         let start = plan.watch.as_ref().map(Watch::elapsed);
-        progress.given_up =
+        (progress.given_up, progress.written) =
             resolve::resolve(target, buffer, plan, &winners.shades, (bands, band), progress.complete_to);
         if let (Some(watch), Some(start)) = (&plan.watch, start) {
-            progress.written = buffer.written();
             progress.resolving = watch.elapsed().saturating_sub(start);
         }
     }

@@ -14,6 +14,9 @@ use std::time::Duration;
 /// Least size of a wave, which the time left may ask for.
 const LEAST_WAVE: usize = *FIRST_WAVE.end() / 4;
 
+/// Time left, by what drawing is expected to take, from which on a wave is drawn without a look at the clock.
+const PLENTY: f64 = 8.0;
+
 /// How far a band has come.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Band {
@@ -48,6 +51,8 @@ pub(super) struct FrameProgress<'a> {
     pub has_stopped: bool,
     /// The drawing may be stopped, so that bands are kept in step.
     pub in_step: bool,
+    /// There is many times the time that the drawing is expected to take: bands draw a wave without a look at the clock.
+    pub has_plenty: bool,
     /// The first wave, with a deadline: when its drawing began, and what is known of it.
     wave: Option<(Duration, Wave)>,
 }
@@ -61,6 +66,7 @@ impl<'a> FrameProgress<'a> {
             stopped_at: None,
             has_stopped: false,
             in_step: false,
+            has_plenty: false,
             wave: None,
         }
     }
@@ -69,8 +75,8 @@ impl<'a> FrameProgress<'a> {
     /// of what follows. The answer is the stride at which most samples are to be expected in time.
     pub fn begin_wave(&mut self, batches: &[Batch], (done, beyond): (usize, f32), set_up: Duration) -> u32 {
         let Some(watch) = &self.plan.watch else { return 1 };
-        let boxes = || batches.iter().flat_map(|batch| &batch.polygons).map(thinning::pixels);
-        let (polygons, samples) = (boxes().count() as u64, boxes().sum());
+        let polygons = batches.iter().map(|batch| batch.polygons.len() as u64).sum();
+        let samples = batches.iter().map(|batch| batch.pixels).sum();
         let estimate = self.plan.pace.map_or(0.0, |pace| thinning::seconds(&pace, polygons, samples, 1));
         let now = watch.elapsed();
         self.wave = Some((now, Wave { polygons, samples, estimate_ms: 1e3 * estimate, time_ms: 0.0 }));
@@ -83,6 +89,7 @@ impl<'a> FrameProgress<'a> {
                 let later = &self.plan.runs[done..];
                 let frame = thinning::Frame { batches, later, rest, beyond, radius, grid, pace, left, set_up };
                 self.in_step = estimate + rest > left;
+                self.has_plenty = PLENTY * (estimate + rest) < left;
                 let is_thinned = self.plan.sensor.part_stride() > 1;
                 if self.in_step && !is_thinned { thinning::stride(&frame) } else { 1 }
             }

@@ -55,12 +55,6 @@ impl Buffer {
         }
     }
 
-    /// Samples that show a polygon.
-    pub fn written(&self) -> u64 {
-        let shown = |numbers: &Numbers| numbers.0.iter().filter(|number| **number != u64::from(NOTHING)).count() as u64;
-        self.winner.iter().map(shown).sum()
-    }
-
     /// Bytes of memory held.
     pub fn bytes(&self) -> u64 {
         (size_of::<Depths>() * self.inverse.capacity() + size_of::<Numbers>() * self.winner.capacity()) as u64

@@ -1,7 +1,7 @@
 //! Resolve: the asked images from inverse depth and winner, band by band while the z-buffer is still in the cache.
 
 use super::Bands;
-use super::batch::Shade;
+use super::batch::{NOTHING, Shade};
 use super::raster_lines::{Buffer, EIGHT};
 use crate::plan::{FramePlan, Images};
 use crate::sensor::{LineAxis, LineGrid, PixelGrid, RayGrid};
@@ -54,7 +54,8 @@ pub(super) fn split<'a>(images: &'a mut Images, bands: &Bands) -> Vec<Target<'a>
 /// scanner's image is a page of its own, and each visit to it may miss in the address translation.
 pub(super) const TOGETHER: usize = 32;
 
-/// Fills the asked images of a band, as far as it is complete, metres. Returns how many samples are left open.
+/// Fills the asked images of a band, as far as it is complete, metres. Returns how many samples are left open and, with a deadline, how
+/// many a polygon was drawn to.
 #[inline(always)]
 pub(super) fn resolve(
     target: &mut Target<'_>,
@@ -63,10 +64,11 @@ pub(super) fn resolve(
     shades: &[Shade],
     (bands, band): (&Bands, usize),
     complete_to: f32,
-) -> u64 {
+) -> (u64, u64) {
     let spec = plan.sensor.spec();
     let (range_min, range_max, least_inverse) = (spec.range_min, spec.range_max, least_inverse(complete_to.into()));
-    let mut painter = Painter { shades, range_min, range_max, least_inverse, given_up: 0, target };
+    let counts = plan.watch.is_some();
+    let mut painter = Painter { shades, range_min, range_max, least_inverse, given_up: 0, counts, written: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -77,7 +79,7 @@ pub(super) fn resolve(
             rows(&mut painter, buffer, lines, bands.samples, |pixels, line, part| pixels.of_tiles(grid, line, part));
         }
     }
-    painter.given_up
+    (painter.given_up, painter.written)
 }
 
 /// The least x with `1 / x <= range`, so that samples are compared without a division each; 0 for an infinite range.
@@ -225,6 +227,9 @@ struct Painter<'t, 'a> {
     /// Of samples that are final: 0 where all is drawn.
     least_inverse: f64,
     given_up: u64,
+    /// Whether samples with a polygon are counted, and how many there are.
+    counts: bool,
+    written: u64,
     target: &'t mut Target<'a>,
 }
 
@@ -233,6 +238,14 @@ impl Painter<'_, '_> {
     /// and no load waits for a store to another image, whose rows may be whole pages apart.
     #[inline(always)]
     fn paint(&mut self, pixels: &Pixels, row: usize, part: Range<usize>) {
+        // Mostly all of them show one polygon.
+        let first = pixels.winner[0];
+        let alike = pixels.winner.iter().fold(true, |alike, winner| alike & (*winner == first));
+        if self.counts {
+            let with_polygon = pixels.winner[..part.len()].iter().map(|winner| u32::from(*winner != NOTHING));
+            let all = if first != NOTHING { part.len() as u64 } else { 0 };
+            self.written += if alike { all } else { u64::from(with_polygon.sum::<u32>()) };
+        }
         let mut inverse = [0.0; TOGETHER];
         for i in 0..TOGETHER {
             inverse[i] = pixels.inverse[i] * pixels.per_length[i];
@@ -242,9 +255,7 @@ impl Painter<'_, '_> {
         }
         let mut distance = [0.0; TOGETHER];
         let (mut polygon_id, mut object_id) = ([0; TOGETHER], [0; TOGETHER]);
-        // Mostly all of them show one polygon.
-        let first = pixels.winner[0];
-        if pixels.winner.iter().fold(true, |alike, winner| alike & (*winner == first)) {
+        if alike {
             let seen = &self.shades[first as usize];
             distance.fill(seen.distance);
             polygon_id.fill(seen.polygon_id);

@@ -240,3 +240,34 @@ fn ties_go_to_the_lower_slot_and_neighbours_leave_no_crack() {
         }
     }
 }
+
+/// By hand: a square of 2 m, 2 m ahead, is 40 pixels wide at a focal length of 40 pixels, and a ray (x, y, z) meets it if neither |y| nor |z|
+/// is more than half of x.
+#[test]
+fn with_a_deadline_samples_with_a_polygon_are_counted() {
+    let square = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(y, z)| Vec3::new(2.0, y, z));
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("grey")).unwrap();
+    let mesh = Mesh::new("square", square.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Given);
+    environment.insert(NewObject::new("square", Pose::IDENTITY, mesh.unwrap().into())).unwrap();
+    let world = World::new(environment);
+    let pinhole = Geometry::Camera(Camera::pinhole(64, 64, 40.0, 40.0, 31.5, 31.5));
+    let camera = Sensor::new(SensorSpec::new("c", "video", pinhole)).unwrap();
+    let met = |sensor: &Sensor| {
+        let (w, h) = (sensor.width(), sensor.height());
+        let rays = (0..h)
+            .flat_map(|v| (0..w).map(move |u| (u, v)))
+            .filter_map(|(u, v)| sensor.ray(u, v).map(|r| sensor.body_from_image() * r));
+        rays.filter(|r| r.x > 0.0 && r.y.abs() < r.x / 2.0 && r.z.abs() < r.x / 2.0).count()
+    };
+    assert_eq!(met(&camera), 40 * 40);
+    for sensor in [&camera, &rays(), &scanner(-60.0, 1.0, 121, 32)] {
+        let count = met(sensor);
+        let mut plan = FramePlan::new(&world, sensor, &Pose::IDENTITY, ImageRequest::default()).unwrap();
+        plan.set_watch(Watch::start(Arc::new(crate::deadline::SystemClock::default()), Duration::from_secs(1000)));
+        let (mut images, mut stats) = (Images::default(), Stats::default());
+        CpuEngine::new(2).unwrap().render(&plan, &mut images, &mut stats).unwrap();
+        assert_eq!(images.polygon_id.iter().filter(|id| **id != 0).count(), count);
+        assert_eq!(stats.count_of(CountName::SamplesWritten), Some(count as u64));
+    }
+}

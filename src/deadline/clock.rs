@@ -29,6 +29,8 @@ impl Clock for SystemClock {
 
 /// Work between two looks at the clock, all threads together: nanoseconds of a slow core.
 const SPACING: u64 = 40_000;
+/// And at most this share of the time left, where it is far: work may take so many times as long as on a slow core.
+const SHARE: u32 = 16;
 /// In place of work done: the time is up, and nobody needs to look again.
 const OVER: u64 = 1 << 63;
 
@@ -40,21 +42,23 @@ pub struct Watch {
     /// From the start on: when drawing has to stop.
     stop: Duration,
     spacing: u64,
-    /// Work done since the last look.
+    /// Work done since the last look, and after how much the next one follows.
     worked: Arc<AtomicU64>,
+    next: Arc<AtomicU64>,
 }
 
 impl Watch {
     /// Starts now; drawing has to stop after `stop`.
     pub fn start(clock: Arc<dyn Clock>, stop: Duration) -> Self {
-        Self { start: clock.now(), clock, stop, spacing: SPACING, worked: Arc::default() }
+        let next = Arc::new(AtomicU64::new(SPACING));
+        Self { start: clock.now(), clock, stop, spacing: SPACING, worked: Arc::default(), next }
     }
 
     /// Looks at the clock after any work: for tests, which stop by counted looks.
     #[doc(hidden)]
     #[must_use]
     pub fn looking_always(self) -> Self {
-        Self { spacing: 0, ..self }
+        Self { spacing: 0, next: Arc::default(), ..self }
     }
 
     /// Time since the start. A clock that is set back tells no negative time.
@@ -68,15 +72,20 @@ impl Watch {
     }
 
     /// The same after so much more work, in nanoseconds of a slow core. A look at the clock may take as long as drawing a polygon: all
-    /// threads together look once in so much work, and the first that finds the time up tells the others.
+    /// threads together look once in so much work, the more seldom the more time is left, and the first that finds the time up
+    /// tells the others.
     pub fn is_over_after(&self, work: u64) -> bool {
         let worked = self.worked.fetch_add(work, Ordering::Relaxed) + work;
-        if worked < self.spacing {
+        if worked < self.next.load(Ordering::Relaxed) {
             return false;
         }
-        let over = worked >= OVER || self.is_over();
-        self.worked.store(if over { OVER } else { 0 }, Ordering::Relaxed);
-        over
+        let left = if worked >= OVER { Duration::ZERO } else { self.left() };
+        if self.spacing > 0 {
+            let share = u64::try_from((left / SHARE).as_nanos()).unwrap_or(OVER).min(OVER);
+            self.next.store(share.max(self.spacing), Ordering::Relaxed);
+        }
+        self.worked.store(if left.is_zero() { OVER } else { 0 }, Ordering::Relaxed);
+        left.is_zero()
     }
 
     /// Time left for drawing.
@@ -90,6 +99,7 @@ impl Watch {
 
     pub(crate) fn stop_after(&mut self, stop: Duration) {
         (self.stop, self.worked) = (stop, Arc::default());
+        self.next = Arc::new(AtomicU64::new(self.spacing));
     }
 }
 
@@ -107,15 +117,15 @@ mod tests {
         }
     }
 
-    /// By hand: the watch starts at the first look, and its third one after that, at 3 ms, is over. Each comes after four pieces of work
-    /// of a quarter of the spacing; then nobody looks.
+    /// By hand: the watch starts at the first look, and its third one after that, at 3 ms, is over. They come after 40 us of work, after
+    /// a sixteenth of the 2 ms that are left then, 125 us, and of 1 ms, 62.5 us: pieces 4, 17 and 24 of 10 us each. Then nobody looks.
     #[test]
     fn the_clock_is_looked_at_once_in_so_much_work() {
         let clock = Arc::new(Looks::default());
         let watch = Watch::start(clock.clone(), Duration::from_millis(3));
-        let over: Vec<bool> = (0..20).map(|_| watch.clone().is_over_after(SPACING / 4)).collect();
-        assert_eq!(over.iter().position(|over| *over), Some(11));
-        assert!(over[11..].iter().all(|over| *over));
+        let over: Vec<bool> = (0..40).map(|_| watch.clone().is_over_after(SPACING / 4)).collect();
+        assert_eq!(over.iter().position(|over| *over), Some(23));
+        assert!(over[23..].iter().all(|over| *over));
         assert_eq!(clock.0.load(Ordering::Relaxed), 4);
         // Another time to stop is looked for anew.
         let mut later = watch.clone();

@@ -162,12 +162,15 @@ impl Controller {
         let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
         let drawing = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
-        let kept = |stride| self.kept_for_images(timed, stride, left);
+        let kept = |stride| self.kept_for_images(timed, stride, left).as_secs_f64();
+        // Nothing is thinned where there is plenty.
+        let saved = |stride| (kept(timed.stride) - kept(stride)).max(0.0);
+        let saved = if self.has_plenty(timed, left) { [0.0; STRIDES.len()] } else { STRIDES.map(saved) };
         (none.frames > 0).then(|| Pace {
             wave: none.mean,
             polygon: each(WorkCounts { polygons: most, ..WorkCounts::default() }),
             sample: each(WorkCounts { samples_tested: most, ..WorkCounts::default() }),
-            saved: STRIDES.map(|stride| kept(timed.stride).saturating_sub(kept(stride)).as_secs_f64()),
+            saved,
             drawing: if drawing.frames > 0 { drawing.mean } else { 0.0 },
         })
     }

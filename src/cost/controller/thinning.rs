@@ -13,6 +13,9 @@ const WELL_LEARNT: u64 = 30;
 const FIXED_DRAWING: f64 = 0.4;
 const FIXED_IMAGES: f64 = 0.4;
 
+/// So many times what a slow frame takes: nothing will be given up.
+const PLENTY: f64 = 8.0;
+
 /// Frames that a share was seen in before they count for less, and as how many frames its first value counts.
 const REMEMBERED: f64 = 50.0;
 const FIRST_VALUE: f64 = 4.0;
@@ -111,10 +114,21 @@ impl Controller {
         stopping.cloned().unwrap_or_default().there(time / drawing.mean) * timed.share(stride)
     }
 
+    /// Whether so much time is left after selection that even a slow frame needs a small part of it.
+    pub(super) fn has_plenty(&self, timed: &DeadlineFrame, left: Duration) -> bool {
+        let drawing = self.costs.estimate(&timed.key_of(Forecast::Selection), &timed.counts);
+        let images = self.images(timed, 1);
+        let is_known = drawing.frames > 0 && images.frames > 0;
+        is_known && PLENTY * (drawing.upper + images.upper) < left.as_secs_f64()
+    }
+
     /// The stride of which most samples are to be expected; the least of those that are as good.
     pub(super) fn stride(&self, timed: &DeadlineFrame, left: Duration) -> u32 {
         let whole = self.costs.estimate(&timed.key_of(Forecast::Selection), &timed.counts);
         if whole.frames == 0 {
+            return 1;
+        }
+        if self.has_plenty(timed, left) {
             return 1;
         }
         let mut best = (self.expected(timed, 1, left), 1);
