@@ -66,13 +66,20 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
     }
     let segment = Segment { ends: [*a, *b], share, foot, ranges, rounding: own.rounding() };
     let hidden = segment.hidden_by_image(query, workspace)?;
+    let samples = asked(query);
     if !hidden.is_empty() {
         // Of a piece it counts how long it is.
         let is_hidden = options.hidden == Hidden::Count && !query.is_piece && are_all(hidden);
-        let stats = FeatureStats { features: 1, samples: 1, hidden_by_neighbours: 1, ..FeatureStats::default() };
+        let hidden_by_neighbours = samples;
+        let stats = FeatureStats { features: 1, samples, hidden_by_neighbours, ..FeatureStats::default() };
         return is_hidden.then(|| Decision { tally: Tally::default(), stats });
     }
     segment.is_seen_in_space(query, workspace).then(|| segment.seen(query)).flatten()
+}
+
+/// Samples that a device was asked about; without one the segment counts as a single sample.
+fn asked(query: &FeatureQuery<'_>) -> usize {
+    query.hints.map_or(1, |hints| hints.len())
 }
 
 /// True if some intervals hold all from 0 to 1.
@@ -206,7 +213,8 @@ impl Segment {
         let pixel = |p: DVec3| query.frame.sensor.project(p).map(DVec2::from);
         let pixels = [pixel(a)?, pixel(a + 1.0 * (b - a))?];
         tally.visible.push(VisibleInterval { t: [0.0, 1.0], pixels });
-        let stats = FeatureStats { features: 1, samples: 1, visible: 1, ..FeatureStats::default() };
+        let samples = asked(query);
+        let stats = FeatureStats { features: 1, samples, visible: samples, ..FeatureStats::default() };
         is_inside.then_some(Decision { tally, stats })
     }
 }
