@@ -4,7 +4,7 @@
 //! as straight ([`Run`]); the ends of the interval say between which of their samples it lies.
 
 use super::VisibilityContext;
-use super::polygon::{PreparedPolygon, RelativeDepth};
+use super::polygon::{PreparedPolygon, RelativeDepth, within_edges};
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::tiles::Look;
@@ -122,22 +122,7 @@ impl CurvedSegment {
         if !(shares[0] > 1.0 || shares[1] > 1.0) {
             return Some(());
         }
-        // Shares of the way from p to q.
-        let (mut from, mut to) = (0.0f64, 1.0f64);
-        for e in planes {
-            let (f, g) = (e.dot(*p), e.dot(*q));
-            if f < 0.0 && g < 0.0 {
-                return Some(());
-            }
-            if f < 0.0 {
-                from = from.max(f / (f - g));
-            } else if g < 0.0 {
-                to = to.min(f / (f - g));
-            }
-        }
-        if !(from <= to) {
-            return Some(());
-        }
+        let Some([from, to]) = within_edges(planes, *p, *q) else { return Some(()) };
         let share_at = |s: f64| shares[0] + s * (shares[1] - shares[0]);
         let within = [share_at(from), share_at(to)];
         if !(within[0].max(within[1]) > 1.0 - CLEARLY) {

@@ -4,7 +4,7 @@
 //! ray, or a quotient of two such, which rises or falls. So the ends of an interval decide about all of it.
 
 use super::VisibilityContext;
-use super::polygon::{PreparedPolygon, RelativeDepth};
+use super::polygon::{PreparedPolygon, RelativeDepth, within_edges};
 use super::rays;
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
@@ -95,22 +95,7 @@ impl Grid {
     fn hide(&mut self, known: &PreparedPolygon, planes: &[DVec3], column: usize, rows: &Range<usize>) -> Option<()> {
         let of = &self.samples.columns[column];
         let [p, q] = [rows.start, rows.end - 1].map(|row| self.samples.ray(of, row));
-        // Shares of the way from p to q.
-        let (mut from, mut to) = (0.0f64, 1.0f64);
-        for e in planes {
-            let (f, g) = (e.dot(p), e.dot(q));
-            if f < 0.0 && g < 0.0 {
-                return Some(());
-            }
-            if f < 0.0 {
-                from = from.max(f / (f - g));
-            } else if g < 0.0 {
-                to = to.min(f / (f - g));
-            }
-        }
-        if !(from <= to) {
-            return Some(());
-        }
+        let Some([from, to]) = within_edges(planes, p, q) else { return Some(()) };
         let rows = self.samples.rows_at(rows.clone(), [from, to]);
         if rows.is_empty() {
             return Some(());

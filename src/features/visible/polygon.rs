@@ -31,6 +31,24 @@ pub(super) enum RelativeDepth {
     Unknown,
 }
 
+/// The part of the straight way from p to q that lies within edge planes, as shares of the way, the lesser one first. `None` if there is none.
+#[inline]
+pub(super) fn within_edges(planes: &[DVec3], p: DVec3, q: DVec3) -> Option<[f64; 2]> {
+    let (mut from, mut to) = (0.0f64, 1.0f64);
+    for e in planes {
+        let (f, g) = (e.dot(p), e.dot(q));
+        if f < 0.0 && g < 0.0 {
+            return None;
+        }
+        if f < 0.0 {
+            from = from.max(f / (f - g));
+        } else if g < 0.0 {
+            to = to.min(f / (f - g));
+        }
+    }
+    (from <= to).then_some([from, to])
+}
+
 impl PreparedPolygon {
     /// Is it nearer by more than rounding than a point at `range` that may itself be off by `rounding` metres? `share` is
     /// the product with [`PreparedPolygon::inverse`].
@@ -165,5 +183,24 @@ impl PolygonCache {
     #[inline]
     pub fn holds(&self, known: &PreparedPolygon, at: DVec3) -> bool {
         self.planes_of(known).iter().all(|e| e.dot(at) >= 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By hand: from (0, 1) to (2, 1), where x is at least half of y and at most one and a half of it.
+    #[test]
+    fn a_way_is_cut_at_edges() {
+        let [p, q] = [DVec3::new(0.0, 1.0, 0.0), DVec3::new(2.0, 1.0, 0.0)];
+        let (least, most) = (DVec3::new(1.0, -0.5, 0.0), DVec3::new(-1.0, 1.5, 0.0));
+        assert_eq!(within_edges(&[least, most], p, q), Some([0.25, 0.75]));
+        assert_eq!(within_edges(&[most, least], q, p), Some([0.25, 0.75]));
+        assert_eq!(within_edges(&[least], p, q), Some([0.25, 1.0]));
+        assert_eq!(within_edges(&[], p, q), Some([0.0, 1.0]));
+        // Beside one edge, and between none of both: x at most half of y, at least one and a half of it.
+        assert_eq!(within_edges(&[DVec3::NEG_Y], p, q), None);
+        assert_eq!(within_edges(&[-least, -most], p, q), None);
     }
 }

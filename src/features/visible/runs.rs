@@ -1,7 +1,7 @@
 //! Segments in a pinhole camera: samples in equal steps of a straight image, decided run by run and not one by one.
 
 use super::VisibilityContext;
-use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth};
+use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth, within_edges};
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
 use super::tiles::{Look, Square};
@@ -43,22 +43,7 @@ impl<'s> Stretch<'s> {
         if !(shares[0] > 1.0 || shares[1] > 1.0) {
             return Some(());
         }
-        // Shares of the way from p to q.
-        let (mut from, mut to) = (0.0f64, 1.0f64);
-        for e in polygons.planes_of(known) {
-            let (f, g) = (e.dot(p), e.dot(q));
-            if f < 0.0 && g < 0.0 {
-                return Some(());
-            }
-            if f < 0.0 {
-                from = from.max(f / (f - g));
-            } else if g < 0.0 {
-                to = to.min(f / (f - g));
-            }
-        }
-        if !(from <= to) {
-            return Some(());
-        }
+        let Some([from, to]) = within_edges(polygons.planes_of(known), p, q) else { return Some(()) };
         let number = |share: f64| self.part.number_at(p + share * (q - p));
         let first = if from > 0.0 { (number(from).ceil() as usize).max(self.some.start) } else { self.some.start };
         let end = if to < 1.0 { ((number(to) + 1.0) as usize).min(self.some.end) } else { self.some.end };
