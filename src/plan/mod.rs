@@ -49,6 +49,10 @@ pub struct Instance {
     pub center_in_mesh: DVec3,
     /// Turns mesh normals into the image frame: the inverse transpose of the linear part. The result is not of unit length.
     pub normal_from_mesh: DMat3,
+    /// Frobenius norms of these two.
+    pub(crate) norms: [f64; 2],
+    /// The linear part mirrors.
+    pub(crate) mirrors: bool,
     /// True if all materials of the mesh are opaque to the sensor's class and two-sided, so that engines need not look at them.
     pub plain: bool,
 }
@@ -71,11 +75,15 @@ impl Instance {
             let f = facings[usize::from(*m)];
             f.opaque && !f.one_sided
         });
+        let normal_from_mesh = image_from_object * object_from_mesh.matrix3.inverse().transpose();
+        let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         Self {
             object,
             image_from_mesh,
             center_in_mesh: o.point_in_mesh(world_from_sensor.translation),
-            normal_from_mesh: image_from_object * object_from_mesh.matrix3.inverse().transpose(),
+            normal_from_mesh,
+            norms: [image_from_mesh, normal_from_mesh].map(norm),
+            mirrors: image_from_mesh.determinant() < 0.0,
             plain,
         }
     }

@@ -67,12 +67,11 @@ impl Face {
         corners.extend(relative.iter().map(|p| image_from_mesh * *p));
         let turned = instance.normal_from_mesh * mesh.plane(polygon).normal;
         // A mirror keeps the normal on its side and turns the winding round.
-        let mirrored = image_from_mesh.determinant() < 0.0;
+        let mirrored = instance.mirrors;
         self.normal = turned.normalize();
         let length = |k: usize| relative[k].length_squared();
         let nearest = (0..corners.len()).fold(0, |best, k| if length(k) < length(best) { k } else { best });
         self.distance = self.normal.dot(corners[nearest]);
-        let norm = |m: glam::DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         let distance = self.distance;
         edges.extend((0..corners.len()).map(|k| {
             let next = (k + 1) % corners.len();
@@ -81,9 +80,10 @@ impl Face {
             let plane = corners[a].cross(image_from_mesh * (in_mesh[b] - in_mesh[a]));
             Edge { plane: if forward == ((distance >= 0.0) != mirrored) { plane } else { -plane }, a, b }
         }));
-        self.norm = norm(image_from_mesh);
+        let [norm, normal_norm] = instance.norms;
+        self.norm = norm;
         self.nearest = length(nearest).sqrt() * self.norm;
-        self.normal_condition = norm(instance.normal_from_mesh) / turned.length();
+        self.normal_condition = normal_norm / turned.length();
         self.flatness = self.distance.abs() * turned.length() / length(nearest).sqrt();
         self.aspect = aspect(in_mesh);
     }

@@ -225,6 +225,10 @@ impl Selection<'_, '_> {
             let far = part.iter().map(|p| p.length()).fold(0.0, f64::max);
             let mut inside = part;
             for e in self.workspace.polygons.planes_of(known) {
+                // As of most: nothing is cut off.
+                if inside.iter().all(|p| e.dot(*p) >= 0.0) {
+                    continue;
+                }
                 let beyond = INSIDE * far * e.length();
                 let out = clip(&inside, |p| -e.dot(*p));
                 if out.iter().any(|p| e.dot(*p) < -beyond) {

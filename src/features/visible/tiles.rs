@@ -94,13 +94,13 @@ impl Bounds {
         Self([x0 - Self::SLACK, x1 + Self::SLACK, y0 - Self::SLACK, y1 + Self::SLACK])
     }
 
-    /// The columns of a square that it reaches over (low half) and the rows (high half), of 32 each. What meets shares one of each.
-    fn cells(&self, square: &Square) -> u64 {
+    /// The columns of a square that it reaches over and the rows, of 32 each. What meets shares one of each.
+    fn cells(&self, square: &Square) -> [u32; 2] {
         let ([x0, x1, y0, y1], [u, v]) = (self.0, square.bounds);
         let cell =
             |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) * (32.0 / (high - low))).clamp(0.0, 31.0) as u32;
-        let reach = |from: u32, to: u32| u64::from((u32::MAX << from) & (u32::MAX >> (31 - to)));
-        reach(cell(x0, u), cell(x1, u)) | reach(cell(y0, v), cell(y1, v)) << 32
+        let reach = |from: u32, to: u32| (u32::MAX << from) & (u32::MAX >> (31 - to));
+        [reach(cell(x0, u), cell(x1, u)), reach(cell(y0, v), cell(y1, v))]
     }
 
     #[inline]
@@ -170,24 +170,28 @@ impl Square {
 #[derive(Default)]
 struct TilePolygons {
     all: Vec<TilePolygon>,
-    /// [`Bounds::cells`].
-    cells: Vec<u64>,
+    /// [`Bounds::cells`]: columns and rows by themselves, so that several are compared by one instruction.
+    columns: Vec<u32>,
+    rows: Vec<u32>,
 }
 
 impl TilePolygons {
     fn new(mut all: Vec<TilePolygon>, square: &Square) -> Self {
         all.sort_by(|a, b| a.near.total_cmp(&b.near));
-        Self { cells: all.iter().map(|polygon| polygon.bounds.cells(square)).collect(), all }
+        let (columns, rows) = all.iter().map(|polygon| polygon.bounds.cells(square).into()).unzip();
+        Self { all, columns, rows }
     }
 
     /// Visits those that may share columns and rows, and are nearer than a distance along the axis in part, in order.
-    fn visit(&self, cells: u64, far: f32, mut visit: impl FnMut(&TilePolygon)) {
+    fn visit(&self, [column, row]: [u32; 2], far: f32, mut visit: impl FnMut(&TilePolygon)) {
         const AT_ONCE: usize = 16;
-        let meets = |of: u64| (of & cells) as u32 != 0 && (of & cells) >> 32 != 0;
+        let meets = |(columns, rows): (&u32, &u32)| u32::from(columns & column != 0) & u32::from(rows & row != 0);
         let nearer = self.all.partition_point(|polygon| polygon.near < far);
-        for (some, of) in self.all[..nearer].chunks(AT_ONCE).zip(self.cells[..nearer].chunks(AT_ONCE)) {
-            if of.iter().fold(false, |any, of| any | meets(*of)) {
-                some.iter().zip(of).filter(|(_, of)| meets(**of)).for_each(|(polygon, _)| visit(polygon));
+        let (columns, rows) = (self.columns[..nearer].chunks(AT_ONCE), self.rows[..nearer].chunks(AT_ONCE));
+        for ((some, columns), rows) in self.all[..nearer].chunks(AT_ONCE).zip(columns).zip(rows) {
+            if columns.iter().zip(rows).fold(0, |any, of| any | meets(of)) != 0 {
+                let of = some.iter().zip(columns.iter().zip(rows));
+                of.filter(|(_, of)| meets(*of) != 0).for_each(|(polygon, _)| visit(polygon));
             }
         }
     }
