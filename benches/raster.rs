@@ -2,8 +2,17 @@
 //!
 //! Both on one adapter, by turns, at the same free poses, from plan to all four default outputs in memory. The CPU time of the whole
 //! process is told as well: on a software adapter it holds on a busy machine. Scenes where `PRESIGHT_DATA` (default
-//! `../shared/data`) holds them. `PRESIGHT_POSES`, `PRESIGHT_REPEATS`.
+//! `../shared/data`) holds them. `PRESIGHT_POSES`, `PRESIGHT_REPEATS`. With `-- drive [SCENE...]` the reuse of what the last frame showed,
+//! on drives.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints its table")]
+
+#[allow(dead_code, reason = "other benches share it")]
+#[path = "common/cameras.rs"]
+mod cameras;
+#[path = "common/drive.rs"]
+mod drive;
+#[path = "common/scenes.rs"]
+mod scenes;
 
 use cpu_time::ProcessTime;
 use presight::free_poses::free_poses;
@@ -19,6 +28,10 @@ fn number(name: &str, default: usize) -> usize {
 }
 
 fn main() {
+    let named: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    if named.first().is_some_and(|what| what == "drive") {
+        return drive::compare(&named[1..]);
+    }
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
     let times = ["time", "CPU time", "submission to answer"].map(|time| {

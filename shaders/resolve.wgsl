@@ -5,6 +5,8 @@ override DEPTH: bool = false;
 override POLYGON: bool = false;
 override OBJECT: bool = false;
 override COSINE: bool = false;
+// Which slots are shown is noted, too.
+override SHOWN: bool = false;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> keys: array<vec2u>;
@@ -12,6 +14,7 @@ override COSINE: bool = false;
 @group(0) @binding(3) var<storage, read> grid: array<u32>;
 @group(0) @binding(4) var<storage, read_write> outputs: array<u32>;
 @group(0) @binding(5) var<storage, read_write> counters: Counters;
+@group(0) @binding(6) var<storage, read_write> shown: array<atomic<u32>>;
 
 // Bit patterns: WGSL has no literals for these.
 const PLUS_INFINITY: u32 = 0x7f800000u;
@@ -75,6 +78,14 @@ fn scale_of(column: u32, row: u32, index: u32) -> Scale {
     return Scale(1.0, 0.0, false);
 }
 
+// Most neighbours find it noted.
+fn note(slot: u32) {
+    let bit = 1u << (slot & 31u);
+    if (atomicLoad(&shown[slot >> 5u]) & bit) == 0u {
+        atomicOr(&shown[slot >> 5u], bit);
+    }
+}
+
 fn resolved(column: u32, row: u32, index: u32) -> Pixel {
     let scale = scale_of(column, row, index);
     if scale.none {
@@ -95,6 +106,9 @@ fn resolved(column: u32, row: u32, index: u32) -> Pixel {
         return nothing;
     }
     let slot = ~key.x;
+    if SHOWN {
+        note(slot);
+    }
     let seen = slot * SLOT_WORDS;
     let cosine = min(1.0, k * bitcast<f32>(seen_slots[seen + SLOT_DISTANCE]) / scale.ray);
     var id = slot + 1u;

@@ -31,6 +31,8 @@ pub(super) struct FrameBuffers {
     pub seen_slots: Growable,
     pub keys: Growable,
     pub outputs: Growable,
+    /// A bit for each slot that the frame shows.
+    pub shown: Growable,
     pub dispatch: Growable,
     pub readback: Growable,
     pub readback_mapping: Mapping,
@@ -69,6 +71,7 @@ impl FrameBuffers {
             seen_slots: Growable::storage(gpu, "slots"),
             keys: Growable::storage(gpu, "nearest"),
             outputs: Growable::storage(gpu, "images"),
+            shown: Growable::storage(gpu, "polygons shown"),
             dispatch: Growable::new(gpu, "dispatch", U::INDIRECT | U::COPY_DST, false),
             readback: Growable::new(gpu, "readback", U::MAP_READ | U::COPY_DST, false),
             readback_mapping: Mapping::default(),
@@ -95,6 +98,7 @@ impl FrameBuffers {
         replaced |= self.seen_slots.reserve(gpu, frame.slot_bytes())?;
         replaced |= self.keys.reserve(gpu, pixels * 8)?;
         replaced |= self.outputs.reserve(gpu, outputs)?;
+        replaced |= self.shown.reserve(gpu, 4 * u64::from(frame.shown_words()))?;
         self.readback.reserve(gpu, Readback::of(frame).bytes)?;
         Ok(replaced)
     }
@@ -214,6 +218,7 @@ impl FrameBuffers {
             copy((&self.outputs, begin), 0, at.counters);
         }
         copy((&self.counters, 0), at.counters, size_of::<Counters>() as u64);
+        copy((&self.shown, 0), at.shown, 4 * u64::from(frame.shown_words()));
         if let Some((queries, resolved)) = self.times.as_ref().filter(|_| !frame.in_company) {
             encoder.resolve_query_set(queries, 0..2 * frame.passes.len() as u32, resolved.buffer(), 0);
             let (to, bytes) = (first + at.times, at.bytes - at.times);
@@ -222,11 +227,12 @@ impl FrameBuffers {
     }
 }
 
-/// Where answers lie in the readback buffer, bytes: images (or sums, or keys and slots), counters, times.
+/// Where answers lie in the readback buffer, bytes: images (or sums, or keys and slots), counters, what is shown, times.
 #[derive(Clone, Copy)]
 pub(super) struct Readback {
     pub slots: u64,
     pub counters: u64,
+    pub shown: u64,
     pub times: u64,
     pub bytes: u64,
 }
@@ -239,8 +245,9 @@ impl Readback {
             0 => frame.output_words * 4,
             sums => sums * 4,
         };
+        let shown = counters + size_of::<Counters>() as u64;
         // Query results are 8 bytes and must lie on 8.
-        let times = (counters + size_of::<Counters>() as u64).next_multiple_of(8);
-        Self { slots, counters, times, bytes: times + 16 * frame.passes.len() as u64 }
+        let times = (shown + 4 * u64::from(frame.shown_words())).next_multiple_of(8);
+        Self { slots, counters, shown, times, bytes: times + 16 * frame.passes.len() as u64 }
     }
 }

@@ -51,7 +51,7 @@ impl GpuEngine {
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), outputs)?;
         if done > 0 {
             drawn.lost_ids = self.take_images(plan, images)?;
-            self.know(self.sensors[0].1.kind);
+            self.know(self.sensors[0].tables.kind);
             self.report_variants(&self.frame, stats);
         } else {
             images.show_nothing(plan.sensor.grid());
@@ -83,7 +83,7 @@ impl GpuEngine {
         self.upload(&piece)?;
         self.frame.in_company = true;
         loop {
-            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1)?;
+            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
             self.bind();
             self.store.put(&self.frame);
             let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -108,7 +108,7 @@ impl GpuEngine {
 
     /// Makes images of the keys; the answer is the number of hits without an id.
     fn take_images(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1)?;
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.stages.resolve(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
         self.store.encode_readback(&mut encoder, &self.frame, 0);

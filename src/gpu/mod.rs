@@ -27,6 +27,7 @@ mod layout;
 mod near;
 mod roi;
 mod shaders;
+mod shown;
 mod stage;
 mod stages;
 #[doc(hidden)]
@@ -52,6 +53,7 @@ use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
 use layout::{Counters, GridKind};
+use shown::Shown;
 use stages::{Stages, Variants};
 use std::time::Instant;
 use testing::Hiding;
@@ -83,8 +85,8 @@ pub struct GpuEngine {
     frame: FrameUploads,
     /// Those of a submission of several.
     frames: Vec<FrameUploads>,
-    /// The sensors of late, the first the one whose tables are on the device; held, so that its address is its identity.
-    sensors: Vec<(Sensor, Tables)>,
+    /// The sensors of late, the first the one whose tables are on the device.
+    sensors: Vec<KnownSensor>,
     /// The tables of the first sensor are on the device.
     placed: bool,
     /// A bound buffer is another one now.
@@ -99,6 +101,14 @@ pub struct GpuEngine {
     opened: (DeviceOptions, testing::Setup),
     /// Kinds of grids of which a frame was drawn: the first one, which may be a probe, goes through all stages.
     known: Vec<GridKind>,
+}
+
+/// A sensor that was drawn for.
+struct KnownSensor {
+    /// Held, so that its address is its identity.
+    sensor: Sensor,
+    tables: Tables,
+    shown: Shown,
 }
 
 impl GpuEngine {
@@ -220,7 +230,7 @@ impl GpuEngine {
             // Nothing that did not fit is lost: make room for all of it and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
-                self.know(self.sensors[0].1.kind);
+                self.know(self.sensors[0].tables.kind);
                 plan.finish_noting(images, stats)?;
                 self.report(&self.frame, &counters, reruns, stats);
                 let image_bytes = stats.work.image_bytes;
@@ -266,12 +276,12 @@ impl GpuEngine {
     /// # Errors
     /// As [`GpuEngine::render`].
     pub fn query_occlusion(&mut self, query: &OcclusionQuery) -> Result<Vec<OcclusionHint>> {
-        let Some((_, tables)) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
+        let Some(known) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;
         let visible = self.visible.get_or_insert_with(|| Visible::new(&self.gpu));
         self.store.uploads.clear();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        visible.encode(&self.gpu, &mut encoder, &mut self.store, tables.kind, query)?;
+        visible.encode(&self.gpu, &mut encoder, &mut self.store, known.tables.kind, query)?;
         self.gpu.queue.submit([encoder.finish()]);
         self.store.uploads.recall();
         visible.read(&self.gpu, query.count())
@@ -283,10 +293,11 @@ impl GpuEngine {
         let objects = plan.environment().objects();
         let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
         self.rebind |= self.arena.admit(&self.gpu, meshes)?;
-        if let Some((_, tables)) = self.sensors.first() {
+        if let Some(KnownSensor { tables, shown, .. }) = self.sensors.first() {
             let first = self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
             let hiding = if first { Hiding::Always } else { self.opened.1.hiding };
-            self.frame.fill(plan, tables, &self.arena, Way { hiding, ..self.way() });
+            let last = (plan.reuse_visible && plan.watch.is_none()).then_some(shown);
+            self.frame.fill(plan, tables, &self.arena, Way { hiding, ..self.way() }, last);
         }
         self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
         if self.frame.on_host {
@@ -297,7 +308,7 @@ impl GpuEngine {
 
     /// Makes a sensor the first, with its tables; those of the sensors that a robot has in turns are made once.
     fn take_sensor(&mut self, sensor: &Sensor) -> Result<()> {
-        match self.sensors.iter().position(|(s, _)| std::ptr::eq(s.grid(), sensor.grid())) {
+        match self.sensors.iter().position(|known| std::ptr::eq(known.sensor.grid(), sensor.grid())) {
             Some(0) => {}
             Some(at) => {
                 self.sensors[..=at].rotate_right(1);
@@ -306,11 +317,11 @@ impl GpuEngine {
             None => {
                 let tables = Tables::new(sensor)?;
                 self.sensors.truncate(MOST_SENSORS - 1);
-                self.sensors.insert(0, (sensor.clone(), tables));
+                self.sensors.insert(0, KnownSensor { sensor: sensor.clone(), tables, shown: Shown::default() });
                 self.placed = false;
             }
         }
-        if let Some((_, tables)) = self.sensors.first()
+        if let Some(KnownSensor { tables, .. }) = self.sensors.first()
             && !self.placed
         {
             self.rebind |= self.store.reserve_grid(&self.gpu, tables)?;
@@ -319,7 +330,7 @@ impl GpuEngine {
     }
 
     fn submit(&mut self) -> Result<Variants> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].1, &self.frame, self.opened.1)?;
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
         self.bind();
         self.store.put(&self.frame);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -341,22 +352,25 @@ impl GpuEngine {
             self.rebind = false;
         }
         if !self.placed {
-            self.store.put_grid(&self.sensors[0].1);
+            self.store.put_grid(&self.sensors[0].tables);
         }
     }
 
-    fn read(&self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
+    fn read(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
         let bytes = Readback::of(&self.frame).bytes;
         // Before the answer is mapped, which an error would leave so.
         images.try_prepare(self.frame.params.width, self.frame.params.height, self.frame.outputs)?;
         self.map_answer(bytes)?;
         stats.stage(StageName::Device, start);
         let start = Instant::now();
-        let buffer = self.store.readback.buffer();
+        let buffer = self.store.readback.buffer().clone();
         let view = buffer.get_mapped_range(0..bytes);
         let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
         self.stage_times(&view[Readback::of(&self.frame).times as usize..], stats);
         let counters = self.take_answer(&self.frame, &view, plan, images)?;
+        if self.frame.remembered {
+            self.sensors[0].shown.note(plan, &self.frame, &view);
+        }
         drop(view);
         buffer.unmap();
         stats.stage(if self.frame.on_host { StageName::ResolveOnCpu } else { StageName::Readback }, start);
@@ -421,6 +435,9 @@ impl GpuEngine {
         let near = &frame.near;
         stats.count(CountName::RunsSelected, frame.waves.last().map_or(0, |wave| wave.end as usize));
         stats.count(CountName::PolygonsSelected, frame.polygon_count as usize);
+        if frame.remembered {
+            stats.count(CountName::RunsShownBefore, frame.shown_before as usize);
+        }
         stats.count(CountName::RunsHidden, counters.runs_hidden as usize);
         stats.count(CountName::PolygonsHidden, counters.polygons_hidden as usize);
         stats.count(CountName::Waves, frame.waves.len());
@@ -441,7 +458,7 @@ impl GpuEngine {
 
     /// Why the hardware rasterizer does not draw a frame.
     fn why_compute(&self, frame: &FrameUploads) -> &'static str {
-        let is_camera = self.sensors.first().is_some_and(|(_, tables)| tables.kind == GridKind::Camera);
+        let is_camera = self.sensors.first().is_some_and(|known| known.tables.kind == GridKind::Camera);
         let side = frame.params.width.max(frame.params.height);
         match (self.opened.0.raster, self.gpu.raster) {
             (Raster::Compute, _) => "compute spans are the default",
@@ -465,7 +482,7 @@ impl GpuEngine {
         if frame.waves.len() == 1 {
             stats.leave_out(StageName::Hidden, "too few polygons are in view");
         }
-        let short = self.sensors.first().is_some_and(|(_, tables)| tables.short());
+        let short = self.sensors.first().is_some_and(|known| known.tables.short());
         let mut choose = |what: StageName, needed: bool, why: [&'static str; 2]| {
             if needed { stats.take(what, why[1]) } else { stats.leave_out(what, why[0]) }
         };
@@ -475,6 +492,7 @@ impl GpuEngine {
             ["the device has 64-bit atomics", "the device has no 64-bit atomics: nearest first, then the lowest id"],
         );
         choose(StageName::HardwareRaster, frame.rendered, [self.why_compute(frame), WHY_RENDER]);
+        choose(StageName::ReuseOfLastFrame, frame.shown_before > 0, [frame.why_anew, WHY_REUSED]);
         choose(
             StageName::InstancesFromStorage,
             !frame.few(),
@@ -492,6 +510,8 @@ impl GpuEngine {
         );
     }
 }
+
+const WHY_REUSED: &str = "it was asked for: the runs that it showed are the first wave";
 
 const WHY_RENDER: &str = "it was asked for; compute spans draw what it cannot draw exactly";
 

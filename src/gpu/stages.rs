@@ -8,7 +8,7 @@
 //! | raster | records, items | keys | `raster_lines` or `raster_rays` |
 //! | draw, with [`crate::Raster::Render`] | records, shapes | keys | `raster_lines` |
 //! | farthest, before each further wave | keys | coarse depth | `cull::measure` |
-//! | resolve | keys, slots | outputs | `resolve` |
+//! | resolve | keys, slots | outputs, slots that are shown | `resolve` |
 //!
 //! On software adapters [`super::resolve`] does on the CPU what `resolve.wgsl` does, from the same keys.
 
@@ -66,7 +66,7 @@ impl Stages {
             raster: Stage::new(gpu, "raster", &[Params, Read, Read, Read, Read, Write, Uniform]),
             drawing: (gpu.raster == Raster::Render).then(|| Drawing::new(gpu)),
             farthest: Stage::new(gpu, "farthest", &[Params, Read, Write, Write, Uniform]),
-            resolve: Stage::new(gpu, "resolve", &[Params, Read, Read, Read, Write, Write]),
+            resolve: Stage::new(gpu, "resolve", &[Params, Read, Read, Read, Write, Write, Write]),
         }
     }
 
@@ -150,8 +150,9 @@ impl Stages {
             ("POLYGON", asked(Output::PolygonId)),
             ("OBJECT", asked(Output::ObjectId)),
             ("COSINE", asked(Output::CosIncidence)),
+            ("SHOWN", f64::from(u32::from(frame.shown_words() > 0))),
         ];
-        let resolve = (kind as u32, bits);
+        let resolve = (kind as u32, bits | u32::from(frame.shown_words() > 0) << 31);
         if !frame.on_host {
             self.resolve.prepare(gpu, resolve, shaders::RESOLVE, &constants)?;
         }
@@ -171,7 +172,7 @@ impl Stages {
         self.setup.bind(gpu, &[params, instances, arena, survivors, grid, counters, records, items, slots, few]);
         self.raster.bind(gpu, &[params, records, items, grid, counters, keys, short]);
         self.drawing.iter_mut().for_each(|drawing| drawing.bind(gpu, s));
-        self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters]);
+        self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters, s.shown.buffer()]);
     }
 
     /// Encodes a frame of at least one polygon, from cleared keys to outputs.
@@ -221,6 +222,9 @@ impl Stages {
     ) {
         if frame.on_host {
             return;
+        }
+        if frame.shown_words() > 0 {
+            encoder.clear_buffer(store.shown.buffer(), 0, Some(4 * u64::from(frame.shown_words())));
         }
         let pixels = frame.params.width * frame.params.height;
         let mut pass = gpu.pass(encoder, &store.pass(frame.passes.len() as u32 - 1, frame));

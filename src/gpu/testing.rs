@@ -16,6 +16,8 @@ pub enum Hiding {
     Always,
     /// As always, with a fault: what was drawn is taken to be nearer than it is by what rounding is allowed.
     TooNear,
+    /// As always, with a fault: where the last frame is reused, nothing is drawn that it did not show.
+    LastFrameOnly,
 }
 
 /// How a device is used in a test.

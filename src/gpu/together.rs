@@ -139,7 +139,7 @@ impl GpuEngine {
         for (frame, plan) in self.frames.iter_mut().zip(plans) {
             // What earlier frames left in the slots must not carry this frame's stamp.
             frame.near.stamp = self.frame.near.stamp;
-            frame.fill(plan, &self.sensors[0].1, &self.arena, way);
+            frame.fill(plan, &self.sensors[0].tables, &self.arena, way, None);
             frame.in_company = true;
             frame.sum_words = weighing.filter(|_| !frame.on_host).map_or(0, weigh::sum_words);
             self.frame.near.stamp = frame.near.stamp;
@@ -189,7 +189,7 @@ impl GpuEngine {
     }
 
     fn submit_many(&mut self, count: usize, weighing: Option<&Weighing>) -> Result<Vec<Variants>> {
-        let tables = &self.sensors[0].1;
+        let tables = &self.sensors[0].tables;
         let frames = &self.frames[..count];
         let prepare = |frame| self.stages.prepare(&self.gpu, tables, frame, self.opened.1);
         let variants: Vec<Variants> = frames.iter().map(prepare).collect::<Result<_>>()?;

@@ -7,6 +7,7 @@ use super::layout::{
     WorkRun,
 };
 use super::near::{NearList, cluster_of, is_near};
+use super::shown::{MOST_SLOTS, Shown};
 use super::testing::Hiding;
 use crate::plan::{FramePlan, IdScheme, Output, Outputs, Run, StageName};
 use glam::{DMat3, DVec3, Vec3};
@@ -34,6 +35,23 @@ pub(super) struct Way {
     pub hiding: Hiding,
 }
 
+impl Way {
+    /// Polygons with which the first wave ends, where nothing is known of an earlier frame; all if there is only one wave.
+    fn most_of_first_wave(self, plan: &FramePlan) -> usize {
+        let most = match self.hiding {
+            Hiding::WhereItPays if plan.polygon_count >= LEAST_TO_HIDE => FIRST_WAVE,
+            Hiding::WhereItPays | Hiding::Off => plan.polygon_count,
+            Hiding::Always | Hiding::TooNear | Hiding::LastFrameOnly => plan.polygon_count / 4,
+        };
+        most.max(1)
+    }
+
+    /// True if there may be several waves.
+    fn hides(self, plan: &FramePlan) -> bool {
+        self.most_of_first_wave(plan) < plan.polygon_count
+    }
+}
+
 /// The uploads of a frame, in buffers that stay.
 #[derive(Default)]
 pub(super) struct FrameUploads {
@@ -41,6 +59,14 @@ pub(super) struct FrameUploads {
     pub instances: Vec<Instance>,
     /// Runs, facings by material, units of the first wave.
     pub work: Vec<u32>,
+    /// The plan's runs, by number, as they are drawn.
+    order: Vec<u32>,
+    /// Of these, the first that the sensor's last frame showed.
+    pub shown_before: u32,
+    /// Why none is.
+    pub why_anew: &'static str,
+    /// What it shows is noted for the sensor's next frame.
+    pub remembered: bool,
     /// Of all waves.
     pub units: u32,
     /// The runs of each wave.
@@ -86,9 +112,15 @@ impl FrameUploads {
         u64::from(self.slots) * 4 * u64::from(SLOT_WORDS)
     }
 
+    /// Words that tell which slots it shows; 0 if the device does not tell.
+    pub fn shown_words(&self) -> u32 {
+        if self.remembered && !self.on_host { self.slots.div_ceil(32) } else { 0 }
+    }
+
     /// Works it out; the arena holds every mesh of the plan. On a software adapter the images are resolved on the
-    /// CPU, unless so many slots would have to be read back that nothing is gained.
-    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, way: Way) {
+    /// CPU, unless so many slots would have to be read back that nothing is gained. `last` is what the sensor's last frame showed, if
+    /// that may be reused.
+    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, way: Way, last: Option<&Shown>) {
         self.slots = plan.environment().slot_count();
         self.on_host = way.software && self.slots <= MOST_SLOTS_ON_HOST;
         self.sum_words = 0;
@@ -97,7 +129,9 @@ impl FrameUploads {
         self.params = tables.params;
         self.blocks = tables.blocks;
         self.plain = plan.instances.iter().all(|i| i.plain);
+        self.remembered = last.is_some() && self.slots <= MOST_SLOTS;
         self.fill_instances(plan, arena);
+        self.fill_order(plan, way, last);
         self.fill_waves(plan, way);
         self.fill_work(plan, tables, arena);
         self.place_outputs(plan);
@@ -141,7 +175,7 @@ impl FrameUploads {
         self.work.clear();
         self.near.clear();
         let objects = plan.environment().objects();
-        for run in &plan.runs {
+        for run in self.order.iter().map(|run| &plan.runs[*run as usize]) {
             let instance = &plan.instances[run.instance as usize];
             let mesh = &objects[instance.object as usize].mesh;
             let near = is_near(mesh, instance, run);
@@ -166,8 +200,9 @@ impl FrameUploads {
         // The device adds those of later waves.
         self.units = plan.runs.iter().map(units_of).sum();
         let first = self.waves.first().map_or(0, |wave| wave.end as usize);
-        for (index, run) in (0..).zip(&plan.runs[..first]) {
-            self.work.extend((0..units_of(run)).map(|unit| index << UNIT_SHIFT | unit));
+        for (index, run) in (0..).zip(&self.order[..first]) {
+            let units = units_of(&plan.runs[*run as usize]);
+            self.work.extend((0..units).map(|unit| index << UNIT_SHIFT | unit));
         }
     }
 
@@ -176,19 +211,57 @@ impl FrameUploads {
         self.work.len() as u32 - self.params.units_at
     }
 
-    /// Cuts the runs into waves, nearest first.
+    /// Puts the runs in order, nearest first; before all others those that the sensor's last frame showed, if most of it may be seen again.
+    fn fill_order(&mut self, plan: &FramePlan, way: Way, last: Option<&Shown>) {
+        let all = 0..plan.runs.len() as u32;
+        self.order.clear();
+        (self.shown_before, self.why_anew) = (0, "");
+        let again = match last {
+            _ if !plan.reuse_visible => Err("not asked for"),
+            None => Err("not in batches, nor with a deadline"),
+            Some(_) if !self.remembered => Err("the world has too many polygons"),
+            Some(_) if !way.hides(plan) => Err("too few polygons are in view"),
+            Some(last) => last.of(plan).ok_or("there is none of the sensor in this version of the world"),
+        };
+        match again {
+            Ok(last) => {
+                let shown = |run: &u32| last.count_in(plan, &plan.runs[*run as usize]);
+                let mut polygons = 0;
+                self.order.extend(all.clone().filter(|run| {
+                    let of_run = shown(run);
+                    polygons += of_run;
+                    of_run > 0
+                }));
+                if last.is_mostly_without(polygons) {
+                    self.why_anew = "most of what it showed is out of view";
+                    self.order.clear();
+                    self.order.extend(all);
+                } else {
+                    self.shown_before = self.order.len() as u32;
+                    self.order.extend(all.filter(|run| shown(run) == 0));
+                }
+            }
+            Err(why) => {
+                self.why_anew = why;
+                self.order.extend(all);
+            }
+        }
+    }
+
+    /// Cuts the runs into waves.
     fn fill_waves(&mut self, plan: &FramePlan, way: Way) {
         self.polygon_count = plan.polygon_count as u32;
         self.waves.clear();
         let end = plan.runs.len() as u32;
-        let first = match way.hiding {
-            Hiding::WhereItPays if plan.polygon_count >= LEAST_TO_HIDE => FIRST_WAVE,
-            Hiding::WhereItPays | Hiding::Off => plan.polygon_count,
-            Hiding::Always | Hiding::TooNear => plan.polygon_count / 4,
-        };
-        let (mut begin, mut polygons, mut most) = (0, 0, first.max(1));
-        for (index, run) in (0..).zip(&plan.runs) {
-            polygons += run.count as usize;
+        let (mut begin, mut polygons, mut most) = (0, 0, way.most_of_first_wave(plan));
+        if self.shown_before > 0 && self.shown_before < end {
+            self.waves.push(0..self.shown_before);
+            // All others are compared with what these draw.
+            (begin, most) = (self.shown_before, usize::MAX);
+        }
+        let end = if way.hiding == Hiding::LastFrameOnly && begin > 0 { begin } else { end };
+        for (index, run) in (0..).zip(&self.order).skip(begin as usize) {
+            polygons += plan.runs[*run as usize].count as usize;
             let split = polygons >= most && index + 1 < end && self.waves.len() + 1 < MAX_WAVES;
             if split {
                 self.waves.push(begin..index + 1);

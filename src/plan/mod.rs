@@ -160,6 +160,8 @@ pub struct FramePlan {
     pub(crate) part: Option<ImagePart>,
     /// What drawing takes, if that is known: the image may be thinned by it.
     pub(crate) pace: Option<Pace>,
+    /// Engines may begin with what the sensor's last frame showed.
+    pub(crate) reuse_visible: bool,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -234,6 +236,7 @@ impl FramePlan {
             radius: None,
             part: None,
             pace: None,
+            reuse_visible: false,
             found,
             selected,
         };
@@ -245,6 +248,13 @@ impl FramePlan {
     #[doc(hidden)]
     pub fn set_watch(&mut self, watch: Watch) {
         self.watch = Some(watch);
+    }
+
+    /// Lets engines begin with what the sensor's last frame showed: for tests. A [`crate::Predictor`] does so for
+    /// [`crate::Options::reuse_visible`].
+    #[doc(hidden)]
+    pub fn set_reuse_visible(&mut self) {
+        self.reuse_visible = true;
     }
 
     /// Keeps the nearest `runs` only.
@@ -302,6 +312,7 @@ impl FramePlan {
             radius: self.radius,
             part: None,
             pace: self.pace,
+            reuse_visible: false,
             found: QueryResult::default(),
             selected: Vec::new(),
         })
@@ -344,6 +355,7 @@ impl FramePlan {
         self.sensor = sensor.clone();
         self.world_from_sensor = *world_from_sensor;
         self.request = request.into();
+        self.reuse_visible = false;
         let region = region_of(sensor, world_from_sensor)?;
         self.fill(&region);
         Ok(())

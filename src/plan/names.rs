@@ -55,6 +55,7 @@ words! {
         Cull = "cull",
         Raster = "raster",
         HardwareRaster = "hardware rasterizer",
+        ReuseOfLastFrame = "reuse of the last frame",
         CoarseDepth = "coarse depth",
         Resolve = "resolve",
         ResolveOnDevice = "resolve on the device",
@@ -101,6 +102,8 @@ words! {
         /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
         PolygonsEdgeOn = "polygons edge-on",
         RunsSelected = "runs selected",
+        /// Runs that are drawn first because the sensor's last frame showed them.
+        RunsShownBefore = "runs shown before",
         RunsHidden = "runs hidden",
         Waves = "waves",
         /// Intervals of samples of a polygon on a line; for ray tables tiles that it is drawn in.

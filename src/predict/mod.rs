@@ -52,6 +52,8 @@ pub struct Options {
     pub threads: Threads,
     /// What rasterizes on a GPU.
     pub raster: Raster,
+    /// Lets a GPU draw first what a sensor's last frame showed, if the world is the same: see [`Options::with_reuse_visible`].
+    pub reuse_visible: bool,
 }
 
 impl Options {
@@ -70,6 +72,30 @@ impl Options {
     #[must_use]
     pub fn with_raster(self, raster: Raster) -> Self {
         Self { raster, ..self }
+    }
+
+    /// Lets a GPU draw first what a sensor's last frame showed, if that was in the same version of the world; what lies behind is then left
+    /// out sooner. For robots that drive: frames must follow each other in [`Predictor::predict`] or [`Predictor::predict_again`]. Images
+    /// are the same without it, and [`Stats`] say whether it was done. It has no effect on the CPU engine, in batches and studies, and for
+    /// predictions with a deadline.
+    ///
+    /// ```
+    /// use presight::plan::StageName;
+    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use glam::DVec3;
+    /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
+    /// let mut predictor = Predictor::new(Options::default().with_reuse_visible(true))?;
+    /// for step in 0..3 {
+    ///     let pose = Pose::from_xyz_rpy(0.1 * f64::from(step) * DVec3::X, 0.0, 0.0, 0.0);
+    ///     let seen = predictor.predict(&world, &sensor, &pose, &Request::default())?;
+    ///     // Nothing is in view here that could be drawn first.
+    ///     assert!(!seen.stats.taken.iter().any(|variant| variant.what == StageName::ReuseOfLastFrame));
+    /// }
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    #[must_use]
+    pub fn with_reuse_visible(self, reuse_visible: bool) -> Self {
+        Self { reuse_visible, ..self }
     }
 
     /// With other threads: a handle to share, or a number, 0 for all cores.
@@ -112,6 +138,7 @@ pub struct Prediction {
 /// ```
 pub struct Predictor {
     backend: Backend,
+    reuse_visible: bool,
     /// Work that no engine does runs here.
     threads: Threads,
     engine: Box<dyn Engine>,
@@ -156,6 +183,7 @@ impl Predictor {
     pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
         Self {
             backend: options.backend,
+            reuse_visible: options.reuse_visible,
             threads: options.threads,
             engine,
             stand_in: None,
@@ -303,7 +331,8 @@ impl Predictor {
             timed.expect_features(placed.features.len(), request.regions.is_some());
         }
         let seen_from = (world, &*sensor, &*world_from_sensor);
-        *stats = self.predict_within(seen_from, request.drawn(), images, timed.as_mut())?;
+        let reuse = self.reuse_visible;
+        *stats = self.predict_within(seen_from, (request.drawn(), reuse), images, timed.as_mut())?;
         *features = match &placed {
             Some(placed) => Some(self.features(seen_from, request, placed, images, stats, timed.as_mut())?),
             None => None,
@@ -349,20 +378,21 @@ impl Predictor {
         request: impl Into<ImageRequest>,
         images: &mut Images,
     ) -> Result<Stats> {
-        self.predict_within((world, sensor, world_from_sensor), request.into(), images, None)
+        self.predict_within((world, sensor, world_from_sensor), (request.into(), false), images, None)
     }
 
-    /// Predicts images, by a deadline if there is one.
+    /// Predicts images, by a deadline if there is one; an engine may reuse what it showed last if the request says so.
     fn predict_within(
         &mut self,
         (world, sensor, world_from_sensor): SeenFrom<'_>,
-        request: ImageRequest,
+        (request, reuse_visible): (ImageRequest, bool),
         images: &mut Images,
         mut timed: Option<&mut DeadlineFrame>,
     ) -> Result<Stats> {
         let start = Instant::now();
         let buffers = std::mem::take(&mut self.buffers);
         let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        plan.reuse_visible = reuse_visible;
         let mut stats = Stats { index: world.index().scheme().name(), ..Stats::default() };
         stats.stage(StageName::Selection, start);
         if let Some(timed) = &mut timed {

@@ -6,6 +6,7 @@ mod engines;
 mod gpu;
 mod gpu_hiding;
 mod gpu_render;
+mod gpu_reuse;
 mod hard_scenes;
 mod indexes;
 mod left_out;

@@ -86,6 +86,10 @@ pub struct Args {
     #[command(flatten)]
     engine: EngineArgs,
 
+    /// On a GPU, draw first what the sensor's last pose showed: for poses of a drive; the images are the same
+    #[arg(long, requires = "poses", conflicts_with = "deadline_ms")]
+    reuse_visible: bool,
+
     /// How polygons are selected: none, grid, plop, s2d, s3d or two-level; the images are the same with any
     #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
     index: Scheme,
@@ -219,7 +223,14 @@ impl Args {
         sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..import };
-        Ok(Job { poses, sensors, files, names, import, options: self.engine.options(threads) })
+        Ok(Job {
+            poses,
+            sensors,
+            files,
+            names,
+            import,
+            options: self.engine.options(threads).with_reuse_visible(self.reuse_visible),
+        })
     }
 
     /// True if there may be more than one prediction.

@@ -173,7 +173,7 @@ fn the_device_answers_as_its_twin() {
             let pairs = |words: Vec<u32>| words.chunks_exact(2).map(|w| [w[0], w[1]]).collect();
             let mut left = LastFrame {
                 params: engine.frame.params,
-                scanner: engine.sensors[0].1.kind == GridKind::Scanner,
+                scanner: engine.sensors[0].tables.kind == GridKind::Scanner,
                 keys: pairs(words(&engine, &engine.store.keys)),
                 slots: bytemuck::pod_collect_to_vec(&words(&engine, &engine.store.seen_slots)),
                 records: words(&engine, &engine.store.records),
