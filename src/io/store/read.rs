@@ -11,7 +11,7 @@ use crate::geometry::Pose;
 use crate::index::Trees;
 use crate::io::layer::{FeatureFields, from_fields};
 use crate::memory;
-use crate::threads::parallel;
+use crate::threads::in_place_scope;
 use glam::DAffine3;
 use rayon::prelude::*;
 use rusqlite::{Connection, Row};
@@ -92,18 +92,13 @@ impl Reader<'_> {
 
     /// Each row through `read`, whose error names table and row.
     pub fn each(&self, table: &str, columns: &str, mut read: impl FnMut(&Row<'_>) -> Result<()>) -> Result<()> {
-        self.rows(table, columns, |number, row| read(row).map_err(|e| e.at(place(table, number))))
-    }
-
-    /// Each row, with its number from 1, through `read`, whose error names where it is.
-    fn rows(&self, table: &str, columns: &str, mut read: impl FnMut(usize, &Row<'_>) -> Result<()>) -> Result<()> {
         let wrap = |e| refusal(self.path, "read the store", e);
         let mut statement = self.connection.prepare(&format!("SELECT {columns} FROM {table}")).map_err(wrap)?;
         let mut rows = statement.query([]).map_err(wrap)?;
         let mut count = 0;
         while let Some(row) = rows.next().map_err(wrap)? {
             count += 1;
-            read(count, row)?;
+            read(row).map_err(|e| e.at(place(table, count)))?;
         }
         Ok(())
     }
@@ -183,34 +178,48 @@ impl Reader<'_> {
         layers.into_values().try_for_each(|layer| environment.add_layer(layer))
     }
 
-    /// Features, and numbers of those that were deleted: read on this thread, proven and understood on all.
+    /// Features, and numbers of those that were deleted: read on this thread, while those read before are proven and understood on all.
     fn features(&self, layers: &mut HashMap<String, FeatureLayer>, environment: &mut Environment) -> Result<()> {
-        let mut rows: Vec<(usize, FeatureRow)> = Vec::with_capacity(FEATURE_ROWS);
-        let mut take = |rows: &mut Vec<(usize, FeatureRow)>| -> Result<()> {
-            let read =
-                |(number, row): &(usize, FeatureRow)| row.read(layers).map_err(|e| e.at(place("features", *number)));
-            let found: Vec<Result<_>> = parallel(|| rows.par_iter().with_min_len(256).map(read).collect())?;
-            for ((number, row), feature) in rows.drain(..).zip(found) {
+        let wrap = |e| refusal(self.path, "read the store", e);
+        let sql = "SELECT class, id, kind, object, feature, hash FROM features";
+        let mut statement = self.connection.prepare(sql).map_err(wrap)?;
+        let mut rows = statement.query([]).map_err(wrap)?;
+        let mut count = 0;
+        let mut next = || -> Result<Vec<FeatureRow>> {
+            let mut batch = Vec::with_capacity(FEATURE_ROWS);
+            while batch.len() < FEATURE_ROWS
+                && let Some(row) = rows.next().map_err(wrap)?
+            {
+                count += 1;
+                batch.push(FeatureRow::of(row).map_err(|e| e.at(place("features", count)))?);
+            }
+            Ok(batch)
+        };
+        let mut first = 1;
+        let mut batch = next()?;
+        while !batch.is_empty() {
+            let mut found: Vec<Result<Option<Arc<Feature>>>> = Vec::new();
+            let following = in_place_scope(|scope| {
+                scope.spawn(|_| {
+                    batch.par_iter().with_min_len(256).map(|row| row.read(layers)).collect_into_vec(&mut found)
+                });
+                next()
+            })?;
+            for ((number, row), feature) in (first..).zip(&batch).zip(found) {
+                let at = |e: Error| e.at(place("features", number));
                 self.count(&row.hash);
-                match (feature?, layers.get_mut(&row.class)) {
+                match (feature.map_err(at)?, layers.get_mut(&row.class)) {
                     (Some(feature), Some(layer)) => layer.features.push(feature),
                     _ => {
-                        let id = u32::try_from(row.id).map_err(|_| damaged("an id is out of range"));
-                        environment.retire(&row.class, id.map_err(|e| e.at(place("features", number)))?);
+                        let id = u32::try_from(row.id).map_err(|_| at(damaged("an id is out of range")))?;
+                        environment.retire(&row.class, id);
                     }
                 }
             }
-            Ok(())
-        };
-        self.rows("features", "class, id, kind, object, feature, hash", |number, row| {
-            let columns = || {
-                let columns = [get(row, 2)?, get(row, 3)?, get(row, 4)?];
-                Ok(FeatureRow { class: get(row, 0)?, id: get(row, 1)?, columns, hash: get(row, 5)? })
-            };
-            rows.push((number, columns().map_err(|e: Error| e.at(place("features", number)))?));
-            if rows.len() == FEATURE_ROWS { take(&mut rows) } else { Ok(()) }
-        })?;
-        take(&mut rows)
+            first += batch.len();
+            batch = following?;
+        }
+        Ok(())
     }
 }
 
@@ -227,6 +236,11 @@ struct FeatureRow {
 }
 
 impl FeatureRow {
+    fn of(row: &Row<'_>) -> Result<Self> {
+        let columns = [get(row, 2)?, get(row, 3)?, get(row, 4)?];
+        Ok(Self { class: get(row, 0)?, id: get(row, 1)?, columns, hash: get(row, 5)? })
+    }
+
     /// The feature; `None` of one that was deleted.
     fn read(&self, layers: &HashMap<String, FeatureLayer>) -> Result<Option<Arc<Feature>>> {
         let texts = self.columns.each_ref().map(|c| c.as_deref());
