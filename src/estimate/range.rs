@@ -24,8 +24,8 @@ pub(crate) const EXPLAINED: f64 = 3.3;
 const TUKEY: f64 = 4.685;
 /// Most probes of a window in one direction from its middle.
 const PROBES: i32 = 6;
-/// Points of one task.
-const CHUNK: usize = 512;
+/// Points of one task: a scan of one row is work for two threads.
+const CHUNK: usize = 192;
 /// Points that tell the median of residuals: more tell no other.
 const SPREAD_POINTS: usize = 4096;
 /// The match of a point that has none.
