@@ -22,15 +22,29 @@ const CALIBRATION: f64 = 0.1;
 
 /// True if a frame has intensities, and there are reflectors to look for in them.
 pub(super) fn has_reflectors(world: &World, features: &FeatureOptions, frame: &Frame) -> bool {
-    let is_reflector = |shape: &FeatureShape| matches!(shape, FeatureShape::Reflector { .. });
-    frame.intensities().is_some()
-        && match &features.source {
-            FeatureSource::Placed(placed) => placed.features.iter().any(|p| is_reflector(&p.feature.shape)),
-            FeatureSource::World => {
-                let layer = world.environment().layer(&frame.sensor().spec().class);
-                layer.is_some_and(|layer| layer.features.iter().any(|f| is_reflector(&f.shape)))
-            }
+    frame.intensities().is_some() && reflectors(world, features, frame).next().is_some()
+}
+
+/// Where the reflectors are that are looked for in the scans of a frame's sensor, world, metres.
+pub(super) fn reflectors<'a>(
+    world: &'a World,
+    features: &'a FeatureOptions,
+    frame: &Frame,
+) -> impl Iterator<Item = DVec3> + 'a {
+    let environment = world.environment();
+    let (placed, own) = match &features.source {
+        FeatureSource::Placed(placed) => (Some(placed), None),
+        FeatureSource::World => (None, environment.layer(&frame.sensor().spec().class)),
+    };
+    let placed = placed.into_iter().flat_map(|placed| placed.features.iter()).map(|p| &p.feature);
+    let all = placed.chain(own.into_iter().flat_map(|layer| &layer.features));
+    all.filter_map(|feature| match &feature.shape {
+        FeatureShape::Reflector { at, .. } => {
+            let object = feature.object.as_deref().and_then(|path| environment.object(path));
+            Some(object.map_or(*at, |o| o.world_from_object.transform_point(*at)))
         }
+        _ => None,
+    })
 }
 
 /// What a grey image, or a scan with intensities, shows of the features that are predicted at a pose of the robot, which is known as well as

@@ -3,7 +3,7 @@
 use super::Prior;
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
 use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
-use super::findings::{find_at, has_reflectors, place_error};
+use super::findings::{find_at, has_reflectors, place_error, reflectors};
 use super::normal::{CommonError, Freedom, Normal};
 use super::offsets::OffsetVariance;
 use super::range::measured_points;
@@ -21,6 +21,7 @@ use crate::predict::Predictor;
 use crate::random::SplitMix64;
 use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, body_from_image, judge};
 use crate::world::World;
+use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -190,6 +191,11 @@ impl Estimator {
         let found = self.descend(&run, &expected, prior.pose, &SEARCH);
         let end = self.settle(&mut run, &found)?;
         self.answer(&run, end, Vec::new())
+    }
+
+    /// Where the reflectors are that are looked for in the scans of a frame's sensor, world, metres.
+    pub(crate) fn reflectors(&self, world: &World, frame: &Frame) -> Vec<DVec3> {
+        reflectors(world, &self.features, frame).collect()
     }
 
     fn start<'a>(&mut self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {

@@ -210,9 +210,10 @@ fn reflectors_are_small_and_bright() {
     assert!(find(&frame(400), &all, whole).is_empty(), "a blinded receiver");
     let nothing = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![f32::INFINITY; 360])).unwrap();
     assert!(find(&nothing, &[10], whole).is_empty());
-    // Each end of three beams lies anywhere within a beam's pitch: the middle is off by 1 / sqrt(24) of a column.
+    // Each end of three beams lies anywhere within a beam's pitch: the middle is off by 1 / sqrt(24) of a column. Ranges of 1 cm noise tell
+    // their slope to 1 / sqrt(2) cm a column, and that moves the middle by 1.5^2 / 3 m times as much.
     let one = reflectors_in(&frame(400), &bright(&[10, 11, 12]), whole, &options).unwrap().remove(0);
-    assert!((one.detection.covariance.x_axis.x - 1.0 / 24.0).abs() < 1e-12);
+    assert!((one.detection.covariance.x_axis.x - (1.0 / 24.0 + 0.0075f64.powi(2) / 2.0)).abs() < 1e-12);
     // A median of three errs by sqrt(pi / 2) more than a mean.
     assert!((one.range.variance - std::f64::consts::FRAC_PI_2 * NOISE * NOISE / 3.0).abs() < 1e-12);
     let other = GreyImage::new(359, 1, vec![1.0; 359]).unwrap();
@@ -252,11 +253,33 @@ fn reflectors_are_found_as_a_whole() {
         let found = find(&[], &[358, 359, 0, 1], region);
         assert!(found.len() == 1 && (found[0].0 - 359.5).rem_euclid(360.0) < 1e-9, "{region:?}: {found:?}");
     }
-    assert_eq!(find(&[102], &six, [90.0, 110.0]), [(102.5, 1.0 / 24.0)]);
-    // By hand: an end within two pitches is half a pitch farther on, with a variance of 4 / 12; the middle has a quarter of both.
+    // By hand: ranges tell the slope to 1 cm over the root of the columns' squared distances from their mean; 3^2 / 3 m of it are the middle's.
+    let of_slope = |squares: f64| 0.03f64.powi(2) / squares;
+    let is_at = |found: &[(f64, f64)], (x, variance): (f64, f64)| {
+        found.len() == 1 && (found[0].0 - x).abs() < 1e-12 && (found[0].1 - variance).abs() < 1e-12
+    };
+    let lost = find(&[102], &six, [90.0, 110.0]);
+    assert!(is_at(&lost, (102.5, 1.0 / 24.0 + of_slope(17.2))), "{lost:?}");
+    // An end within two pitches is half a pitch farther on, with a variance of 4 / 12; the middle has a quarter of both.
     let open = find(&[106], &six, [90.0, 110.0]);
-    assert!(
-        open.len() == 1 && (open[0].0 - 102.75).abs() < 1e-12 && (open[0].1 - 5.0 / 48.0).abs() < 1e-12,
-        "{open:?}"
-    );
+    assert!(is_at(&open, (102.75, 5.0 / 48.0 + of_slope(17.5))), "{open:?}");
+}
+
+/// By hand: a plate of 20 cm on a wall 0.8 m to the left, 2 m ahead, is seen from 20.854 to 22.834 degrees. Its middle is at 21.801, while that
+/// of its columns is at 21.844, more than two columns of 0.02 degrees off.
+#[test]
+fn the_middle_of_a_reflector_that_is_seen_aslant() {
+    const STEP: f64 = 0.02;
+    let azimuth = Angles::Uniform { start_deg: 0.0, step_deg: STEP, count: 2000 };
+    let geometry = Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: None };
+    let scanner = sensor(Geometry::Scanner(geometry));
+    let angle = |i: usize| (STEP * i as f64).to_radians();
+    let ranges = (0..2000).map(|i| (0.8 / angle(i.max(1)).sin()) as f32).collect();
+    let is_on = |i: usize| (1.9..=2.1).contains(&(0.8 / angle(i.max(1)).tan()));
+    let image = GreyImage::new(2000, 1, (0..2000).map(|i| if is_on(i) { 0.95 } else { 0.3 }).collect()).unwrap();
+    let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(ranges)).unwrap();
+    let found = reflectors_in(&frame, &image, PixelBox::whole_of(&scanner), &ReflectorOptions::default()).unwrap();
+    assert_eq!(found.len(), 1);
+    let (column, range) = (found[0].detection.shape.centre().x, found[0].range.mean);
+    assert!((STEP * column - 21.8014).abs() < 0.5 * STEP && (range - 2.15407).abs() < 1e-3, "{column} {range}");
 }

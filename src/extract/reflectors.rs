@@ -96,11 +96,9 @@ struct BrightScan<'a> {
     is_round: bool,
 }
 
-/// Bright pixels that hang together, with their ranges, and first and last column and row.
+/// Bright pixels that hang together, with their columns and ranges, and first and last column and row.
 struct BrightSpot {
-    ranges: Vec<f64>,
-    /// Ranges in the first and in the last column.
-    ends: (f64, f64),
+    ranges: Vec<(i64, f64)>,
     columns: (i64, i64),
     rows: (i64, i64),
 }
@@ -155,8 +153,7 @@ impl<'a> BrightScan<'a> {
     /// The bright pixels that hang together with one, at about its range; `None` if they are too wide. `seen` says of pixels that were
     /// looked at whether they belong to something too wide: no part of that is a reflector.
     fn spot(&self, first: Pixel, seen: &mut BTreeMap<Pixel, bool>) -> Option<BrightSpot> {
-        let mut spot =
-            BrightSpot { ranges: Vec::new(), ends: (0.0, 0.0), columns: (first.0, first.0), rows: (first.1, first.1) };
+        let mut spot = BrightSpot { ranges: Vec::new(), columns: (first.0, first.0), rows: (first.1, first.1) };
         let (mut open, mut own, mut wide) = (vec![first], vec![first], false);
         seen.insert(first, false);
         while let Some(at) = open.pop() {
@@ -204,7 +201,7 @@ impl<'a> BrightScan<'a> {
     fn extent(&self, spot: &BrightSpot) -> Option<f64> {
         let (pitch, down) = self.angles(spot)?;
         let across = pitch * (spot.columns.1 - spot.columns.0 + 1) as f64;
-        Some(across.max(down) * spot.ranges.first()?)
+        Some(across.max(down) * spot.ranges.first()?.1)
     }
 
     /// Whether nobody knows if the reflector goes on beyond its end: there is no reading, or one of two surfaces at once.
@@ -238,15 +235,20 @@ impl<'a> BrightScan<'a> {
         let (x, of_column) = middle(spot.columns, |c, by| self.is_open((c, spot.rows.0), (by, 0), range));
         let (y, of_row) = middle(spot.rows, |r, by| self.is_open((spot.columns.0, r), (0, by), range));
         let of_row = if sensor.height() == 1 { UNKNOWN } else { of_row + jitter };
-        let mut detection = Detection::new(Shape::Reflector(DVec2::new(x, y)), 1.0);
-        detection.covariance = DMat2::from_diagonal(DVec2::new(of_column + jitter, of_row));
+        // The nearer half of a flat one that is seen aslant takes up more columns than the other: its middle is not that of the columns.
+        let (slope, of_slope) = spot.slope();
+        let (sigma, half) = (noise.range_sigma(range), 0.5 * (spot.columns.1 - spot.columns.0 + 1) as f64);
+        let lever = half * half / range;
+        let aside = lever * slope;
+        let of_column = of_column + jitter + (lever * sigma).powi(2) * of_slope;
+        let mut detection = Detection::new(Shape::Reflector(DVec2::new(x + aside, y)), 1.0);
+        detection.covariance = DMat2::from_diagonal(DVec2::new(of_column, of_row));
         detection.properties.strength = Some(1.0);
         // A median of many is off by a little more than a mean.
         let of_median = if count > 2.0 { std::f64::consts::FRAC_PI_2 } else { 1.0 };
-        // On one that is seen aslant another middle has another range.
-        let slope = (spot.ends.1 - spot.ends.0) / ((spot.columns.1 - spot.columns.0) as f64).max(1.0);
-        let variance = of_median * noise.range_sigma(range).powi(2) / count + slope * slope * (of_column + jitter);
-        let range = UncertainValue { mean: range, variance };
+        // Another middle has another range.
+        let variance = of_median * sigma * sigma / count + slope * slope * of_column;
+        let range = UncertainValue { mean: range + slope * aside, variance };
         detection.properties.range = Some(range);
         Some(FoundReflector { detection, range })
     }
@@ -254,19 +256,25 @@ impl<'a> BrightScan<'a> {
 
 impl BrightSpot {
     fn take(&mut self, (c, r): Pixel, range: f64) {
-        if self.ranges.is_empty() || c <= self.columns.0 {
-            self.ends.0 = range;
-        }
-        if self.ranges.is_empty() || c >= self.columns.1 {
-            self.ends.1 = range;
-        }
-        self.ranges.push(range);
+        self.ranges.push((c, range));
         self.columns = (self.columns.0.min(c), self.columns.1.max(c));
         self.rows = (self.rows.0.min(r), self.rows.1.max(r));
     }
 
+    /// By how much ranges rise from column to column, metres, and its variance in that of a range.
+    fn slope(&self) -> (f64, f64) {
+        let count = self.ranges.len() as f64;
+        let (c, r) = self.ranges.iter().fold((0.0, 0.0), |(c, r), of| (c + of.0 as f64, r + of.1));
+        let (c, r) = (c / count, r / count);
+        let (cc, cr) = self.ranges.iter().fold((0.0, 0.0), |(cc, cr), of| {
+            let off = of.0 as f64 - c;
+            (cc + off * off, cr + off * (of.1 - r))
+        });
+        if cc > 0.0 { (cr / cc, 1.0 / cc) } else { (0.0, 0.0) }
+    }
+
     fn median(&self) -> Option<f64> {
-        let mut ranges = self.ranges.clone();
+        let mut ranges: Vec<f64> = self.ranges.iter().map(|(_, range)| *range).collect();
         ranges.sort_by(f64::total_cmp);
         let half = ranges.len() / 2;
         let upper = *ranges.get(half)?;

@@ -49,6 +49,7 @@ mod decide;
 mod doubt;
 mod hypotheses;
 mod likelihood;
+mod reflectors;
 mod round;
 mod search;
 mod unknown;

@@ -1,6 +1,7 @@
 //! Where a robot may be that nothing is known of: one scan weighed at all headings of all free places, and the best places refined.
 
 use super::likelihood::PoseLikelihood;
+use super::reflectors::{ODDS, SeenReflectors};
 use super::round::{HEADINGS, RoundViews, STEP};
 use crate::batch::{Headings, Panoramas, PoseCell};
 use crate::error::{Error, Result};
@@ -13,6 +14,7 @@ use crate::sensor::{Geometry, Sensor};
 use crate::verdict::Verdicts;
 use crate::world::World;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// How a [`Search`] looks for a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,7 +66,8 @@ pub struct Candidate {
     pub pose: Pose,
     /// x y z, then rotation about fixed x y z, world axes; metres and radians.
     pub covariance: Matrix,
-    /// Log-likelihood of all frames so far, tempered for beams that depend on each other. Only differences mean something.
+    /// Log-likelihood of all frames so far, tempered for beams that depend on each other, and with what their reflectors say. Only differences
+    /// mean something.
     pub log_likelihood: f64,
     /// Share of the readings that end where they should, within 3.3 standard deviations of range and model together, in the mean
     /// over the frames.
@@ -152,18 +155,19 @@ impl Search {
     /// Those of [`crate::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
     pub fn candidates(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Candidate>> {
         let mut found: Vec<Candidate> = Vec::new();
-        for prior in self.starts(estimator, frame)? {
+        for prior in self.starts(estimator, world, frame)? {
             let estimate = estimator.refine(world, frame, &prior)?;
             let (pose, covariance, explained) = (estimate.pose, estimate.covariance, self.explained(frame, &estimate));
             found.push(Candidate { pose, covariance, log_likelihood: 0.0, explained, frames: 1, estimate });
         }
-        let logs = self.weigh(estimator, world, frame, found.iter().map(|c| c.pose))?;
+        let logs = self.weigh(estimator, world, frame, &found)?;
         found.iter_mut().zip(logs).for_each(|(c, log)| c.log_likelihood = log);
         Ok(distinct(found))
     }
 
     /// The robot at the places and headings that fit a frame best, as wide as these are apart.
-    fn starts(&self, estimator: &mut Estimator, frame: &Frame) -> Result<Vec<Prior>> {
+    fn starts(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Prior>> {
+        let known = estimator.reflectors(world, frame);
         let SearchOptions { cell, candidates: most, .. } = self.options;
         let robot_from_sensor = self.likelihood.scanner().spec().mount.inverse();
         let arm = robot_from_sensor.translation.truncate().length();
@@ -177,7 +181,12 @@ impl Search {
                 let Some(sensed) = self.likelihood.of(frame, PoseCell { side: cell, turn })? else {
                     return Ok(Vec::new());
                 };
-                let weights = predictor.weigh_panoramas(panoramas, &sensed)?;
+                let mut weights = predictor.weigh_panoramas(panoramas, &sensed)?;
+                if let Some(seen) = SeenReflectors::of(frame, &known)? {
+                    let places = panoramas.places().par_iter().zip(weights.par_chunks_mut(headings.count() as usize));
+                    let add = |(place, logs): (&DVec3, &mut [f32])| seen.add_to(logs, place.truncate(), cell);
+                    predictor.on_threads(|| places.for_each(add))?;
+                }
                 let found = peaks(panoramas.places(), headings.count() as usize, &weights, most, cell);
                 let pose = |(place, heading): (usize, u32)| headings.pose(panoramas.places()[place], heading);
                 Ok(found.into_iter().map(|peak| prior(pose(peak), turn)).collect())
@@ -195,15 +204,18 @@ impl Search {
         }
     }
 
-    /// Log-likelihoods of a frame at poses of the robot.
+    /// Log-likelihoods of a frame at candidates whose estimates are of this frame: by its ranges, and by the reflectors that they explain.
     pub(crate) fn weigh(
         &self,
         estimator: &mut Estimator,
         world: &World,
         frame: &Frame,
-        poses: impl Iterator<Item = Pose>,
+        candidates: &[Candidate],
     ) -> Result<Vec<f64>> {
-        self.likelihood.at(&mut estimator.predictor, world, frame, poses)
+        let poses = candidates.iter().map(|c| c.pose);
+        let logs = self.likelihood.at(&mut estimator.predictor, world, frame, poses)?;
+        let of_reflectors = |c: &Candidate| ODDS * c.estimate.reflectors.0 as f64;
+        Ok(logs.into_iter().zip(candidates).map(|(log, c)| log + of_reflectors(c)).collect())
     }
 
     /// Share of the readings of a frame that end where an estimate's prediction does.

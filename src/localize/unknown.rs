@@ -61,7 +61,7 @@ impl Localizer {
             c.frames += 1;
             c.explained += (search.explained(frame, &c.estimate) - c.explained) / c.frames as f64;
         }
-        let logs = search.weigh(&mut self.estimator, world, frame, self.candidates.iter().map(|c| c.pose))?;
+        let logs = search.weigh(&mut self.estimator, world, frame, &self.candidates)?;
         self.candidates.iter_mut().zip(logs).for_each(|(c, log)| c.log_likelihood += log);
         self.candidates = distinct(std::mem::take(&mut self.candidates));
         let most = self.candidates.first().map_or(0.0, |c| c.log_likelihood);
@@ -118,7 +118,7 @@ impl Localizer {
     fn add_rivals(&mut self, world: &World, frame: &Frame) -> Result<bool> {
         let Some(search) = &self.search else { return Ok(false) };
         let best = self.candidates[0].clone();
-        let here = search.weigh(&mut self.estimator, world, frame, std::iter::once(best.pose))?[0];
+        let here = search.weigh(&mut self.estimator, world, frame, std::slice::from_ref(&best))?[0];
         let mut rivals = search.candidates(&mut self.estimator, world, frame)?;
         rivals.retain(|r| r.log_likelihood > here && !is_same(&r.pose, &best.pose));
         let found = !rivals.is_empty();
