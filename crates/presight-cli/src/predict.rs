@@ -87,7 +87,7 @@ pub struct Args {
     engine: EngineArgs,
 
     /// On a GPU, draw first what the sensor's last pose showed: for poses of a drive; the images are the same
-    #[arg(long, requires = "poses", conflicts_with = "deadline_ms")]
+    #[arg(long, conflicts_with = "deadline_ms")]
     reuse_visible: bool,
 
     /// How polygons are selected: none, grid, plop, s2d, s3d or two-level; the images are the same with any
@@ -239,6 +239,9 @@ impl Args {
     }
 
     fn check_series(&self) -> Result<()> {
+        if self.reuse_visible && self.poses.is_none() {
+            return Err(Error::usage("--reuse-visible is of a series of poses", "give --poses FILE, or leave it out"));
+        }
         let of_one =
             [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
         match of_one.iter().find(|(_, given)| *given && self.is_series()) {
