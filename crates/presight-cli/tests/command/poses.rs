@@ -1,5 +1,6 @@
 //! Many poses in one command: the same files as one command a pose, names from templates, and a series that goes on.
 
+use super::signals::interrupts_pass;
 use super::{Outcome, Place, camera};
 use presight::io::exr;
 use std::fs;
@@ -198,8 +199,8 @@ fn a_series_that_was_interrupted_goes_on() {
         while in_run(&place).iter().filter(|n| n.ends_with(".exr")).count() < wanted {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
-        let id = child.id().to_string();
-        assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        let (id, signal) = (child.id().to_string(), if interrupts_pass() { "-TERM" } else { "-INT" });
+        assert!(std::process::Command::new("kill").args([signal, &id]).status().unwrap().success());
         stopped += usize::from(!child.wait().unwrap().success());
         assert!(!in_run(&place).iter().any(|name| name.ends_with(".part")), "{:?}", in_run(&place));
     }
