@@ -1,7 +1,6 @@
 //! Segments whose images may be curved: the arc of directions between their ends, halved until its image is short.
 
-use super::run::Run;
-use super::{MAX_SEGMENT_SAMPLES, Piece, Sample, Sampler};
+use super::{MAX_SEGMENT_SAMPLES, Part, Piece, Run, Sample, Sampler};
 use glam::{DVec2, DVec3};
 use std::ops::Range;
 
@@ -17,37 +16,14 @@ const BENT: f64 = 1.0 / 64.0;
 /// How often arcs are halved: beyond a pole's neighbourhood nothing needs as many.
 const MAX_DEPTH: u32 = 40;
 
-/// A part of a segment.
-pub(in crate::features) enum Part {
-    /// Samples in equal steps of a straight image.
-    Run(Run),
-    One(Piece),
-}
-
 impl Sampler<'_> {
-    /// Any sensor: halves the arc of directions from a to b, which are at `span` of the whole feature.
-    pub(super) fn arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Piece)) {
-        self.parts_of_arc(a, b, span, &mut |part| match part {
-            Part::Run(run) => run.samples().for_each(|sample| visit(Piece::Inside(sample))),
-            Part::One(piece) => visit(piece),
-        });
-    }
-
-    /// The parts of a segment whose image may be curved: in order, they cover all of 0..=1, and have the samples of
-    /// [`Sampler::segment`].
-    pub(in crate::features) fn curved_parts(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
-        match self.cone {
-            Some(cone) => self.cut(cone, a, b, &mut |piece| visit(Part::One(piece))),
-            None => self.parts_of_arc(a, b, [0.0, 1.0], visit),
-        }
-    }
-
     /// How many pieces of an arc of some angle are looked at first.
     fn coarse_pieces(&self, angle: f64) -> f64 {
         (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE)
     }
 
-    fn parts_of_arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Part)) {
+    /// Any sensor: halves the arc of directions from a to b, which are at `span` of the whole feature.
+    pub(super) fn arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Part)) {
         self.some_parts_of_arc(a, b, span, |pieces| 0..pieces as u32, visit);
     }
 
@@ -183,8 +159,8 @@ impl Sampler<'_> {
             return false;
         }
         *left -= count as usize;
-        let (t, ends, ranges) = ([from.t, to.t], [from.at, to.at], [from.range, to.range]);
-        let run = Run { t, ends, ranges, pixels: [p, q], count: count as usize, length };
+        let (t, ends, scales) = ([from.t, to.t], [from.at, to.at], [from.range, to.range]);
+        let run = Run { t, ends, scales, pixels: [p, q], count: count as usize, length };
         // The image is convex.
         if self.holds(from.at, p) && self.holds(to.at, q) {
             visit(Part::Run(run));

@@ -15,11 +15,9 @@ mod row;
 mod run;
 mod straight;
 
-pub(super) use arc::Part;
 pub(super) use patch::{PatchCone, PatchOutline};
 pub(super) use patch_columns::{Column, PatchColumns};
-pub(super) use run::Run;
-pub(super) use straight::Straight;
+pub(super) use run::{Part, Run};
 
 use super::{Reason, columns};
 use crate::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
@@ -137,11 +135,6 @@ impl<'a> Sampler<'a> {
         is_in(a) && is_in(b) && columns::culmination_share(a, b).is_none_or(|t| is_in(a.lerp(b, t)))
     }
 
-    /// True of a pinhole camera.
-    pub(super) fn is_straight(&self) -> bool {
-        self.pinhole.is_some()
-    }
-
     /// True of a scanner of one row, which sees cuts.
     pub(super) fn is_one_row(&self) -> bool {
         self.cone.is_some()
@@ -173,6 +166,11 @@ impl<'a> Sampler<'a> {
 
     /// Samples a segment between two points of the image frame; pieces come in order and cover all of 0..=1.
     pub fn segment(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        self.parts(a, b, &mut |part| part.pieces(visit));
+    }
+
+    /// The parts of a segment between two points of the image frame: in order, they cover all of 0..=1.
+    pub(super) fn parts(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
         match (self.pinhole, self.cone) {
             (Some(camera), _) => self.straight(camera, a, b, visit),
             (None, Some(cone)) => self.cut(cone, a, b, visit),

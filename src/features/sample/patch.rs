@@ -162,16 +162,12 @@ impl Sampler<'_> {
         };
         for (k, a) in corners.iter().enumerate() {
             let b = corners[(k + 1) % corners.len()];
-            // Of what is straight the ends reach farthest.
-            if let Some(part) = self.straight_part(*a, b) {
-                part.pixels.into_iter().for_each(&mut take);
-            } else if self.pinhole.is_none() {
-                self.curved_parts(*a, b, &mut |part| match part {
-                    Part::Run(run) => run.pixels.into_iter().for_each(&mut take),
-                    Part::One(Piece::Inside(s)) => s.ends.into_iter().chain([s.pixel]).for_each(&mut take),
-                    Part::One(Piece::Outside { .. }) => {}
-                });
-            }
+            self.parts(*a, b, &mut |part| match part {
+                // Of what is straight the ends reach farthest.
+                Part::Run(run) => run.pixels.into_iter().for_each(&mut take),
+                Part::One(Piece::Inside(s)) => s.ends.into_iter().chain([s.pixel]).for_each(&mut take),
+                Part::One(Piece::Outside { .. }) => {}
+            });
         }
         // Where the image is inside the patch, its own border is the patch's image's border.
         let covered = self.border().iter().filter(|(_, ray)| cone.meet(*ray).is_some());

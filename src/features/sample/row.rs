@@ -1,12 +1,12 @@
 //! What a scanner of one row sees of a segment: cuts with the cones above and below it.
 
-use super::{ON_CONE, Piece, Sample, Sampler};
+use super::{ON_CONE, Part, Piece, Sample, Sampler};
 use crate::features::Reason;
 use glam::DVec3;
 
 impl Sampler<'_> {
-    /// Samples the parts of a segment between the cones of two elevations.
-    pub(super) fn cut(&self, [low, high]: [f64; 2], a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+    /// Finds the parts of a segment between the cones of two elevations.
+    pub(super) fn cut(&self, [low, high]: [f64; 2], a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
         let at = |t: f64| a + t * (b - a);
         let elevation = |p: DVec3| p.z.atan2(p.x.hypot(p.y));
         let within = |p: DVec3| (low - ON_CONE..=high + ON_CONE).contains(&elevation(p));
@@ -22,14 +22,14 @@ impl Sampler<'_> {
             if within(at(0.5 * (from + to))) {
                 self.arc(at(from), at(to), [from, to], visit);
             } else {
-                visit(Piece::Outside { t: [from, to], reason: Reason::OutsideImage });
+                visit(Part::One(Piece::Outside { t: [from, to], reason: Reason::OutsideImage }));
                 // A row without height leaves points.
                 if to < 1.0 && low == high {
                     let t = [to, to];
-                    match self.point(at(to)) {
-                        Piece::Inside(sample) => visit(Piece::Inside(Sample { t, ..sample })),
-                        Piece::Outside { reason, .. } => visit(Piece::Outside { t, reason }),
-                    }
+                    visit(Part::One(match self.point(at(to)) {
+                        Piece::Inside(sample) => Piece::Inside(Sample { t, ..sample }),
+                        Piece::Outside { reason, .. } => Piece::Outside { t, reason },
+                    }));
                 }
             }
             from = to;

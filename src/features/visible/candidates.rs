@@ -2,9 +2,14 @@
 
 use super::VisibilityContext;
 use super::polygon::PolygonCache;
+use super::strategy::FeatureQuery;
 use super::surface::FeatureSurface;
 use crate::index::{QueryResult, Region};
 use glam::DVec2;
+
+/// How far apart are the blocks of three by three pixels along a feature that are looked through, pixels. Nearly all that hides it
+/// shows in them; finding the rest by tiles is faster than looking through more.
+pub(super) const BLOCKS_APART: f64 = 24.0;
 
 /// How many ids are kept in mind while pixels are looked through.
 const LATEST: usize = 4;
@@ -31,6 +36,20 @@ impl Candidates {
         self.numbers.clear();
         self.center = None;
         self.latest = [0; LATEST];
+    }
+
+    /// Begins a list of what hints say of a feature; without any, of what the images show around the places that `visit_places` adds.
+    pub fn propose(
+        &mut self,
+        query: &FeatureQuery<'_>,
+        polygons: &mut PolygonCache,
+        visit_places: impl FnOnce(&mut dyn FnMut(DVec2)),
+    ) {
+        self.begin();
+        match query.hints {
+            Some(hints) => self.add_hints(query.frame, polygons, hints, query.own),
+            None => visit_places(&mut |pixel| self.add_around(query.frame, polygons, pixel, query.own)),
+        }
     }
 
     /// Their numbers in the cache.

@@ -4,6 +4,7 @@
 //! ray, or a quotient of two such, which rises or falls. So the ends of an interval decide about all of it.
 
 use super::VisibilityContext;
+use super::candidates::BLOCKS_APART;
 use super::polygon::{PreparedPolygon, RelativeDepth, within_edges};
 use super::rays;
 use super::strategy::{Decision, FeatureQuery, Workspace};
@@ -15,9 +16,6 @@ use crate::features::sample::{Column, PatchColumns, PatchOutline};
 use crate::features::{FeatureStats, Reason};
 use glam::DVec3;
 use std::ops::Range;
-
-/// How far apart are the blocks of three by three pixels that are looked through, pixels: as along segments.
-const BLOCKS_APART: f64 = 24.0;
 
 /// Of two places that a polygon hides by more than this, beside rounding, it hides all between them.
 const CLEARLY: f64 = 1e-12;
@@ -128,20 +126,15 @@ impl Grid {
 
     /// Marks what polygons seen around some of the samples hide; `None` if more care is needed.
     fn hide_by_image(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
-        let FeatureQuery { frame, own, .. } = query;
         let Workspace { polygons, candidates, .. } = workspace;
-        candidates.begin();
-        if let Some(hints) = query.hints {
-            candidates.add_hints(frame, polygons, hints, own);
-        } else {
+        candidates.propose(query, polygons, |add| {
             let apart = (BLOCKS_APART / self.samples.cell()).as_usizevec2().max(glam::USizeVec2::ONE);
             let columns = &self.samples.columns;
             for column in columns.iter().step_by(apart.x).chain(columns.last()) {
-                for row in column.rows.clone().step_by(apart.y).chain([column.rows.end - 1]) {
-                    candidates.add_around(frame, polygons, self.samples.pixel(column, row), own);
-                }
+                let rows = column.rows.clone().step_by(apart.y).chain([column.rows.end - 1]);
+                rows.for_each(|row| add(self.samples.pixel(column, row)));
             }
-        }
+        });
         for number in candidates.numbers() {
             let known = polygons.get(*number);
             for column in 0..self.samples.columns.len() {

@@ -13,9 +13,9 @@
 //! what is not hidden yet is confirmed by the index: its queries are shared by tiles of the directions around the sensor
 //! ([`tiles`]); single points have a ray each. Each polygon found is tested like those of the pixels.
 //!
-//! **Strategies.** [`strategy`] tries functions of one signature: [`runs`] for segments in a straight image, [`whole`] and [`curved`] for
-//! those in a curved one, [`area`] and [`grid`] for patches of many pixels and of few, [`samples`] for all else, and [`rays`] where a ray
-//! to each sample is asked for. They share [`candidates`], the polygons that may hide a feature, the polygons set up so far ([`polygon`])
+//! **Strategies.** [`strategy`] tries functions of one signature: [`whole`] for segments that a scanner sees or does not see as
+//! a whole, [`runs`] for all other segments, [`area`] and [`grid`] for patches of many pixels and of few, [`samples`] for all else, and
+//! [`rays`] where a ray to each sample is asked for. They share [`candidates`], the polygons that may hide a feature, the polygons set up so far ([`polygon`])
 //! and the tiles.
 //!
 //! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
@@ -26,7 +26,6 @@ mod area;
 mod candidates;
 mod context;
 mod contour;
-mod curved;
 mod grid;
 mod marks;
 mod polygon;

@@ -1,226 +1,357 @@
-//! Segments in a pinhole camera: samples in equal steps of a straight image, decided run by run and not one by one.
+//! Segments: decided in whole runs of samples, and not one by one.
+//!
+//! A segment is straight in space, so that a polygon hides one interval of it, in closed form. Its image is straight in a pinhole camera,
+//! and is cut into runs that are as good as straight elsewhere ([`Run`]); the ends of the interval say between which of their samples it
+//! lies.
 
 use super::VisibilityContext;
-use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth, within_edges};
+use super::candidates::BLOCKS_APART;
+use super::polygon::{PreparedPolygon, RelativeDepth, within_edges};
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
-use super::tiles::{Look, Square};
+use super::tiles::Look;
 use crate::environment::FeatureShape;
-use crate::features::sample::Straight;
+use crate::features::sample::{Part, Piece, Run, Sample};
 use crate::features::{FeatureStats, Reason};
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use std::ops::Range;
 
-/// How far apart are the blocks of three by three pixels along a segment that are looked through, pixels. Nearly all that
-/// hides it shows in them; finding the rest by tiles is faster than looking through more.
-const BLOCKS_APART: f64 = 24.0;
+/// Places between blocks at which is looked once more, at most.
+const MOST_LOOKS: usize = 8;
+
+/// Of two places that a polygon hides by more than this, beside rounding, it hides all between them.
+const CLEARLY: f64 = 1e-12;
 
 /// No slot.
 const NONE: u32 = u32::MAX;
 
-/// Some samples of a segment, and what decides about all of them.
-struct Stretch<'s> {
-    part: &'s Straight,
-    /// Numbers of samples; not empty.
-    some: Range<usize>,
-    /// Middles of the first and the last.
+/// The parts of a segment, and of each sample what hides it. Memory of one worker.
+#[derive(Default)]
+pub(super) struct SampledSegment {
+    parts: Vec<Part>,
+    /// By part, the number of its first sample.
+    firsts: Vec<u32>,
+    /// By sample, the slot of what hides it.
+    by: Vec<u32>,
+    /// From end to end, image frame.
     ends: [DVec3; 2],
-    /// Least and greatest range of the whole part.
+    /// Least and greatest range of what is in the image.
     ranges: [f64; 2],
     rounding: f64,
 }
 
-impl<'s> Stretch<'s> {
-    fn new(part: &'s Straight, some: Range<usize>, ranges: [f64; 2], rounding: f64) -> Self {
-        let ends = [part.middle(some.start).0, part.middle(some.end - 1).0];
-        Self { part, some, ends, ranges, rounding }
+impl SampledSegment {
+    /// Samples a segment; false if it has to be looked at sample by sample.
+    fn take(&mut self, query: &FeatureQuery<'_>, [a, b]: [DVec3; 2]) -> bool {
+        let Self { parts, firsts, .. } = self;
+        parts.clear();
+        firsts.clear();
+        let (mut count, mut is_sound) = (0, true);
+        let (mut from, mut to) = (1.0f64, 0.0f64);
+        query.frame.sampler.parts(a, b, &mut |part| {
+            firsts.push(count);
+            let (t, samples) = match &part {
+                Part::Run(run) => {
+                    is_sound &= run.t[0] < run.t[1];
+                    (run.t, run.count as u32)
+                }
+                Part::One(Piece::Inside(sample)) => (sample.t, 1),
+                Part::One(Piece::Outside { .. }) => ([1.0, 0.0], 0),
+            };
+            (from, to) = (from.min(t[0]), to.max(t[1]));
+            count += samples;
+            parts.push(part);
+        });
+        self.by.clear();
+        self.by.resize(count as usize, NONE);
+        let [p, q] = [from, to].map(|t| if t == 1.0 { b } else { a + t * (b - a) });
+        let foot = p + share_of_foot(p, q) * (q - p);
+        (self.ends, self.ranges) = ([a, b], [foot.length(), p.length().max(q.length())]);
+        self.rounding = query.own.rounding();
+        let ([near, far], spec) = (self.ranges, query.frame.sensor.spec());
+        is_sound && (count == 0 || near >= spec.range_min && far <= spec.range_max && near > 0.0)
     }
 
-    /// Marks what a polygon hides; `None` if nothing is known about its range there.
-    fn hide(&self, known: &PreparedPolygon, polygons: &PolygonCache, by: &mut [u32]) -> Option<()> {
-        let [p, q] = self.ends;
-        let shares = [known.inverse.dot(p), known.inverse.dot(q)];
+    /// The part of a sample.
+    fn part_of(&self, sample: usize) -> usize {
+        self.firsts.partition_point(|first| *first as usize <= sample) - 1
+    }
+
+    /// The middle of a sample.
+    fn middle(&self, sample: usize) -> DVec3 {
+        let part = self.part_of(sample);
+        match &self.parts[part] {
+            Part::Run(run) => run.middle(sample - self.firsts[part] as usize).0,
+            Part::One(Piece::Inside(sample)) => sample.at,
+            Part::One(Piece::Outside { .. }) => self.ends[0],
+        }
+    }
+
+    /// Where the middle of a sample is in the image.
+    fn pixel(&self, sample: usize) -> DVec2 {
+        let part = self.part_of(sample);
+        match &self.parts[part] {
+            Part::Run(run) => run.middle(sample - self.firsts[part] as usize).1,
+            Part::One(Piece::Inside(sample)) => sample.pixel,
+            Part::One(Piece::Outside { .. }) => DVec2::ZERO,
+        }
+    }
+
+    /// Which part of the length of the segment lies before a place on it.
+    fn t(&self, at: DVec3) -> f64 {
+        let [a, b] = self.ends;
+        (at - a).dot(b - a) / (b - a).length_squared().max(f64::MIN_POSITIVE)
+    }
+
+    /// At which sample, with a fraction, a part of the length lies: whole numbers are middles.
+    fn number(&self, t: f64) -> f64 {
+        let end_of = |part: &Part| match part {
+            Part::Run(run) => run.t[1],
+            Part::One(Piece::Inside(Sample { t, .. }) | Piece::Outside { t, .. }) => t[1],
+        };
+        let part = self.parts.partition_point(|part| end_of(part) < t).min(self.parts.len() - 1);
+        let first = f64::from(self.firsts[part]);
+        match &self.parts[part] {
+            Part::Run(run) => first + run.number(t),
+            // Before its middle, at it, or after it.
+            Part::One(Piece::Inside(sample)) => first + (t - self.t(sample.at)).clamp(-0.25, 0.25),
+            Part::One(Piece::Outside { .. }) => first - 0.5,
+        }
+    }
+
+    /// Marks what a polygon hides of some samples; `None` if nothing is known about its range there.
+    fn hide(&mut self, known: &PreparedPolygon, planes: &[DVec3], stretch: &Stretch) -> Option<()> {
+        let Stretch { some, ends: [p, q], t } = stretch;
+        let shares = [known.inverse.dot(*p), known.inverse.dot(*q)];
         if !(shares[0] > 1.0 || shares[1] > 1.0) {
             return Some(());
         }
-        let Some([from, to]) = within_edges(polygons.planes_of(known), p, q) else { return Some(()) };
-        let number = |share: f64| self.part.number_at(p + share * (q - p));
-        let first = if from > 0.0 { (number(from).ceil() as usize).max(self.some.start) } else { self.some.start };
-        let end = if to < 1.0 { ((number(to) + 1.0) as usize).min(self.some.end) } else { self.some.end };
-        let Some(by) = by.get_mut(first..end) else { return Some(()) };
+        let Some([from, to]) = within_edges(planes, *p, *q) else { return Some(()) };
+        let share_at = |s: f64| shares[0] + s * (shares[1] - shares[0]);
+        let within = [share_at(from), share_at(to)];
+        if !(within[0].max(within[1]) > 1.0 - CLEARLY) {
+            return Some(());
+        }
+        let number = |share: f64| self.number(t[0] + share * (t[1] - t[0]));
+        let first = if from > 0.0 { (number(from).ceil() as usize).max(some.start) } else { some.start };
+        let end = if to < 1.0 { ((number(to) + 1.0) as usize).min(some.end) } else { some.end };
+        if first >= end {
+            return Some(());
+        }
         let [near, far] = self.ranges;
-        let least = [near, far].map(|range| known.least_share(shares[0].max(shares[1]), range, self.rounding));
+        let least = [near, far].map(|range| known.least_share(within[0].max(within[1]), range, self.rounding));
         let least = least[0].max(least[1]);
-        if shares[0] > least && shares[1] > least {
-            by.iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
+        if within.iter().all(|share| *share > least * (1.0 + CLEARLY)) {
+            self.by[first..end].iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
             return Some(());
         }
         // It crosses the segment, or nearly: one by one.
-        for (i, by) in by.iter_mut().enumerate().filter(|(_, by)| **by == NONE) {
-            let at = self.part.middle(first + i).0;
-            match known.nearer(known.inverse.dot(at), at.length(), self.rounding) {
-                RelativeDepth::Yes => *by = known.slot,
-                RelativeDepth::No => {}
-                RelativeDepth::Unknown => return None,
+        for sample in first..end {
+            if self.by[sample] == NONE {
+                let at = self.middle(sample);
+                match known.nearer(known.inverse.dot(at), at.length(), self.rounding) {
+                    RelativeDepth::Yes => self.by[sample] = known.slot,
+                    RelativeDepth::No => {}
+                    RelativeDepth::Unknown => return None,
+                }
             }
         }
         Some(())
     }
+
+    fn stretch(&self, some: Range<usize>) -> Stretch {
+        let ends = [self.middle(some.start), self.middle(some.end - 1)];
+        Stretch { some, ends, t: ends.map(|at| self.t(at)) }
+    }
+
+    /// How many samples nothing hides.
+    fn open(&self) -> usize {
+        self.by.iter().filter(|by| **by == NONE).count()
+    }
+
+    /// The first of some samples that nothing hides.
+    fn open_in(&self, some: Range<usize>) -> usize {
+        let open = self.by[some.clone()].iter().position(|by| *by == NONE);
+        open.map_or(some.end, |more| some.start + more)
+    }
 }
 
-/// Decides about a segment in a straight image, if only what is in between decides, and no more care is needed.
+/// Some samples, not none.
+struct Stretch {
+    some: Range<usize>,
+    /// Middles of the first and the last, and where these are along the segment.
+    ends: [DVec3; 2],
+    t: [f64; 2],
+}
+
+/// The share of the way from a to b at which it is nearest to the sensor.
+fn share_of_foot(a: DVec3, b: DVec3) -> f64 {
+    let d = b - a;
+    (-a.dot(d) / d.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
+
+/// Decides about a segment, if only what is in between decides, and no more care is needed.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
     let FeatureQuery { frame, shape: FeatureShape::Segment { .. }, points: [a, b], own, .. } = query else {
         return None;
     };
-    let spec = frame.sensor.spec();
-    if !own.is_plain() || spec.max_incidence.is_some() {
+    if frame.sampler.is_one_row() || !own.is_plain() || frame.sensor.spec().max_incidence.is_some() {
         return None;
     }
-    let part = frame.sampler.straight_part(*a, *b)?;
-    let ranges = ranges(&part);
-    if part.count < 3 || !(ranges[0] >= spec.range_min && ranges[1] <= spec.range_max && ranges[0] > 0.0) {
-        return None;
-    }
-    let mut by = vec![NONE; part.count];
-    let whole = Stretch::new(&part, 0..part.count, ranges, own.rounding());
-    hide_by_image(&whole, query, workspace, &mut by)?;
-    let left = open(&by);
-    let first = by.iter().position(|b| *b == NONE).unwrap_or(part.count);
-    let end = by.iter().rposition(|b| *b == NONE).map_or(first, |last| last + 1);
-    hide_by_tiles(&whole, first..end, query, workspace, &mut by)?;
-    let visible = open(&by);
-    let stats = FeatureStats {
-        features: 1,
-        samples: part.count,
-        hidden_by_neighbours: part.count - left,
-        hidden_in_space: left - visible,
-        visible,
-        ..FeatureStats::default()
-    };
-    Some(Decision { tally: tally_of(frame, &part, [*a, *b], &by), stats })
+    let mut segment = std::mem::take(&mut workspace.segment);
+    let decision = segment.take(query, [*a, *b]).then(|| segment.decide(query, workspace)).flatten();
+    workspace.segment = segment;
+    decision
 }
 
-/// How many samples nothing hides.
-fn open(by: &[u32]) -> usize {
-    by.iter().filter(|by| **by == NONE).count()
-}
-
-/// Marks what polygons seen around a part of the samples hide; `None` if more care is needed.
-fn hide_by_image(
-    whole: &Stretch<'_>,
-    query: &FeatureQuery<'_>,
-    workspace: &mut Workspace,
-    by: &mut [u32],
-) -> Option<()> {
-    let FeatureQuery { frame, own, .. } = query;
-    let Workspace { polygons, candidates, .. } = workspace;
-    candidates.begin();
-    match query.hints {
-        Some(hints) => candidates.add_hints(frame, polygons, hints, own),
-        None => {
-            let [from, to] = whole.part.pixels;
-            let blocks = ((to - from).abs().max_element() / BLOCKS_APART).ceil().max(1.0);
-            for i in 0..=blocks as u32 {
-                candidates.add_around(frame, polygons, from.lerp(to, f64::from(i) / blocks), own);
-            }
+impl SampledSegment {
+    fn decide(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
+        let count = self.by.len();
+        let mut stats = FeatureStats { features: 1, samples: count, ..FeatureStats::default() };
+        if count > 0 {
+            self.hide_by_image(query, workspace)?;
+            let left = self.open();
+            self.hide_by_tiles(query, workspace)?;
+            stats.visible = self.open();
+            stats.hidden_by_neighbours = count - left;
+            stats.hidden_in_space = left - stats.visible;
         }
+        Some(Decision { tally: self.tally(query.frame), stats })
     }
-    let hide = |number: &u32| whole.hide(polygons.get(*number), polygons, by);
-    candidates.numbers().iter().try_for_each(hide)
-}
 
-/// Marks whatever hides some samples, tile by tile; `None` if more care is needed.
-fn hide_by_tiles(
-    whole: &Stretch<'_>,
-    some: Range<usize>,
-    query: &FeatureQuery<'_>,
-    workspace: &mut Workspace,
-    by: &mut [u32],
-) -> Option<()> {
-    let FeatureQuery { frame, own, .. } = query;
-    let Workspace { polygons, tiles, near, .. } = workspace;
-    let part = whole.part;
-    let open_from = |start: usize, by: &[u32]| {
-        let open = by[start..some.end].iter().position(|by| *by == NONE);
-        open.map_or(some.end, |more| start + more)
-    };
-    let mut start = some.start;
-    while start < some.end {
-        let first = part.middle(start).0;
-        let end = end_in(part, &tiles.of(first).1, start..some.end);
-        for look in [Look::First, Look::All] {
-            let stretch = Stretch::new(part, start..end, whole.ranges, whole.rounding);
-            let farthest = stretch.ends[0].length().max(stretch.ends[1].length());
-            let (tile, has_all) = tiles.tile(frame, polygons, first, farthest, look);
-            tiles.between(tile, &stretch.ends, own, polygons, near);
-            for number in near.iter() {
-                stretch.hide(polygons.get(*number), polygons, by)?;
+    /// Marks what polygons seen around some of the samples hide; `None` if more care is needed.
+    fn hide_by_image(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
+        let FeatureQuery { frame, own, .. } = query;
+        let Workspace { polygons, candidates, .. } = workspace;
+        candidates.propose(query, polygons, |add| {
+            let mut last: Option<DVec2> = None;
+            let mut add_apart = |pixel: DVec2, is_apart: bool| {
+                if is_apart || last.is_none_or(|last| last.distance_squared(pixel) >= BLOCKS_APART * BLOCKS_APART) {
+                    last = Some(pixel);
+                    add(pixel);
+                }
+            };
+            for part in &self.parts {
+                match part {
+                    // Of a long run all, its end too; short ones follow each other closely.
+                    Part::Run(run) => {
+                        let is_long = run.length >= BLOCKS_APART;
+                        run.places(BLOCKS_APART).enumerate().for_each(|(i, at)| add_apart(at, is_long && i > 0));
+                    }
+                    Part::One(Piece::Inside(sample)) => add_apart(sample.pixel, false),
+                    Part::One(Piece::Outside { .. }) => {}
+                }
             }
-            start = open_from(start, by).min(end);
-            if has_all || start == end {
+        });
+        let count = self.by.len();
+        let whole = self.stretch(0..count);
+        for number in candidates.numbers() {
+            let known = polygons.get(*number);
+            self.hide(known, polygons.planes_of(known), &whole)?;
+        }
+        if query.hints.is_some() {
+            return Some(());
+        }
+        // What is left open is looked at once more in its middle: a tile of what lies behind is dear.
+        let mut start = self.open_in(0..count);
+        for _ in 0..MOST_LOOKS {
+            if start == count {
                 break;
             }
+            let end = self.by[start..].iter().position(|by| *by != NONE).map_or(count, |more| start + more);
+            let middle = start.midpoint(end);
+            let known = candidates.numbers().len();
+            candidates.add_around(frame, polygons, self.pixel(middle), own);
+            for number in &candidates.numbers()[known..] {
+                let known = polygons.get(*number);
+                self.hide(known, polygons.planes_of(known), &whole)?;
+            }
+            start = self.open_in(if self.by[middle] == NONE { end } else { start }..count);
         }
-        start = open_from(end, by);
+        Some(())
     }
-    Some(())
-}
 
-/// The first of some samples that is not in a tile any more, of which the first is.
-fn end_in(part: &Straight, square: &Square, some: Range<usize>) -> usize {
-    let [p, q] = [some.start, some.end - 1].map(|i| part.middle(i).0);
-    match square.left_at(p, q) {
-        share if share < 1.0 => (part.number_at(p.lerp(q, share)) as usize + 1).clamp(some.start + 1, some.end),
-        _ => some.end,
-    }
-}
-
-/// Least and greatest distance of a part from the sensor.
-fn ranges(part: &Straight) -> [f64; 2] {
-    let [p, q] = part.ends;
-    let foot = p + foot(part) * (q - p);
-    [foot.length(), p.length().max(q.length())]
-}
-
-/// The share of a part at which it is nearest to the sensor.
-fn foot(part: &Straight) -> f64 {
-    let [p, q] = part.ends;
-    let d = q - p;
-    (-p.dot(d) / d.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
-}
-
-/// Intervals and shares of samples hidden by slots.
-fn tally_of(frame: &VisibilityContext<'_>, part: &Straight, [a, b]: [DVec3; 2], by: &[u32]) -> Tally {
-    let mut tally = Tally::default();
-    let outside = |tally: &mut Tally, piece| {
-        if let crate::features::Piece::Outside { reason, .. } = piece {
-            tally.take(frame, &piece, SampleState::Hidden(reason, None));
+    /// Marks whatever hides samples, tile by tile; `None` if more care is needed.
+    fn hide_by_tiles(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
+        let FeatureQuery { frame, own, .. } = query;
+        let Workspace { polygons, tiles, near, .. } = workspace;
+        let count = self.by.len();
+        let end = self.by.iter().rposition(|by| *by == NONE).map_or(0, |last| last + 1);
+        let mut start = self.open_in(0..count);
+        while start < end {
+            let [first, last] = [start, end - 1].map(|sample| self.middle(sample));
+            let stop = match tiles.of(first).1.left_at(first, last) {
+                share if share < 1.0 => {
+                    let t = self.t(first) + share * (self.t(last) - self.t(first));
+                    (self.number(t) as usize + 1).clamp(start + 1, end)
+                }
+                _ => end,
+            };
+            for look in [Look::First, Look::All] {
+                let stretch = self.stretch(start..stop);
+                let farthest = stretch.ends[0].length().max(stretch.ends[1].length());
+                let (tile, has_all) = tiles.tile(frame, polygons, first, farthest, look);
+                tiles.between(tile, &stretch.ends, own, polygons, near);
+                for number in near.iter() {
+                    let known = polygons.get(*number);
+                    self.hide(known, polygons.planes_of(known), &stretch)?;
+                }
+                start = self.open_in(start..stop);
+                if has_all || start == stop {
+                    break;
+                }
+            }
+            start = self.open_in(stop..end);
         }
-    };
-    part.before(a, b, &mut |piece| outside(&mut tally, piece));
-    let nearest = part.number(foot(part));
-    let mut start = 0;
-    for run in by.chunk_by(|a, b| a == b) {
-        let end = start + run.len();
-        let ((t0, p0), (t1, p1)) = (part.bound(start), part.bound(end));
-        let state = match run[0] {
+        Some(())
+    }
+
+    /// Intervals and shares of the samples.
+    fn tally(&self, frame: &VisibilityContext<'_>) -> Tally {
+        let mut tally = Tally::default();
+        let state = |by: u32| match by {
             NONE => SampleState::Seen,
             slot => SampleState::Hidden(Reason::Occluded, Some(slot)),
         };
-        tally.take_run(state, run.len(), [t0, t1], [p0, p1]);
+        let foot = share_of_foot(self.ends[0], self.ends[1]);
+        for (part, first) in self.parts.iter().zip(&self.firsts) {
+            let first = *first as usize;
+            match part {
+                Part::Run(run) => take_run(&mut tally, frame, run, &self.by[first..first + run.count], foot),
+                Part::One(piece @ Piece::Inside(_)) => tally.take(frame, piece, state(self.by[first])),
+                Part::One(Piece::Outside { t, reason }) => {
+                    let piece = Piece::Outside { t: *t, reason: *reason };
+                    tally.take(frame, &piece, SampleState::Hidden(*reason, None));
+                }
+            }
+        }
+        tally
+    }
+}
+
+/// The samples of a run, and what hides each; `foot` is where the segment is nearest to the sensor.
+fn take_run(tally: &mut Tally, frame: &VisibilityContext<'_>, run: &Run, by: &[u32], foot: f64) {
+    let nearest = run.number(foot);
+    let (mut start, mut seen) = (0, 0);
+    for some in by.chunk_by(|a, b| a == b) {
+        let end = start + some.len();
+        let ((t0, p0), (t1, p1)) = (run.bound(start), run.bound(end));
+        let state = match some[0] {
+            NONE => SampleState::Seen,
+            slot => SampleState::Hidden(Reason::Occluded, Some(slot)),
+        };
+        tally.take_some(state, [t0, t1], [p0, p1], [0.0, some.len() as f64]);
         if state == SampleState::Seen {
+            seen += some.len();
             for i in [nearest.floor(), nearest.ceil()] {
-                tally.see_at(part.middle((i.max(0.0) as usize).clamp(start, end - 1)).0);
+                tally.see_at(run.middle((i.max(0.0) as usize).clamp(start, end - 1)).0);
             }
             if frame.options.feature_id {
-                (start..end).for_each(|i| tally.mark(frame, part.middle(i).1));
+                (start..end).for_each(|i| tally.mark(frame, run.middle(i).1));
             }
         }
         start = end;
     }
-    part.after(a, b, &mut |piece| outside(&mut tally, piece));
-    // Not of parts, which depend on which of several polygons is known to hide them.
-    tally.weigh(part.length, 0.0);
-    tally
+    // The sums are those of all, whichever of several polygons is known to hide a part.
+    tally.weigh(run.weight() * by.len() as f64, run.weight() * seen as f64);
 }

@@ -144,18 +144,11 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
 
 /// The polygons seen around a segment's image, each against all of the segment.
 fn image_along(line: Line, query: &FeatureQuery<'_>, samples: &mut Samples, workspace: &mut Workspace) {
-    let FeatureQuery { frame, own, .. } = query;
     let Workspace { polygons, candidates, .. } = workspace;
-    candidates.begin();
-    match query.hints {
-        Some(hints) => candidates.add_hints(frame, polygons, hints, own),
-        None => {
-            (0..samples.open.len()).for_each(|i| candidates.add_around(frame, polygons, samples.pixel_of(i), own));
-        }
-    }
+    candidates.propose(query, polygons, |add| (0..samples.open.len()).for_each(|i| add(samples.pixel_of(i))));
     for number in candidates.numbers() {
         let known = polygons.get(*number);
-        hide_along(known, polygons.planes_of(known), line, &mut samples.open, own.rounding());
+        hide_along(known, polygons.planes_of(known), line, &mut samples.open, query.own.rounding());
     }
 }
 

@@ -5,13 +5,13 @@
 //! it finds there only saves finding them again.
 
 use super::candidates::Candidates;
-use super::curved::CurvedSegment;
 use super::polygon::PolygonCache;
+use super::runs::SampledSegment;
 use super::samples::Samples;
 use super::surface::FeatureSurface;
 use super::tally::Tally;
 use super::tiles::Tiles;
-use super::{Visibility, VisibilityContext, area, curved, rays, runs, samples, whole};
+use super::{Visibility, VisibilityContext, area, rays, runs, samples, whole};
 use crate::environment::FeatureShape;
 use crate::features::FeatureStats;
 use glam::DVec3;
@@ -20,7 +20,7 @@ use glam::DVec3;
 pub(super) type Strategy = fn(&FeatureQuery<'_>, &mut Workspace) -> Option<Decision>;
 
 /// In the order in which they are tried. The last decides about every feature.
-const BY_IMAGE: [Strategy; 5] = [runs::decide, whole::decide, curved::decide, area::decide, samples::decide];
+const BY_IMAGE: [Strategy; 4] = [whole::decide, runs::decide, area::decide, samples::decide];
 
 /// A feature whose visibility is asked for.
 pub(super) struct FeatureQuery<'q> {
@@ -50,8 +50,8 @@ pub(super) struct Workspace {
     pub near: Vec<u32>,
     /// Memory for samples; empty while they are in use.
     pub samples: Samples,
-    /// Memory for a segment in a curved image; empty while it is in use.
-    pub curved: CurvedSegment,
+    /// Memory for a segment; empty while it is in use.
+    pub segment: SampledSegment,
 }
 
 impl Workspace {
@@ -62,7 +62,7 @@ impl Workspace {
             candidates: Candidates::default(),
             near: Vec::new(),
             samples: Samples::default(),
-            curved: CurvedSegment::default(),
+            segment: SampledSegment::default(),
         }
     }
 

@@ -96,20 +96,6 @@ impl Tally {
         self.seen[0] += seen;
     }
 
-    /// Takes several samples of a segment at once: how many, their part of the length and of the image.
-    pub fn take_run(&mut self, state: SampleState, count: usize, [t0, t1]: [f64; 2], pixels: [DVec2; 2]) {
-        self.inside[1] += count as f64;
-        self.last = None;
-        match state {
-            SampleState::Seen => {
-                self.seen[0] += pixels[0].distance(pixels[1]);
-                self.seen[1] += count as f64;
-                self.visible.push(VisibleInterval { t: [t0, t1], pixels });
-            }
-            SampleState::Hidden(reason, slot) => self.hidden.push(HiddenPart { t: [t0, t1], reason, slot }),
-        }
-    }
-
     /// Goes on with the next piece of a curve, which has the part `t` of its length.
     pub fn append(&mut self, piece: Self, [from, to]: [f64; 2]) {
         // Neighbours share a bound, exactly.

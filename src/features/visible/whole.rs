@@ -1,8 +1,9 @@
 //! Segments in the image of a scanner that are seen as a whole, or hidden as a whole: no sample is made of them.
 //!
 //! What polygons hide of a segment are intervals of a straight line in space, in closed form. If none hides anything, or some together
-//! all of it, clearly beyond rounding, its samples could say nothing else; in all other cases they are asked ([`super::curved`]).
+//! all of it, clearly beyond rounding, its samples could say nothing else; in all other cases they are asked ([`super::runs`]).
 
+use super::candidates::BLOCKS_APART;
 use super::polygon::PreparedPolygon;
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::Tally;
@@ -11,9 +12,6 @@ use crate::environment::FeatureShape;
 use crate::features::sample::{Part, Piece};
 use crate::features::{FeatureStats, Hidden, VisibleInterval};
 use glam::{DVec2, DVec3};
-
-/// How far apart are the blocks of three by three pixels along a segment that are looked through, pixels: as in [`super::runs`].
-const BLOCKS_APART: f64 = 24.0;
 
 /// By this part of a length or a share something has to be on one side, so that no rounding brings it to the other.
 const CLEARLY: f64 = 1e-12;
@@ -92,21 +90,15 @@ fn are_all(mut some: Vec<(f64, f64)>) -> bool {
 impl Segment {
     /// What polygons that the image shows along it hide; `None` if samples have to be asked.
     fn hidden_by_image(&self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Vec<(f64, f64)>> {
-        let FeatureQuery { frame, own, .. } = query;
+        let frame = query.frame;
         let Workspace { polygons, candidates, .. } = workspace;
-        candidates.begin();
-        if let Some(hints) = query.hints {
-            candidates.add_hints(frame, polygons, hints, own);
-        } else {
+        candidates.propose(query, polygons, |add| {
             let [a, b] = self.ends.map(|p| p / p.length());
             let angle = a.distance(b);
             let blocks = (angle / (BLOCKS_APART * frame.sampler.pixel_angle())).ceil().max(1.0);
-            for i in 0..=blocks as u32 {
-                if let Some(pixel) = frame.sensor.project(a.lerp(b, f64::from(i) / blocks)) {
-                    candidates.add_around(frame, polygons, pixel.into(), own);
-                }
-            }
-        }
+            let places = (0..=blocks as u32).map(|i| a.lerp(b, f64::from(i) / blocks));
+            places.filter_map(|p| frame.sensor.project(p)).for_each(|pixel| add(pixel.into()));
+        });
         let mut hidden = Vec::new();
         for number in candidates.numbers() {
             let known = polygons.get(*number);
