@@ -10,12 +10,12 @@ use crate::features::{FeatureOptions, PlacedFeatures, informations};
 use crate::free_poses::{height_above, is_clear};
 use crate::geometry::Pose;
 use crate::index::QueryResult;
-use crate::limits;
 use crate::plan::{Output, Outputs};
 use crate::predict::Predictor;
 use crate::request::Request;
 use crate::sensor::Sensor;
 use crate::world::World;
+use crate::{limits, memory};
 use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -25,6 +25,9 @@ pub const HEADINGS: u32 = 8;
 
 /// Of the information's determinant, beside what its diagonal makes: below this a direction is open.
 const OPEN: f64 = 1e-12;
+
+/// Bytes of views that are asked for at once.
+const A_LOT: u64 = 64 << 20;
 
 /// Where a layer is tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +95,8 @@ impl Worth {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for a spacing that is none, a grid of more places than [`limits::MAX_WORTH_PLACES`], or a sensor
-    /// without noise of its pixels; [`crate::ErrorKind::Invalid`] if no place is free; those of [`Predictor::predict`].
+    /// without noise of its pixels; [`crate::ErrorKind::Invalid`] if no place is free; [`crate::ErrorKind::System`] if there is no memory for
+    /// what all views show; those of [`Predictor::predict`].
     pub fn of(
         world: &World,
         sensor: &Sensor,
@@ -110,6 +114,7 @@ impl Worth {
         let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.clone()));
         let mut worth = Self { places: Vec::new(), size, given: placed.features.len(), views: Vec::new() };
         let count = free.len() * HEADINGS as usize;
+        let (mut held, mut granted) = (0, 0);
         for (cell, at) in free {
             let mut place = WorthPlace { at, cell, features: usize::MAX, position_sigma: 0.0, heading_sigma: 0.0 };
             for heading in 0..HEADINGS {
@@ -117,15 +122,23 @@ impl Worth {
                 let mount = Pose { translation: DVec3::ZERO, ..sensor.spec().mount };
                 let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
                 let seen = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
-                let told: Vec<(u32, Planar)> = informations(&seen, &placed.features, (world, sensor, &pose))
+                let mut told: Vec<(u32, Planar)> = informations(&seen, &placed.features, (world, sensor, &pose))
                     .into_iter()
                     .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
                     .collect();
+                // The list that it was made of, in place, was five times as long.
+                told.shrink_to_fit();
                 let [position, turn] = sigmas(&sum(told.iter().map(|(_, told)| told)));
                 place.features = place.features.min(told.len());
                 place.position_sigma = place.position_sigma.max(position);
                 place.heading_sigma = place.heading_sigma.max(turn);
+                held += size_of_val(&told[..]) as u64;
                 worth.views.push(told);
+                if held > granted {
+                    granted = 2 * held.max(A_LOT);
+                    let place = |e: Error| e.at(format!("view {} of {count}", worth.views.len()));
+                    memory::require(granted).map_err(place)?;
+                }
                 watch(worth.views.len(), count);
             }
             worth.places.push(place);

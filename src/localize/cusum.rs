@@ -80,6 +80,13 @@ impl Cusum {
         false
     }
 
+    /// Learns from a share if it knows of none yet: of a robot that was found just now, the next frame may be the one that is wrong.
+    pub(super) fn begin_with(&mut self, share: f64) {
+        if self.count == 0.0 {
+            self.add(share);
+        }
+    }
+
     /// The least share that is usual: so far below the mean that the sum begins to grow. `None` before the first share.
     pub(super) fn least_usual(&self) -> Option<f64> {
         let sigma = self.variance.sqrt().max(self.least_sigma);

@@ -65,10 +65,16 @@ impl Localizer {
         self.is_anew = true;
     }
 
-    pub(super) fn restart_tests(&mut self) {
+    /// For a robot that is followed from now on, with what was explained where it was found, and how many of the surfaces that were decided
+    /// on were confirmed.
+    pub(super) fn restart_tests(&mut self, explained: f64, standing: (usize, usize)) {
         (self.is_anew, self.disagreed, self.tracked, self.followed) = (false, 0, 0, None);
         self.explained.restart();
+        self.explained.begin_with(explained);
         self.standing.restart();
+        if standing.1 > 0 {
+            self.standing.begin_with(share(standing));
+        }
     }
 
     /// The next phase, and why. One frame that a coarse model does not explain speaks not against a pose that was given: there are places of
@@ -104,7 +110,7 @@ impl Localizer {
                 let agreeing = self.agreeing();
                 if self.agreed >= agreeing {
                     self.phase = Phase::Tracking;
-                    self.restart_tests();
+                    self.restart_tests(self.agreed_shares / self.agreed as f64, self.agreed_points);
                     return format!("{why}; {} frames in a row agree", self.agreed);
                 }
                 self.phase = Phase::Candidates;
@@ -125,7 +131,7 @@ fn tells_of_surfaces(estimate: &Estimate) -> bool {
 }
 
 /// How many measured surfaces are where the map has them, and how many are decided on.
-fn standing(estimate: &Estimate) -> (usize, usize) {
+pub(super) fn standing(estimate: &Estimate) -> (usize, usize) {
     let counts = estimate.verdicts.iter().map(Verdicts::counts);
     counts.fold((0, 0), |(confirmed, decided), n| {
         let c = n[Verdict::Confirmed as usize];

@@ -1,5 +1,6 @@
 //! From an unknown start to one pose: candidates are carried on by odometry until one of them leads and explains enough.
 
+use super::decide::standing;
 use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, Step, carried};
 use crate::error::Result;
@@ -87,12 +88,15 @@ impl Localizer {
                 return Ok(format!("{why}; a place elsewhere fits this frame better"));
             }
             self.phase = Phase::Tracking;
+            let found = self.candidates.swap_remove(0).estimate;
             self.candidates.clear();
-            self.restart_tests();
-            self.motion = Pose::IDENTITY;
             if returned {
                 self.explained.forget();
                 self.standing.forget();
+            }
+            self.restart_tests(found.explained, standing(&found));
+            self.motion = Pose::IDENTITY;
+            if returned {
                 return Ok(format!("{why}; the robot was followed to there: the map has changed"));
             }
             return Ok(why);

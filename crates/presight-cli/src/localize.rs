@@ -202,6 +202,9 @@ impl Drive {
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
         let log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?;
         let measured = log.sensor().clone();
+        if self.from.is_some_and(f64::is_nan) {
+            return Err(Error::usage("--from NaN", "give seconds"));
+        }
         let mut log = log
             .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
             .map(|o| o.and_then(|o| self.thinned(o)));
@@ -232,10 +235,14 @@ impl Drive {
             let Observation { frame, reference } = observation?;
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
             let beside: Vec<&Frame> = grey.iter().collect();
-            let mut step = localizer.step_together(&scene.world, &frame, &beside)?;
-            if may_search && step.phase == Phase::Lost {
-                localizer.search_everywhere(&scene.world, frame.sensor(), self.search()?)?;
+            let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(&self.log);
+            let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
+            if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
                 may_search = false;
+                let search = self.search_about(&step.pose)?;
+                if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
+                    print::notices(&[format!("the robot is looked for around its last pose only: {e}")]);
+                }
             }
             visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
@@ -318,6 +325,11 @@ impl Drive {
             let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
+        for (flag, sigma) in [("--init-sigma", self.init_sigma), ("--init-sigma-deg", self.init_sigma_deg)] {
+            if !(sigma > 0.0 && sigma.is_finite()) {
+                return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
+            }
+        }
         let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
         Ok(Localizer::new(estimator, prior, options))
     }
@@ -330,6 +342,12 @@ impl Drive {
         let floor_to = self.floor_to.unwrap_or(self.floor);
         let (floor, margin, surrounded) = (self.floor, self.margin, self.surrounded);
         Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
+    }
+
+    /// The whole map, at the height of a robot that was followed.
+    fn search_about(&self, pose: &Pose) -> Result<SearchOptions> {
+        let height = pose.translation.z;
+        Ok(SearchOptions { floor: height, floor_to: height, ..self.search()? })
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {

@@ -21,7 +21,7 @@ use crate::io::sensor_toml;
 use crate::io::text::read_line;
 use crate::sensor::{Sensor, SensorSpec};
 use glam::{DQuat, DVec3};
-use serde::de::{Deserialize, Deserializer, Visitor};
+use serde::de::{Deserialize, Deserializer, IgnoredAny, Visitor};
 use std::fmt;
 use std::fs::File;
 use std::io::{BufReader, Take};
@@ -46,6 +46,18 @@ struct Header {
     format: Option<i64>,
     kind: Option<String>,
     sensor: Option<String>,
+}
+
+/// A [`Header`] and nothing else.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WholeHeader {
+    #[serde(rename = "format")]
+    _format: IgnoredAny,
+    #[serde(rename = "kind")]
+    _kind: IgnoredAny,
+    #[serde(rename = "sensor")]
+    _sensor: Option<IgnoredAny>,
 }
 
 /// True for a line that names a format.
@@ -155,6 +167,8 @@ fn read_header(line: &str, path: &Path) -> Result<Sensor> {
     if header.kind.as_deref() != Some(KIND) {
         return Err(Error::invalid("it is the header of another kind of file", format!("write \"kind\": \"{KIND}\"")));
     }
+    // Only now: a newer format may have keys that this build cannot know.
+    serde_json::from_str::<WholeHeader>(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
     let text = header.sensor.ok_or_else(|| Error::invalid("sensor is missing", "give the text of a sensor file"))?;
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
     sensor_toml::parse(&text, &name, path.parent()).and_then(Sensor::new).map_err(|e| e.at("sensor"))

@@ -84,6 +84,10 @@ fn what_is_wrong_with_a_log_is_named() {
     };
     refused("nowhere", "0,0,1,0,0,0", 1, "nowhere");
     refused("log", "0,0,nan,0,0,0", 2, "--init");
+    for flag in ["--init-sigma=-1", "--init-sigma-deg=0", "--from=NaN"] {
+        let (name, _) = flag.split_once('=').unwrap();
+        refused("log", &format!("0,0,1,0,0,0 {flag}"), 2, name);
+    }
     fs::remove_file(place.path("log/poses.txt")).unwrap();
     refused("log", "reference", 2, "no poses");
     let images: Vec<_> = fs::read_dir(place.path("log/depth")).unwrap().map(|e| e.unwrap().path()).collect();

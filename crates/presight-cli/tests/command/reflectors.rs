@@ -106,8 +106,13 @@ fn what_does_not_fit_a_scanner_is_refused() {
     // A log cut in a line, and intensities of another sensor.
     let text = fs::read_to_string(place.path("log/scans.jsonl")).unwrap();
     place.write("cut.jsonl", &text.as_bytes()[..text.len() - 2000]);
+    place.write("key.jsonl", text.replacen("\"format\":1", "\"format\":1,\"x\":2", 1).as_bytes());
     place.write("loud.jsonl", text.replacen("\"intensities\":[null", "\"intensities\":[255", 1).as_bytes());
-    for (log, told) in [("cut.jsonl", "line 9: the line is cut"), ("loud.jsonl", "intensity 0: an intensity of 255")] {
+    for (log, told) in [
+        ("key.jsonl", "line 1: it is no header: unknown field `x`"),
+        ("cut.jsonl", "line 9: the line is cut"),
+        ("loud.jsonl", "intensity 0: an intensity of 255"),
+    ] {
         let refused = place.run(&line.replace("log/scans.jsonl", log));
         assert!(
             refused.status == Some(1) && refused.stderr.contains(told) && refused.stderr.contains(log),
