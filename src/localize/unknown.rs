@@ -96,10 +96,8 @@ impl Localizer {
             }
             self.restart_tests(found.explained, standing(&found));
             self.motion = Pose::IDENTITY;
-            if returned {
-                return Ok(format!("{why}; the robot was followed to there: the map has changed"));
-            }
-            return Ok(why);
+            let changed = "; the robot was followed to there: the map has changed";
+            return Ok(why + if returned { changed } else { "" });
         }
         if frames % options.least_frames.max(1) == 0 && lead < options.lead {
             // None of them may be right: a place that the first frame did not tell may fit this one better.

@@ -196,15 +196,15 @@ impl Drive {
         files: OutputFiles,
         mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
+        if self.from.is_some_and(f64::is_nan) {
+            return Err(Error::usage("--from NaN", "give seconds"));
+        }
         files.check_named([self.log.as_path(), self.map.as_path()])?;
         files.check_named(self.layers.iter().map(PathBuf::as_path))?;
         let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
         let log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?;
         let measured = log.sensor().clone();
-        if self.from.is_some_and(f64::is_nan) {
-            return Err(Error::usage("--from NaN", "give seconds"));
-        }
         let mut log = log
             .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
             .map(|o| o.and_then(|o| self.thinned(o)));

@@ -332,7 +332,7 @@ impl SampledSegment {
 /// The samples of a run, and what hides each; `foot` is where the segment is nearest to the sensor.
 fn take_run(tally: &mut Tally, frame: &VisibilityContext<'_>, run: &Run, by: &[u32], foot: f64) {
     let nearest = run.number(foot);
-    let (mut start, mut seen) = (0, 0);
+    let mut start = 0;
     for some in by.chunk_by(|a, b| a == b) {
         let end = start + some.len();
         let ((t0, p0), (t1, p1)) = (run.bound(start), run.bound(end));
@@ -342,7 +342,6 @@ fn take_run(tally: &mut Tally, frame: &VisibilityContext<'_>, run: &Run, by: &[u
         };
         tally.take_some(state, [t0, t1], [p0, p1], [0.0, some.len() as f64]);
         if state == SampleState::Seen {
-            seen += some.len();
             for i in [nearest.floor(), nearest.ceil()] {
                 tally.see_at(run.middle((i.max(0.0) as usize).clamp(start, end - 1)).0);
             }
@@ -352,6 +351,7 @@ fn take_run(tally: &mut Tally, frame: &VisibilityContext<'_>, run: &Run, by: &[u
         }
         start = end;
     }
-    // The sums are those of all, whichever of several polygons is known to hide a part.
-    tally.weigh(run.weight() * by.len() as f64, run.weight() * seen as f64);
+    // One by one: the sums are those of samples that are looked at by themselves, bit by bit, whichever of several polygons is known to hide a part.
+    let weight = run.weight();
+    by.iter().for_each(|by| tally.weigh(weight, if *by == NONE { weight } else { 0.0 }));
 }

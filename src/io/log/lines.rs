@@ -45,10 +45,9 @@ pub struct Lines {
 struct Header {
     format: Option<i64>,
     kind: Option<String>,
-    sensor: Option<String>,
 }
 
-/// A [`Header`] and nothing else.
+/// All that the header of this format may hold.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WholeHeader {
@@ -56,8 +55,7 @@ struct WholeHeader {
     _format: IgnoredAny,
     #[serde(rename = "kind")]
     _kind: IgnoredAny,
-    #[serde(rename = "sensor")]
-    _sensor: Option<IgnoredAny>,
+    sensor: Option<String>,
 }
 
 /// True for a line that names a format.
@@ -168,8 +166,9 @@ fn read_header(line: &str, path: &Path) -> Result<Sensor> {
         return Err(Error::invalid("it is the header of another kind of file", format!("write \"kind\": \"{KIND}\"")));
     }
     // Only now: a newer format may have keys that this build cannot know.
-    serde_json::from_str::<WholeHeader>(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
-    let text = header.sensor.ok_or_else(|| Error::invalid("sensor is missing", "give the text of a sensor file"))?;
+    let whole: WholeHeader =
+        serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
+    let text = whole.sensor.ok_or_else(|| Error::invalid("sensor is missing", "give the text of a sensor file"))?;
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
     sensor_toml::parse(&text, &name, path.parent()).and_then(Sensor::new).map_err(|e| e.at("sensor"))
 }
