@@ -126,7 +126,7 @@ impl Error {
 
     /// The file at fault, if there is one, becomes the place: what comes before it is then of whatever named the file.
     #[must_use]
-    pub(crate) fn in_place(mut self) -> Self {
+    pub fn in_place(mut self) -> Self {
         match self.0.file.take() {
             Some(named) => self.at(named.display()),
             None => self,
@@ -186,12 +186,12 @@ impl fmt::Display for Error {
 }
 
 /// A number for messages: in full where that is short, with a power of ten where it would take many digits.
-pub(crate) fn short(x: f64) -> String {
+pub fn short(x: f64) -> String {
     if x == 0.0 || !x.is_finite() || (1e-5..1e15).contains(&x.abs()) { x.to_string() } else { format!("{x:e}") }
 }
 
 /// [`short`] of the coordinates of a point.
-pub(crate) fn short_point(p: impl Into<[f64; 3]>) -> String {
+pub fn short_point(p: impl Into<[f64; 3]>) -> String {
     format!("[{}]", p.into().map(short).join(", "))
 }
 

@@ -132,7 +132,7 @@ pub(crate) fn height_above(world: &World, at: DVec3, reach: f64, found: &mut Que
 }
 
 /// True if no polygon is nearer than [`FREE_DISTANCE`].
-pub(crate) fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
+pub fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
     let environment = world.environment();
     found.clear();
     world.index().query(environment, &Region::ball(at, FREE_DISTANCE), found);

@@ -60,7 +60,7 @@ pub fn require(bytes: u64) -> Result<()> {
 ///
 /// # Errors
 /// [`ErrorKind::System`] if the system refuses.
-pub(crate) fn reserved<T>(len: usize) -> Result<Vec<T>> {
+pub fn reserved<T>(len: usize) -> Result<Vec<T>> {
     let mut vector = Vec::new();
     reserve(&mut vector, len)?;
     Ok(vector)
@@ -70,7 +70,7 @@ pub(crate) fn reserved<T>(len: usize) -> Result<Vec<T>> {
 ///
 /// # Errors
 /// [`ErrorKind::System`] if the system refuses.
-pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
+pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
     vector.try_reserve_exact(len.saturating_sub(vector.len())).map_err(|e| {
         let what = format!("the system refuses {} of memory", sized(len.saturating_mul(size_of::<T>()) as u64));
         Error::new(ErrorKind::System, what, REMEDY).caused_by(e)
@@ -140,14 +140,14 @@ pub fn of_meshes(triangles: impl Iterator<Item = u64>) -> u64 {
 }
 
 /// What so many triangles take in meshes: at worst, where no two are merged. Measured on wavy ground of 720,000 triangles.
-pub(crate) fn of_kept(triangles: u64) -> u64 {
+pub fn of_kept(triangles: u64) -> u64 {
     const KEPT: u64 = 100;
     KEPT.saturating_mul(triangles)
 }
 
 /// What meshes of so many triangles each take besides while they are built, so many of them at a time. Measured: 110 bytes a
 /// triangle of wavy ground, 160 where no two share a vertex.
-pub(crate) fn of_building(mut triangles: Vec<u64>, at_once: usize) -> u64 {
+pub fn of_building(mut triangles: Vec<u64>, at_once: usize) -> u64 {
     const BUILT: u64 = 140;
     triangles.sort_unstable_by(|a, b| b.cmp(a));
     let built = triangles.iter().take(at_once).fold(0u64, |sum, n| sum.saturating_add(*n));

@@ -105,7 +105,7 @@ impl World {
 
 /// As [`World::apply`]. Restored features are checked, too, with `restored_too`. The features `lost` (class, id) are known to
 /// have lost their surface and are not checked.
-pub(crate) fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(String, u32)]) -> Result<Change> {
+pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(String, u32)]) -> Result<Change> {
     let mut named = Vec::new();
     name_features(&change, restored_too, &mut named);
     if !lost.is_empty() {

@@ -97,7 +97,7 @@ impl Request {
     }
 
     /// The images that are drawn: those asked for, and what features are predicted from.
-    pub(crate) fn drawn(&self) -> ImageRequest {
+    pub fn drawn(&self) -> ImageRequest {
         let outputs = if self.features.is_some() { self.outputs.with(Output::PolygonId) } else { self.outputs };
         ImageRequest { outputs, ids: self.ids }
     }

@@ -72,7 +72,7 @@ impl Threads {
         Ok(self.pool()?.install(work))
     }
 
-    pub(crate) fn pool(&self) -> Result<Arc<ThreadPool>> {
+    pub fn pool(&self) -> Result<Arc<ThreadPool>> {
         match (&self.pool, self.count) {
             (Some(pool), _) => Ok(pool.clone()),
             (None, 0) => default_pool(),
@@ -111,7 +111,7 @@ impl Eq for Threads {}
 ///
 /// # Errors
 /// As [`Threads::new`], if these do not run yet.
-pub(crate) fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
+pub fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
     if rayon::current_thread_index().is_some() { Ok(work()) } else { Threads::SHARED.run(work) }
 }
 
@@ -135,7 +135,7 @@ pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
 /// # Errors
 /// As [`Threads::new`], if these do not run yet.
 #[cfg(feature = "store")]
-pub(crate) fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) -> Result<R> {
+pub fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) -> Result<R> {
     if rayon::current_thread_index().is_some() {
         return Ok(rayon::in_place_scope(work));
     }

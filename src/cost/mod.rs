@@ -21,10 +21,10 @@ mod key;
 mod model;
 mod unit_costs;
 
-pub(crate) use controller::{Controller, DeadlineFrame};
+pub use controller::{Controller, DeadlineFrame};
 pub use key::{Forecast, Key};
 pub use model::{CostModel, MAX_MODELS, TimeEstimate};
-pub(crate) use unit_costs::UnitCosts;
+pub use unit_costs::UnitCosts;
 
 /// What a frame consists of: every field counts one kind of work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

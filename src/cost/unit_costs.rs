@@ -27,7 +27,7 @@ const DEFAULTS: [f64; KINDS] = [1e-4, 5e-7, 5e-7, 2e-5, 2e-9, 2e-9, 5e-9, 2e-6, 
 
 /// Unit costs of one key.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct UnitCosts {
+pub struct UnitCosts {
     /// Seconds by kind of work, none below 0.
     pub seconds: [f64; KINDS],
     /// Sum of x x' over frames, x being counts times default costs by measured time; frames fade.

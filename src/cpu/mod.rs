@@ -87,7 +87,7 @@ impl CpuEngine {
     }
 
     /// Another one that hands no work to other threads, for a task on one of the pool's.
-    pub(crate) fn on_one_thread(&self) -> Self {
+    pub fn on_one_thread(&self) -> Self {
         let pool = self.pool.clone();
         Self {
             pool,

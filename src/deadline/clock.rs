@@ -93,11 +93,11 @@ impl Watch {
         self.stop.saturating_sub(self.elapsed())
     }
 
-    pub(crate) fn stop_later(&mut self, by: Duration) {
+    pub fn stop_later(&mut self, by: Duration) {
         self.stop_after(self.stop.saturating_add(by));
     }
 
-    pub(crate) fn stop_after(&mut self, stop: Duration) {
+    pub fn stop_after(&mut self, stop: Duration) {
         (self.stop, self.worked) = (stop, Arc::default());
         self.next = Arc::new(AtomicU64::new(self.spacing));
     }

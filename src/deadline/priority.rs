@@ -48,7 +48,7 @@ impl Priority {
 
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for a radius that is not above 0 and finite, and for a heading that is not finite.
-    pub(crate) fn check(&self) -> Result<()> {
+    pub fn check(&self) -> Result<()> {
         if !(self.least_radius > 0.0 && self.least_radius.is_finite()) {
             let what = format!("a least radius of {} m", self.least_radius);
             return Err(Error::usage(what, "give metres above 0, such as 2"));

@@ -6,16 +6,16 @@ use crate::plan::Raster;
 use crate::threads::Threads;
 
 #[cfg(feature = "gpu")]
-pub(crate) use with_gpu::{open_gpu, open_narrow_gpu};
+pub use with_gpu::{open_gpu, open_narrow_gpu};
 #[cfg(not(feature = "gpu"))]
-pub(crate) use without_gpu::{open_gpu, open_narrow_gpu};
+pub use without_gpu::{open_gpu, open_narrow_gpu};
 
 #[cfg(not(feature = "gpu"))]
 mod without_gpu {
     use super::*;
     use crate::error::{Error, ErrorKind};
 
-    pub(crate) fn open_gpu(_: &Threads, _hardware_only: bool, _: Raster) -> Result<Box<dyn Engine>> {
+    pub fn open_gpu(_: &Threads, _hardware_only: bool, _: Raster) -> Result<Box<dyn Engine>> {
         Err(Error::new(
             ErrorKind::NoDevice,
             "this presight was built without the GPU engine",
@@ -23,7 +23,7 @@ mod without_gpu {
         ))
     }
 
-    pub(crate) fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
+    pub fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
         open_gpu(threads, false, Raster::Compute)
     }
 }
@@ -39,14 +39,14 @@ mod with_gpu {
     use crate::verify::Precision;
 
     /// On the most capable adapter; on hardware or none, if asked.
-    pub(crate) fn open_gpu(threads: &Threads, hardware_only: bool, raster: Raster) -> Result<Box<dyn Engine>> {
+    pub fn open_gpu(threads: &Threads, hardware_only: bool, raster: Raster) -> Result<Box<dyn Engine>> {
         let options = DeviceOptions { hardware_only, raster, ..DeviceOptions::default() };
         let engine = gpu::GpuEngine::new(options)?;
         Ok(Box::new(engine.with_threads(threads.clone())))
     }
 
     /// With 32-bit keys, and every stage on the device.
-    pub(crate) fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
+    pub fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
         let setup = testing::Setup { all_on_device: true, ..testing::Setup::default() };
         let engine = testing::open(DeviceOptions { without_int64: true, ..DeviceOptions::default() }, setup)?;
         Ok(Box::new(engine.with_threads(threads.clone())))

@@ -2,7 +2,7 @@
 
 mod backend;
 
-pub(crate) use backend::open_gpu;
+pub use backend::open_gpu;
 
 use crate::cpu;
 use crate::deadline::DeadlineEngine;

@@ -11,7 +11,7 @@ const TOGETHER: usize = 8;
 const MOST: usize = 256;
 
 /// Eight positions, by axis.
-pub(crate) type Positions = [[f32; TOGETHER]; 3];
+pub type Positions = [[f32; TOGETHER]; 3];
 
 /// The vertices of a mesh by cluster.
 #[derive(Clone, Debug, Default)]

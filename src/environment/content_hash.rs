@@ -79,7 +79,7 @@ impl Environment {
 
 impl Material {
     /// The hash of all its properties.
-    pub(crate) fn content_hash(&self) -> ContentHash {
+    pub fn content_hash(&self) -> ContentHash {
         let mut to = Encoder::default();
         to.text(&self.name);
         to.f64s(&[self.reflection]);
@@ -98,7 +98,7 @@ impl Material {
 
 impl Mesh {
     /// The hash of vertices, polygons and materials; `material` gives the hash of the material of an index.
-    pub(crate) fn content_hash(&self, material: impl Fn(u16) -> ContentHash) -> ContentHash {
+    pub fn content_hash(&self, material: impl Fn(u16) -> ContentHash) -> ContentHash {
         let mut to = Encoder::default();
         to.text(self.name());
         to.count(self.vertices().len());

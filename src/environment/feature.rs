@@ -186,7 +186,7 @@ impl FeatureShape {
     }
 
     /// True of contours.
-    pub(crate) fn is_contour(&self) -> bool {
+    pub fn is_contour(&self) -> bool {
         matches!(self, Self::Contour { .. })
     }
 }

@@ -75,7 +75,7 @@ impl FeatureLayer {
     }
 
     /// Checks all but the features.
-    pub(crate) fn check_header(&self) -> Result<()> {
+    pub fn check_header(&self) -> Result<()> {
         if self.class.is_empty() {
             return Err(Error::invalid("the sensor class is empty", "name one, such as \"video\""));
         }
@@ -121,7 +121,7 @@ impl Feature {
 
     /// That a fiducial is of one of OpenCV's dictionaries. It is asked of what is new: stores may hold others from before it
     /// was.
-    pub(crate) fn check_dictionary(&self) -> Result<()> {
+    pub fn check_dictionary(&self) -> Result<()> {
         match &self.shape {
             FeatureShape::Fiducial { family, .. } if codes_of(family).is_none() => {
                 let place = format!("family {family:?}");

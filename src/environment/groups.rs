@@ -76,7 +76,7 @@ impl Environment {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is nothing at the path or below it.
-    pub(crate) fn frame_of(&self, path: &str) -> Result<Pose> {
+    pub fn frame_of(&self, path: &str) -> Result<Pose> {
         self.frame(path).ok_or_else(|| {
             let what = format!("there is no object {path:?}, and none below it");
             Error::invalid(what, "presight inspect lists the objects")
@@ -109,12 +109,12 @@ impl Environment {
     }
 
     /// The frame that a group was given.
-    pub(crate) fn group(&self, path: &str) -> Option<&Pose> {
+    pub fn group(&self, path: &str) -> Option<&Pose> {
         self.groups.get(path)
     }
 
     /// Every frame that a group was given, those too that nothing is below.
-    pub(crate) fn given_groups(&self) -> impl Iterator<Item = (&str, &Pose)> {
+    pub fn given_groups(&self) -> impl Iterator<Item = (&str, &Pose)> {
         self.groups.iter().map(|(path, pose)| (path.as_str(), pose))
     }
 
@@ -129,13 +129,13 @@ impl Environment {
     }
 
     /// True if an object is below a path.
-    pub(crate) fn has_below(&self, path: &str) -> bool {
+    pub fn has_below(&self, path: &str) -> bool {
         below(&self.names, path).next().is_some()
     }
 
     /// Takes the frames away that nothing is below, and those that the path above gives anyway: in models half of all nodes
     /// stand where their parent does.
-    pub(crate) fn settle_groups(&mut self) {
+    pub fn settle_groups(&mut self) {
         // Paths above come first.
         for (path, pose) in std::mem::take(&mut self.groups) {
             let inherited = above(&path).map_or(Pose::IDENTITY, |above| self.frame_at(above));
@@ -150,7 +150,7 @@ impl Environment {
     /// # Errors
     /// As [`Environment::set_frame`].
     #[cfg(feature = "store")]
-    pub(crate) fn restore_groups(&mut self, groups: Vec<(String, Pose)>) -> Result<()> {
+    pub fn restore_groups(&mut self, groups: Vec<(String, Pose)>) -> Result<()> {
         match groups.iter().find(|(path, _)| self.names.contains_key(path)) {
             Some((path, pose)) => self.set_frame(path, Some(*pose)).map(drop),
             None => {

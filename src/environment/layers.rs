@@ -91,12 +91,12 @@ impl Environment {
     }
 
     /// True if the id is that of a deleted feature.
-    pub(crate) fn is_retired(&self, class: &str, id: u32) -> bool {
+    pub fn is_retired(&self, class: &str, id: u32) -> bool {
         self.retired.get(class).is_some_and(|ids| ids.contains(&id))
     }
 
     /// Marks an id as that of a deleted feature.
-    pub(crate) fn retire(&mut self, class: &str, id: u32) {
+    pub fn retire(&mut self, class: &str, id: u32) {
         self.retired.entry(class.to_owned()).or_default().insert(id);
     }
 
@@ -153,7 +153,7 @@ impl Environment {
     }
 
     /// Deletes a feature, which is the answer; its id is never used again.
-    pub(crate) fn delete_feature(&mut self, class: &str, id: u32) -> Result<Feature> {
+    pub fn delete_feature(&mut self, class: &str, id: u32) -> Result<Feature> {
         let feature = self.take_feature(class, id).ok_or_else(|| no_feature(class, id))?;
         self.retire(class, id);
         Ok(feature)
@@ -196,7 +196,7 @@ impl Environment {
     }
 
     /// What goes with an object: by class, whether its pose has a covariance, and the ids of its features.
-    pub(crate) fn attached_to(&self, object: &str) -> Vec<(String, bool, Vec<u32>)> {
+    pub fn attached_to(&self, object: &str) -> Vec<(String, bool, Vec<u32>)> {
         if let Some(open) = &self.open {
             let of = |(class, layer): (&String, &OpenLayer)| {
                 (class.clone(), layer.covariance(object).is_some(), layer.of_object(object))

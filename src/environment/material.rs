@@ -43,7 +43,7 @@ impl Material {
         self.appearance.get(class).copied().unwrap_or_default()
     }
 
-    pub(crate) fn check(&self) -> Result<()> {
+    pub fn check(&self) -> Result<()> {
         if (0.0..=1.0).contains(&self.reflection) {
             return Ok(());
         }

@@ -39,7 +39,7 @@ pub enum PolygonOrder {
 
 /// A stored polygon: where its corners are, and its attributes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct PolygonRecord {
+pub struct PolygonRecord {
     pub first_corner: u32,
     pub source: u32,
     pub material: u16,
@@ -79,7 +79,7 @@ impl PolygonRecord {
 
 /// Polygons in one piece: records with their planes over one list of corners.
 #[derive(Debug, Default)]
-pub(crate) struct Parts {
+pub struct Parts {
     pub corners: Vec<u32>,
     pub records: Vec<PolygonRecord>,
     pub planes: Vec<Plane>,
@@ -163,13 +163,13 @@ impl Mesh {
     }
 
     /// Holds nothing.
-    pub(crate) fn empty(name: &str) -> Self {
+    pub fn empty(name: &str) -> Self {
         Self::assemble(name.to_owned(), Vec::new(), &Parts::default(), PolygonOrder::Given)
     }
 
     /// As [`Mesh::new`], of parts that were proven sound when they were made; only vertices in use are kept, in the
     /// order of their use.
-    pub(crate) fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
+    pub fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
         let mut mesh = Self::assemble(name, vertices, parts, order);
         let mut moved = vec![u32::MAX; mesh.vertices.len()];
         let mut kept = Vec::with_capacity(mesh.vertices.len());
@@ -225,7 +225,7 @@ impl Mesh {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the polygon or vertex: not finite, out of range, no area. That polygons are
     /// planar and convex was checked when the mesh was made.
-    pub(crate) fn restored(
+    pub fn restored(
         name: String,
         vertices: Vec<Vec3>,
         corners: Vec<u32>,
@@ -275,7 +275,7 @@ impl Mesh {
 
     /// The same polygons with other materials.
     #[cfg(any(feature = "script", feature = "store"))]
-    pub(crate) fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
+    pub fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
         let mut mesh = self.clone();
         mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
         mesh.materials = materials_of(&mesh.polygons);
@@ -288,7 +288,7 @@ impl Mesh {
     /// # Errors
     /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
     #[cfg(feature = "store")]
-    pub(crate) fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
+    pub fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
         let vertices = self.vertices.iter().map(|v| (turn * v.as_dvec3()).as_vec3()).collect();
         let mirrors = turn.determinant() < 0.0;
         let polygon = |p: &PolygonRecord| {
@@ -303,7 +303,7 @@ impl Mesh {
     }
 
     /// The order that its clusters show; where both have the same clusters it is [`PolygonOrder::Given`].
-    pub(crate) fn order(&self) -> PolygonOrder {
+    pub fn order(&self) -> PolygonOrder {
         let even = self.clusters.iter().enumerate().all(|(i, c)| c.first as usize == i * limits::CLUSTER_POLYGONS);
         if even { PolygonOrder::Given } else { PolygonOrder::Spatial }
     }
@@ -358,17 +358,17 @@ impl Mesh {
         self.bounds
     }
 
-    pub(crate) fn polygons(&self) -> &[PolygonRecord] {
+    pub fn polygons(&self) -> &[PolygonRecord] {
         &self.polygons
     }
 
-    pub(crate) fn all_corners(&self) -> &[u32] {
+    pub fn all_corners(&self) -> &[u32] {
         &self.corners
     }
 
     /// The cluster that holds a polygon, and its number. All are of about one size, so that a guess is off by few.
     #[inline(always)]
-    pub(crate) fn cluster_of(&self, polygon: u32) -> (usize, &Cluster) {
+    pub fn cluster_of(&self, polygon: u32) -> (usize, &Cluster) {
         let clusters = &self.clusters;
         let mut i = (u64::from(polygon) * clusters.len() as u64 / self.polygons.len() as u64) as usize;
         while clusters[i].first > polygon {
@@ -381,12 +381,12 @@ impl Mesh {
     }
 
     /// Made on the first call.
-    pub(crate) fn cluster_vertices(&self) -> &ClusterVertices {
+    pub fn cluster_vertices(&self) -> &ClusterVertices {
         let made = || ClusterVertices::new(&self.vertices, &self.corners, &self.polygons, &self.clusters);
         self.by_cluster.get_or_init(made)
     }
 
-    pub(crate) fn planes(&self) -> &[Plane] {
+    pub fn planes(&self) -> &[Plane] {
         &self.planes
     }
 
@@ -466,7 +466,7 @@ fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Pl
 
 /// The plane computed from the loop turned and reversed to a canonical start, so that coincident faces of either
 /// winding get the same bits up to the sign and their ties go to the lower id. `None` if it has no area.
-pub(crate) fn canonical_plane(n: usize, point: impl Fn(usize) -> DVec3) -> Option<Plane> {
+pub fn canonical_plane(n: usize, point: impl Fn(usize) -> DVec3) -> Option<Plane> {
     let key = |k: usize| point(k).to_array();
     let start = (1..n).fold(0, |least, k| if key(k) < key(least) { k } else { least });
     let (before, after) = (if start == 0 { n - 1 } else { start - 1 }, if start + 1 == n { 0 } else { start + 1 });

@@ -13,7 +13,7 @@ mod open;
 mod paths;
 mod revert;
 
-pub(crate) use cluster_vertices::Positions;
+pub use cluster_vertices::Positions;
 pub use content_hash::ContentHash;
 #[doc(hidden)]
 pub use cuboid::{CUBOID_FACES, cuboid_corners};
@@ -22,9 +22,9 @@ pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureSh
 pub use feature_check::check_covariance;
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
-pub(crate) use mesh::{Parts, PolygonRecord, canonical_plane};
-pub(crate) use paths::Paths;
-pub(crate) use revert::Revert;
+pub use mesh::{Parts, PolygonRecord, canonical_plane};
+pub use paths::Paths;
+pub use revert::Revert;
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Aabb, Pose};
@@ -271,7 +271,7 @@ impl Environment {
 
     /// Adds an object under the index and the slots that it had before; what lies between is gone for good.
     #[cfg(feature = "store")]
-    pub(crate) fn insert_at(&mut self, index: u32, first_slot: u32, new: NewObject) -> Result<()> {
+    pub fn insert_at(&mut self, index: u32, first_slot: u32, new: NewObject) -> Result<()> {
         let name = new.name.clone();
         if self.names.contains_key(&name) {
             return Err(Error::invalid(format!("two objects are named {name:?}"), ""));
@@ -282,7 +282,7 @@ impl Environment {
 
     /// Fills up with deleted objects, so that the next one gets this index and this slot.
     #[cfg(feature = "store")]
-    pub(crate) fn skip_to(&mut self, index: u32, slot: u32) -> Result<()> {
+    pub fn skip_to(&mut self, index: u32, slot: u32) -> Result<()> {
         let known = self.objects.len();
         if (index as usize) < known || slot < self.next_slot || index as usize > limits::MAX_OBJECTS {
             let what =
@@ -355,7 +355,7 @@ impl Environment {
     }
 }
 
-pub(crate) fn check_pose(pose: &Pose) -> Result<()> {
+pub fn check_pose(pose: &Pose) -> Result<()> {
     pose.check_as(ErrorKind::Invalid)
 }
 

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 /// The paths taken so far.
 #[derive(Debug, Default)]
-pub(crate) struct Paths {
+pub struct Paths {
     /// With the number that its next repetition may get: looking from 2 each time would take quadratic time.
     next: HashMap<String, u32>,
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 /// How one step of a change is taken back. Steps are reverted newest first, so that each meets what it left.
 #[derive(Clone, Debug)]
-pub(crate) enum Revert {
+pub enum Revert {
     /// The object added last is removed; a group of its path gets its frame back.
     Insert { frame: Option<Pose> },
     /// An object stands where it stood.

@@ -99,7 +99,7 @@ impl Estimate {
 ///
 /// `H^-1 (N + sum of A P A' + P0^-1) H^-1`: N is the residuals' own noise, A what a shared error pulls, P its covariance, P0 the
 /// prior's. `shared` gives P of a shared error.
-pub(crate) fn covariance(
+pub fn covariance(
     normal: &Normal,
     prior: Option<&Matrix>,
     freedom: Freedom,

@@ -55,7 +55,7 @@ pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use prior::Prior;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
-pub(crate) use solve::drawn;
+pub use solve::drawn;
 pub use solve::{EstimateOptions, Estimator};
 pub use surface::{SeenSurface, SurfaceSource};
 

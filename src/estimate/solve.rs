@@ -76,10 +76,10 @@ impl EstimateOptions {
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
-    pub(crate) predictor: Predictor,
+    pub predictor: Predictor,
     surfaces: Surfaces,
     features: FeatureOptions,
-    pub(crate) options: EstimateOptions,
+    pub options: EstimateOptions,
     /// Of the offsets of polygon groups.
     offsets: OffsetVariance,
     /// The prediction that the frame before ended with, and the version of the world that it is of.
@@ -542,7 +542,7 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
 }
 
 /// A pose drawn from the prior.
-pub(crate) fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+pub fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
     let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
     let mut motion = [0.0; 6];
     for (k, value) in values.iter().enumerate() {

@@ -97,7 +97,7 @@ impl Findings {
     }
 
     /// As if a feature had not been matched.
-    pub(crate) fn without(&self, id: u32) -> Self {
+    pub fn without(&self, id: u32) -> Self {
         let mut some = self.clone();
         let own = some.features.iter_mut().filter(|f| f.id == id);
         own.for_each(|f| f.class = FeatureClass::Undecidable);

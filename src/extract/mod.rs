@@ -39,7 +39,7 @@ pub use edges::{EdgeOptions, ExpectedEdge, FoundEdge, edges_near};
 pub use fiducials::FiducialFinder;
 pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
 pub use jumps::{JumpOptions, jumps_near};
-pub(crate) use reflectors::range_to;
+pub use reflectors::range_to;
 pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};
 pub use region::PixelBox;
 pub use surfaces::{FoundSurface, SurfaceOptions, surfaces_in};

@@ -294,7 +294,7 @@ fn middle((first, last): (i64, i64), is_open: impl Fn(i64, i64) -> bool) -> (f64
 
 /// The range at which a scanner of one row meets a point's vertical: a reflector stands upright, and reaches from its point to the row.
 /// Elsewhere the distance of the point. Image frame.
-pub(crate) fn range_to(sensor: &Sensor, p: glam::DVec3) -> f64 {
+pub fn range_to(sensor: &Sensor, p: glam::DVec3) -> f64 {
     match &sensor.spec().geometry {
         crate::Geometry::Scanner(scanner) if sensor.height() == 1 => {
             p.truncate().length() / scanner.rows_deg()[0].to_radians().cos().max(1e-6)

@@ -25,7 +25,7 @@ const MOST_ASKED: usize = 1 << 24;
 /// Keeps `most` of the features that are seen, and all that are not; returns how many were dropped. Information is weighted by
 /// existence and contrast (1 where unknown); of features that add the same the lower id is kept. `known` is the pose's covariance
 /// before (1 m and 1 rad where it says nothing), along the world's axes.
-pub(crate) fn choose(
+pub fn choose(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
     (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
@@ -53,7 +53,7 @@ pub(crate) fn choose(
 
 /// What each feature that is seen tells of the pose, by its number in the prediction: translation along the world's axes, rotation about
 /// them, weighted by existence and contrast (1 where unknown).
-pub(crate) fn informations(
+pub fn informations(
     prediction: &FeaturePrediction,
     placed: &[PlacedFeature],
     (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),

@@ -53,7 +53,7 @@ pub(super) fn rows_of_outline(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64
 }
 
 /// Columns of 360 degrees, whether or not the image has as many.
-pub(crate) fn turn(sensor: &Sensor) -> Option<f64> {
+pub fn turn(sensor: &Sensor) -> Option<f64> {
     match &sensor.spec().geometry {
         Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, .. }, .. }) if *step_deg != 0.0 => {
             Some(360.0 / step_deg.abs())

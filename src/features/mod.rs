@@ -5,7 +5,7 @@ mod choose;
 mod columns;
 mod contour;
 pub mod generate;
-pub(crate) mod normal;
+pub mod normal;
 mod options;
 mod place;
 mod prediction;
@@ -17,27 +17,27 @@ mod view;
 mod visible;
 
 #[cfg(feature = "gpu")]
-pub(crate) use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
+pub use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
 pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 #[doc(hidden)]
 pub use boxes::{BoxQuery, add_boxes};
-pub(crate) use choose::{choose, informations};
-pub(crate) use columns::turn;
-pub(crate) use contour::ContourSet;
+pub use choose::{choose, informations};
+pub use columns::turn;
+pub use contour::ContourSet;
 #[cfg(all(feature = "gpu", test))]
-pub(crate) use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
+pub use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 #[cfg(feature = "gpu")]
-pub(crate) use normal::{TAIL_STEPS, Tails};
+pub use normal::{TAIL_STEPS, Tails};
 pub use options::{FeatureOptions, FeatureSource, Hidden, PlacedFeatures};
-pub(crate) use place::lies_on;
+pub use place::lies_on;
 pub use place::place;
-pub(crate) use place::place_lying;
-pub(crate) use prediction::along;
+pub use place::place_lying;
+pub use prediction::along;
 pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
-pub(crate) use tree::{FeatureTree, check_placed};
-pub(crate) use visible::PreparedFeatures;
+pub use tree::{FeatureTree, check_placed};
+pub use visible::PreparedFeatures;
 pub use visible::{FeatureSamples, OcclusionHint, Visibility};
 #[doc(hidden)]
 pub use visible::{FeatureSettings, predict_features};

@@ -4,12 +4,12 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use std::sync::OnceLock;
 
 /// P(X > x) of a standard normal X.
-pub(crate) fn tail(x: f64) -> f64 {
+pub fn tail(x: f64) -> f64 {
     0.5 * libm::erfc(x * FRAC_1_SQRT_2)
 }
 
 /// The x with P(X > x) = p, for p in (0, 1).
-pub(crate) fn tail_quantile(p: f64) -> f64 {
+pub fn tail_quantile(p: f64) -> f64 {
     let (mut low, mut high) = (-40.0, 40.0);
     for _ in 0..80 {
         let middle = 0.5 * (low + high);
@@ -23,19 +23,19 @@ pub(crate) fn tail_quantile(p: f64) -> f64 {
 /// P(X > x) = M(x) exp(-x^2 / 2), with Mills' ratio M smooth. For equal thresholds and correlation rho >= 0 Owen's function
 /// (Owen 1956; Drezner and Wesolowsky 1990 for other forms) gives P(X > x and Y > x) = P(X > x) s(x, a), with
 /// a = sqrt((1 - rho) / (1 + rho)) and s = 1 - (1 / (pi M(x))) int_0^a exp(-x^2 t^2 / 2) / (1 + t^2) dt.
-pub(crate) struct Tails {
+pub struct Tails {
     /// M, then s at a = 0 .. 1, by rows of x.
     rows: Vec<[f64; TAIL_COLUMNS]>,
 }
 
 /// Steps of a.
-pub(crate) const TAIL_CELLS: usize = 64;
+pub const TAIL_CELLS: usize = 64;
 /// Numbers of a row.
-pub(crate) const TAIL_COLUMNS: usize = TAIL_CELLS + 2;
+pub const TAIL_COLUMNS: usize = TAIL_CELLS + 2;
 /// Rows a unit of x.
-pub(crate) const TAIL_STEPS: f64 = 8.0;
+pub const TAIL_STEPS: f64 = 8.0;
 /// Rows; the last is for 9 standard deviations.
-pub(crate) const TAIL_ROWS: usize = 73;
+pub const TAIL_ROWS: usize = 73;
 
 impl Tails {
     /// The one table.
@@ -100,7 +100,7 @@ impl Tails {
 }
 
 /// How far apart two directions are: the tangent of half their angle.
-pub(crate) fn apart(rho: f64) -> f64 {
+pub fn apart(rho: f64) -> f64 {
     ((1.0 - rho).max(0.0) / (1.0 + rho)).sqrt()
 }
 

@@ -139,7 +139,7 @@ pub struct SeenFeature {
 
 impl SeenFeature {
     /// The pieces of a segment or curve, in the world, in an interval of its length.
-    pub(crate) fn along(&self, t: [f64; 2]) -> Vec<[DVec3; 2]> {
+    pub fn along(&self, t: [f64; 2]) -> Vec<[DVec3; 2]> {
         along(&self.points_world, t)
     }
 
@@ -189,7 +189,7 @@ impl SeenFeature {
 }
 
 /// The pieces of a line through points in an interval of its length, from 0 to 1.
-pub(crate) fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
+pub fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
     if let [a, b] = *points {
         let at = |t: f64| a + t * (b - a);
         return vec![[at(from), at(to)]];

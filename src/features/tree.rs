@@ -15,7 +15,7 @@ const LEAF: usize = 8;
 
 /// Features by where they are, and by the polygons that they lie on.
 #[derive(Debug)]
-pub(crate) struct FeatureTree {
+pub struct FeatureTree {
     pub groups: Vec<Group>,
     pub nodes: Vec<Node>,
     /// Numbers of features. Those of a node are neighbours.
@@ -30,14 +30,14 @@ pub(crate) struct FeatureTree {
 
 /// The features of one object, or of the world.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Group {
+pub struct Group {
     pub object: Option<u32>,
     pub root: u32,
 }
 
 /// A box around some features, in the frame of their object.
 #[derive(Clone, Debug)]
-pub(crate) struct Node {
+pub struct Node {
     pub bounds: Aabb,
     /// Places in `order`.
     pub some: Range<u32>,
@@ -106,7 +106,7 @@ fn split(boxes: &[Aabb], order: &mut [u32], first: u32, nodes: &mut Vec<Node>) {
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming the first feature of which one does not.
-pub(crate) fn check_placed(environment: &Environment, placed: &[PlacedFeature]) -> Result<()> {
+pub fn check_placed(environment: &Environment, placed: &[PlacedFeature]) -> Result<()> {
     let objects = environment.objects().len();
     for p in placed {
         let slot = p.slots.iter().find(|slot| environment.locate(**slot).is_none());

@@ -44,7 +44,7 @@ impl GreyImage {
     }
 
     /// One pixel's value. Panics outside of the image.
-    pub(crate) fn pixel(&self, column: u32, row: u32) -> f32 {
+    pub fn pixel(&self, column: u32, row: u32) -> f32 {
         self.values[row as usize * self.width as usize + column as usize]
     }
 
@@ -62,7 +62,7 @@ impl GreyImage {
     }
 
     /// Adds to each sum what is at a place, and one step further at the next; as [`GreyImage::at`], NaN outside.
-    pub(crate) fn add_along(&self, first: DVec2, step: DVec2, sums: &mut [f64]) {
+    pub fn add_along(&self, first: DVec2, step: DVec2, sums: &mut [f64]) {
         let (w, h) = (self.width as usize, self.height as usize);
         let last = DVec2::new(w as f64 - 1.0, h as f64 - 1.0);
         for (k, sum) in sums.iter_mut().enumerate() {

@@ -256,7 +256,7 @@ impl Frame {
 }
 
 /// That intensities are 0 to 1 or NaN; names the first that is not.
-pub(crate) fn check_intensities(values: &[f32]) -> Result<()> {
+pub fn check_intensities(values: &[f32]) -> Result<()> {
     let is_none = |v: &f32| !v.is_nan() && !(0.0..=1.0).contains(v);
     let Some(at) = values.iter().position(is_none) else { return Ok(()) };
     let remedy = match values[at] {

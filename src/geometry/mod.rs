@@ -6,7 +6,7 @@ mod pose;
 mod trig;
 
 pub use aabb::Aabb;
-pub(crate) use plane::plane_of_loop;
+pub use plane::plane_of_loop;
 pub use plane::{Plane, plane_of_polygon};
 pub use pose::Pose;
 pub use trig::{quat_deg, rotation_deg, sin_cos_deg, sin_cos_of_turn};

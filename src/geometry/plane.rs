@@ -22,7 +22,7 @@ pub fn plane_of_polygon(vertices: &[DVec3]) -> Option<Plane> {
 }
 
 /// [`plane_of_polygon`] of the `count` vertices that `vertex` gives for 0, 1 and so on.
-pub(crate) fn plane_of_loop(count: usize, vertex: impl Fn(usize) -> DVec3) -> Option<Plane> {
+pub fn plane_of_loop(count: usize, vertex: impl Fn(usize) -> DVec3) -> Option<Plane> {
     if count == 0 {
         return None;
     }

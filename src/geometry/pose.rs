@@ -68,7 +68,7 @@ impl Pose {
     }
 
     /// [`Pose::check`] with another kind of error.
-    pub(crate) fn check_as(&self, kind: ErrorKind) -> Result<()> {
+    pub fn check_as(&self, kind: ErrorKind) -> Result<()> {
         let Self { rotation, translation } = self;
         // As exact as quaternions are written, so that reading one never has to change its bits.
         let (rule, remedy) = if !translation.is_finite() || !rotation.is_finite() {
@@ -96,7 +96,7 @@ impl Pose {
 
     /// The rigid part of a transform: its origin, its x axis, and its y axis as far as that is square to x. What remains
     /// is scale, mirror and shear. Not finite where an axis has no length.
-    pub(crate) fn rigid_part(transform: &DAffine3) -> Self {
+    pub fn rigid_part(transform: &DAffine3) -> Self {
         let m = transform.matrix3;
         // Gram-Schmidt, right-handed; a mirror stays in the remainder.
         let x = m.x_axis.normalize();

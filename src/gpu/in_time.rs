@@ -24,7 +24,7 @@ const ROUNDING: f32 = 1.0 / 256.0;
 
 impl GpuEngine {
     /// What it is to deadlines; `None` on a device without 64-bit atomics, where ids need a second pass over all polygons.
-    pub(crate) fn with_deadline(&self) -> Option<DeadlineEngine> {
+    pub fn with_deadline(&self) -> Option<DeadlineEngine> {
         let threads = if self.software { self.threads.count().unwrap_or(1) } else { 0 };
         let adapter = Some(self.gpu.adapter.to_string());
         self.gpu.int64.then_some(DeadlineEngine { name: "gpu", adapter, threads, draws_parts: false })

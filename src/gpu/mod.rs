@@ -257,7 +257,7 @@ impl GpuEngine {
     }
 
     /// What it has done and made on the device since it was opened.
-    pub(crate) fn work(&self) -> Work {
+    pub fn work(&self) -> Work {
         self.gpu.work()
     }
 

@@ -10,14 +10,14 @@ use std::ops::Range;
 
 /// Nodes in preorder.
 #[derive(Clone, Debug)]
-pub(crate) struct MeshTree {
+pub struct MeshTree {
     nodes: Vec<Node>,
     /// Of polygons, eight by eight.
     boxes: Vec<Boxes8>,
 }
 
 /// Boxes of a mesh's polygons, eight by eight.
-pub(crate) struct PolygonBoxes(Vec<Boxes8>);
+pub struct PolygonBoxes(Vec<Boxes8>);
 
 impl PolygonBoxes {
     /// Of none so far.

@@ -31,7 +31,7 @@ pub use sector::{Rect, Sector};
 pub use skd::Skd;
 pub use world_index::{ObjectRun, WorldIndex};
 #[cfg(feature = "store")]
-pub(crate) use {
+pub use {
     mesh_tree::{MeshTree, PolygonBoxes},
     world_index::Trees,
 };

@@ -44,7 +44,7 @@ enum Kind {
 }
 
 /// Trees of meshes, known by their address.
-pub(crate) type Trees = HashMap<*const Mesh, Arc<MeshTree>>;
+pub type Trees = HashMap<*const Mesh, Arc<MeshTree>>;
 
 /// Neighbouring polygons of one cluster of an object's mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,7 +66,7 @@ impl WorldIndex {
     }
 
     /// As [`WorldIndex::new`]; a scheme that has trees for meshes takes those that are there.
-    pub(crate) fn with_trees(environment: &Environment, scheme: Scheme, params: Params, trees: &Trees) -> Self {
+    pub fn with_trees(environment: &Environment, scheme: Scheme, params: Params, trees: &Trees) -> Self {
         let kind = match scheme {
             Scheme::None => Kind::None,
             Scheme::TwoLevel => two_level(environment, params, trees),

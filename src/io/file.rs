@@ -46,7 +46,7 @@ pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
 }
 
 /// All of an opened file, if it is at most `limit` bytes.
-pub(crate) fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
+pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     let too_large = || {
         let remedy = format!("{limit} are the limit: give less, or several files");
         let what = match file.limit() {

@@ -9,10 +9,10 @@ pub mod costs;
 pub mod depth_folder;
 pub mod exr;
 mod faults;
-pub(crate) mod file;
+pub mod file;
 pub mod forms;
 pub mod gltf;
-pub(crate) mod inputs;
+pub mod inputs;
 pub mod layer;
 mod load;
 pub mod log;
@@ -33,8 +33,8 @@ pub mod series;
 #[cfg(feature = "store")]
 pub mod store;
 pub mod templates;
-pub(crate) mod temporary;
-pub(crate) mod text;
+pub mod temporary;
+pub mod text;
 pub mod tum;
 
 pub use load::{load_sensor, preset};

@@ -75,7 +75,7 @@ pub struct Candidate {
     /// Frames that it was compared with.
     pub frames: usize,
     /// What the estimator said of the latest frame.
-    pub(crate) estimate: Estimate,
+    pub estimate: Estimate,
 }
 
 /// The free places of one version of a world, and what a sensor sees from them.
@@ -205,7 +205,7 @@ impl Search {
     }
 
     /// Log-likelihoods of a frame at candidates whose estimates are of this frame: by its ranges, and by the reflectors that they explain.
-    pub(crate) fn weigh(
+    pub fn weigh(
         &self,
         estimator: &mut Estimator,
         world: &World,
@@ -275,7 +275,7 @@ fn round_views(
 }
 
 /// Candidates, the likeliest first, without those that came to rest where a likelier one did.
-pub(crate) fn distinct(mut found: Vec<Candidate>) -> Vec<Candidate> {
+pub fn distinct(mut found: Vec<Candidate>) -> Vec<Candidate> {
     found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
     let mut kept: Vec<Candidate> = Vec::new();
     for candidate in found {
@@ -287,7 +287,7 @@ pub(crate) fn distinct(mut found: Vec<Candidate>) -> Vec<Candidate> {
 }
 
 /// Within what one estimate is off from the next.
-pub(crate) fn is_same(a: &Pose, b: &Pose) -> bool {
+pub fn is_same(a: &Pose, b: &Pose) -> bool {
     (a.translation - b.translation).length() < 0.3 && a.rotation.angle_between(b.rotation) < 0.1
 }
 

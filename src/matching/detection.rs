@@ -53,7 +53,7 @@ impl Shape {
     }
 
     /// True unless the points are too many, too few, not finite, or in one place.
-    pub(crate) fn check(&self) -> Result<(), Rejection> {
+    pub fn check(&self) -> Result<(), Rejection> {
         if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {
             return Err(Rejection::NotFinite);
         }

@@ -61,7 +61,7 @@ impl Gate {
 }
 
 /// A detection's covariance, no smaller than any extractor's is.
-pub(crate) fn floored(covariance: DMat2) -> DMat2 {
+pub fn floored(covariance: DMat2) -> DMat2 {
     covariance + DMat2::from_diagonal(DVec2::splat(FLOOR))
 }
 
@@ -70,12 +70,12 @@ fn variance_along(direction: DVec2, covariance: DMat2) -> f64 {
 }
 
 /// The multiple of `turn` to add to a column of a detection at `x` to bring it nearest to `near`.
-pub(crate) fn unwrap(turn: Option<f64>, near: f64, x: f64) -> f64 {
+pub fn unwrap(turn: Option<f64>, near: f64, x: f64) -> f64 {
     turn.map_or(0.0, |turn| turn * ((near - x) / turn).round())
 }
 
 /// How far one direction is from another, modulo pi, -pi/2..pi/2.
-pub(crate) fn turn_apart(a: f64, b: f64) -> f64 {
+pub fn turn_apart(a: f64, b: f64) -> f64 {
     let apart = (a - b) / PI;
     PI * (apart - apart.round())
 }
@@ -255,7 +255,7 @@ impl SegmentPair {
 
 /// What was measured of one defining point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Aligned {
+pub struct Aligned {
     /// Where.
     pub at: DVec2,
     /// How well.
@@ -266,7 +266,7 @@ pub(crate) struct Aligned {
 
 /// What a detection says about each of the expected shape's defining points, in their order. A sliding end is known to `slide`
 /// pixels along its segment.
-pub(crate) fn align(
+pub fn align(
     expected: &ExpectedFeature,
     found: &Detection,
     noise: f64,

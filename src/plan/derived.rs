@@ -46,7 +46,7 @@ impl FramePlan {
     }
 
     /// [`FramePlan::finish`], which also records its cost and the bytes of all images.
-    pub(crate) fn finish_noting(&self, images: &mut Images, stats: &mut Stats) -> Result<()> {
+    pub fn finish_noting(&self, images: &mut Images, stats: &mut Stats) -> Result<()> {
         self.derive(images, |name, start| stats.stage(name, start))?;
         stats.work.image_bytes = images.bytes();
         Ok(())

@@ -182,7 +182,7 @@ impl Images {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
-    pub(crate) fn try_prepare(&mut self, width: u32, height: u32, outputs: Outputs) -> Result<()> {
+    pub fn try_prepare(&mut self, width: u32, height: u32, outputs: Outputs) -> Result<()> {
         let pixels = width as usize * height as usize;
         let mut wanted = Output::ALL.into_iter().filter(|o| outputs.has(*o));
         wanted.try_for_each(|output| self.samples_mut(output).reserve(pixels))?;
@@ -194,7 +194,7 @@ impl Images {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
-    pub(crate) fn with_room(pixels: usize, outputs: Outputs) -> Result<Self> {
+    pub fn with_room(pixels: usize, outputs: Outputs) -> Result<Self> {
         let mut images = Self::default();
         outputs.iter().try_for_each(|output| images.samples_mut(output).reserve(pixels))?;
         Ok(images)
@@ -221,14 +221,14 @@ impl Images {
 
     /// Whether a sample is not there, of a prediction that gave something up (without that it is one that sees nothing or has no
     /// ray): its floats are NaN and its ids 0.
-    pub(crate) fn is_open(&self, at: usize) -> bool {
+    pub fn is_open(&self, at: usize) -> bool {
         Output::WITH_FEATURES.into_iter().filter_map(|o| self.samples(o)).all(|samples| samples.is_open(at))
     }
 
     /// Leaves every sample open that something beyond `complete_to` metres may hide, by the range image, and returns how many those
     /// are. What is nearer than `range_min` is nearer than anything beyond it.
     #[cfg(feature = "gpu")]
-    pub(crate) fn leave_open(&mut self, complete_to: f64, range_min: f64) -> u64 {
+    pub fn leave_open(&mut self, complete_to: f64, range_min: f64) -> u64 {
         let is_final = |range: f32| match range {
             f32::NEG_INFINITY => range_min <= complete_to,
             range => range.is_nan() || f64::from(range) <= complete_to,
@@ -248,7 +248,7 @@ impl Images {
     }
 
     /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is.
-    pub(crate) fn spread(&mut self, part: &Self, which: &ImagePart, sensor: &Sensor) -> Result<u64> {
+    pub fn spread(&mut self, part: &Self, which: &ImagePart, sensor: &Sensor) -> Result<u64> {
         let (width, height) = (sensor.width(), sensor.height());
         self.try_prepare(width, height, part.outputs())?;
         fn spread<T: Copy>(to: &mut [T], from: &[T], nothing: T, width: u32, which: &ImagePart) {

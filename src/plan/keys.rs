@@ -12,7 +12,7 @@ enum PixelContent {
 }
 
 /// The polygon of a slot, as pixels show it.
-pub(crate) struct KeySurface {
+pub struct KeySurface {
     /// From the sensor to its plane, metres.
     pub distance: f32,
     /// Object and source as the id images number them, from 1.
@@ -21,7 +21,7 @@ pub(crate) struct KeySurface {
 }
 
 /// Keys of all rays, and what they were drawn with.
-pub(crate) struct Keys<'a> {
+pub struct Keys<'a> {
     pub plan: &'a FramePlan,
     /// Column and row of the first pixel from the principal point, and focal lengths, pixels; for cameras.
     pub first: [f32; 2],
@@ -141,7 +141,7 @@ fn put<T>(image: &mut [T], index: usize, value: T) {
 }
 
 /// Fills the images that are there, with the surfaces of slots; returns the number of hits without an id.
-pub(crate) fn resolve_keys(
+pub fn resolve_keys(
     keys: &Keys<'_>,
     surface_of: &(impl Fn(u32) -> KeySurface + Sync),
     images: &mut Images,

@@ -15,7 +15,7 @@ mod weighing;
 
 pub use images::{Images, Samples, SamplesMut};
 #[cfg(feature = "gpu")]
-pub(crate) use keys::{KeySurface, Keys, resolve_keys};
+pub use keys::{KeySurface, Keys, resolve_keys};
 pub use names::{CountName, Part, StageName};
 pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
 pub use polygons::PolygonsOfIds;
@@ -52,7 +52,7 @@ pub struct Instance {
     /// Frobenius norms of these two.
     pub(crate) norms: [f64; 2],
     /// The linear part mirrors.
-    pub(crate) mirrors: bool,
+    pub mirrors: bool,
     /// True if all materials of the mesh are opaque to the sensor's class and two-sided, so that engines need not look at them.
     pub plain: bool,
 }
@@ -116,7 +116,7 @@ impl Run {
 }
 
 /// Why engines have nothing to do.
-pub(crate) const NOTHING_IN_VIEW: &str = "no polygon is in view";
+pub const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
 /// What a material is to the sensor's class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -153,15 +153,15 @@ pub struct FramePlan {
     /// Objects in view that the sensor's class cannot see.
     pub objects_not_opaque: usize,
     /// The clock that drawing stops by, if there is a deadline.
-    pub(crate) watch: Option<Watch>,
+    pub watch: Option<Watch>,
     /// Metres: the radius to which the runs were cut for the deadline, if they were.
-    pub(crate) radius: Option<f32>,
+    pub radius: Option<f32>,
     /// The part of the image that is drawn, if it is not all of it.
-    pub(crate) part: Option<ImagePart>,
+    pub part: Option<ImagePart>,
     /// What drawing takes, if that is known: the image may be thinned by it.
-    pub(crate) pace: Option<Pace>,
+    pub pace: Option<Pace>,
     /// Engines may begin with what the sensor's last frame showed.
-    pub(crate) reuse_visible: bool,
+    pub reuse_visible: bool,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -169,7 +169,7 @@ pub struct FramePlan {
 
 /// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Pace {
+pub struct Pace {
     pub wave: f64,
     pub polygon: f64,
     /// For each pixel of the boxes around the images of polygons.
@@ -189,7 +189,7 @@ impl Pace {
 
 /// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
 #[derive(Debug, Default)]
-pub(crate) struct PlanBuffers {
+pub struct PlanBuffers {
     instances: Vec<Instance>,
     runs: Vec<Run>,
     facings: Vec<Facing>,
@@ -212,7 +212,7 @@ impl FramePlan {
     }
 
     /// As [`FramePlan::new`], in the memory of another plan.
-    pub(crate) fn within(
+    pub fn within(
         buffers: PlanBuffers,
         world: &World,
         sensor: &Sensor,
@@ -258,7 +258,7 @@ impl FramePlan {
     }
 
     /// Keeps the nearest `runs` only.
-    pub(crate) fn cut(&mut self, runs: usize) {
+    pub fn cut(&mut self, runs: usize) {
         let Some(first_out) = self.runs.get(runs) else { return };
         self.radius = Some(first_out.nearest_below());
         self.runs.truncate(runs);
@@ -266,12 +266,12 @@ impl FramePlan {
     }
 
     /// Time since the call; zero without a deadline.
-    pub(crate) fn elapsed(&self) -> Duration {
+    pub fn elapsed(&self) -> Duration {
         self.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed)
     }
 
     /// Metres: no polygon beyond the first `done` runs is nearer.
-    pub(crate) fn nearest_after(&self, done: usize) -> f32 {
+    pub fn nearest_after(&self, done: usize) -> f32 {
         match self.runs.get(done) {
             Some(run) => run.nearest_below(),
             None => self.radius.unwrap_or(f32::INFINITY),
@@ -279,7 +279,7 @@ impl FramePlan {
     }
 
     /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
-    pub(crate) fn narrow(&mut self, part: ImagePart) -> Result<()> {
+    pub fn narrow(&mut self, part: ImagePart) -> Result<()> {
         let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
         let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
         self.fill(&region);
@@ -293,7 +293,7 @@ impl FramePlan {
     }
 
     /// The same of a part of the image, that has so much more time to be drawn.
-    pub(crate) fn of_part(&self, part: ImagePart, more: Duration) -> Result<Self> {
+    pub fn of_part(&self, part: ImagePart, more: Duration) -> Result<Self> {
         let mut watch = self.watch.clone();
         watch.iter_mut().for_each(|watch| watch.stop_later(more));
         Ok(Self {
@@ -334,7 +334,7 @@ impl FramePlan {
     }
 
     /// Gives up the plan for its memory.
-    pub(crate) fn into_buffers(self) -> PlanBuffers {
+    pub fn into_buffers(self) -> PlanBuffers {
         let Self { instances, runs, facings, found, selected, .. } = self;
         PlanBuffers { instances, runs, facings, found, selected }
     }

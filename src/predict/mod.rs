@@ -207,7 +207,7 @@ impl Predictor {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if they cannot be started.
-    pub(crate) fn task_threads(&mut self) -> Result<Threads> {
+    pub fn task_threads(&mut self) -> Result<Threads> {
         self.threads = self.threads.started()?;
         Ok(self.threads.clone())
     }

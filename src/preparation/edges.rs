@@ -6,24 +6,24 @@
 use super::{Triangle, TriangleMesh};
 
 /// No half-edge.
-pub(crate) const NONE: u32 = u32::MAX;
+pub const NONE: u32 = u32::MAX;
 
 /// Half-edges ordered so that those over the same two vertices stand together.
-pub(crate) struct Edges<'a> {
+pub struct Edges<'a> {
     triangles: &'a [Triangle],
     /// By lower vertex; upper vertex in the high half, half-edge in the low one.
     sorted: Vec<u64>,
 }
 
 /// First and second vertex of a half-edge.
-pub(crate) fn ends(triangles: &[Triangle], half_edge: u32) -> (u32, u32) {
+pub fn ends(triangles: &[Triangle], half_edge: u32) -> (u32, u32) {
     let corners = triangles[half_edge as usize / 3].corners;
     let k = half_edge as usize % 3;
     (corners[k], corners[if k == 2 { 0 } else { k + 1 }])
 }
 
 /// The vertex of its triangle that a half-edge does not touch.
-pub(crate) fn opposite(triangles: &[Triangle], half_edge: u32) -> u32 {
+pub fn opposite(triangles: &[Triangle], half_edge: u32) -> u32 {
     triangles[half_edge as usize / 3].corners[(half_edge as usize + 2) % 3]
 }
 

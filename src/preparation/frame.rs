@@ -17,7 +17,7 @@ pub enum Up {
 }
 
 /// z-up from glTF's y-up: (x, y, z) -> (x, -z, y).
-pub(crate) const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
+pub const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
 
 impl Up {
     /// Its name in files and options.

@@ -34,7 +34,7 @@ pub(crate) struct MergeResult {
 }
 
 /// Each triangle a polygon of its own.
-pub(crate) fn unmerged(mesh: &TriangleMesh) -> MergeResult {
+pub fn unmerged(mesh: &TriangleMesh) -> MergeResult {
     let mut parts = Parts::default();
     for t in &mesh.triangles {
         parts.push(&t.corners, t.material, t.source, &mesh.vertices);
@@ -43,7 +43,7 @@ pub(crate) fn unmerged(mesh: &TriangleMesh) -> MergeResult {
 }
 
 /// Merges neighbours as far as all vertices stay within `tolerance` times the mesh's size of their polygon's plane.
-pub(crate) fn merge(mesh: &TriangleMesh, twins: Vec<u32>, tolerance: f64) -> MergeResult {
+pub fn merge(mesh: &TriangleMesh, twins: Vec<u32>, tolerance: f64) -> MergeResult {
     let size = Aabb::of(mesh.vertices.iter().map(|v| v.as_dvec3())).size();
     let mut outlines = Outlines::new(mesh, twins, tolerance * size);
     let mut merges = 0;

@@ -9,12 +9,12 @@ mod quality;
 mod report;
 mod triangles;
 
-pub(crate) use edges::Edges;
-pub(crate) use frame::Z_UP_FROM_Y_UP;
+pub use edges::Edges;
+pub use frame::Z_UP_FROM_Y_UP;
 pub use frame::{SceneFrame, Up};
 pub use merge::MERGED_CORNERS;
-pub(crate) use merge::{merge, unmerged};
+pub use merge::{merge, unmerged};
 pub use report::{ImportReport, ImportedScene, Problem, ProblemKind, lost_features};
-pub(crate) use report::{ProblemBook, ProblemList, Site};
-pub(crate) use triangles::place_of;
+pub use report::{ProblemBook, ProblemList, Site};
+pub use triangles::place_of;
 pub use triangles::{Triangle, TriangleMesh, Welder};

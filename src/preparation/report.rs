@@ -162,7 +162,7 @@ pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
 
 /// Where in a mesh a problem is; words are made only for those that are listed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Site {
+pub struct Site {
     /// Source number within the mesh.
     pub triangle: u32,
     /// The edge, where the problem is one.
@@ -171,7 +171,7 @@ pub(crate) struct Site {
 
 /// Problems of one mesh, counted and listed up to the limit.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct ProblemList {
+pub struct ProblemList {
     totals: [u64; ProblemKind::ALL.len()],
     first: Vec<(ProblemKind, Site)>,
 }
@@ -189,7 +189,7 @@ impl ProblemList {
 
 /// The problems of all meshes.
 #[derive(Debug, Default)]
-pub(crate) struct ProblemBook {
+pub struct ProblemBook {
     totals: [u64; ProblemKind::ALL.len()],
     places: [Vec<String>; ProblemKind::ALL.len()],
 }

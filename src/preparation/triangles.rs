@@ -65,7 +65,7 @@ impl TriangleMesh {
 }
 
 /// Primitive of a source triangle and its number within the primitive, from [`TriangleMesh::primitive_ends`].
-pub(crate) fn place_of(primitive_ends: &[u32], source: u32) -> (u32, u32) {
+pub fn place_of(primitive_ends: &[u32], source: u32) -> (u32, u32) {
     let primitive = primitive_ends.partition_point(|&end| end <= source);
     let start = primitive.checked_sub(1).map_or(0, |p| primitive_ends[p]);
     (primitive as u32, source - start)

@@ -17,7 +17,7 @@ const LEAF: usize = 16;
 
 /// A ray and what is found out about it.
 #[derive(Clone, Debug)]
-pub(crate) struct Beam<T> {
+pub struct Beam<T> {
     pub column: u32,
     pub row: u32,
     pub ray: DVec3,
@@ -25,7 +25,7 @@ pub(crate) struct Beam<T> {
 }
 
 /// The beams of some pixels; pixels without a ray are left out.
-pub(crate) fn beams<T: Default>(sensor: &Sensor, pixels: impl Iterator<Item = (u32, u32)>) -> Vec<Beam<T>> {
+pub fn beams<T: Default>(sensor: &Sensor, pixels: impl Iterator<Item = (u32, u32)>) -> Vec<Beam<T>> {
     pixels
         .filter_map(|(column, row)| Some(Beam { column, row, ray: sensor.ray(column, row)?, found: T::default() }))
         .collect()
@@ -33,7 +33,7 @@ pub(crate) fn beams<T: Default>(sensor: &Sensor, pixels: impl Iterator<Item = (u
 
 /// A polygon with a cone around it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Cone {
+pub struct Cone {
     pub object: u32,
     pub polygon: u32,
     axis: DVec3,
@@ -48,7 +48,7 @@ pub fn instances(plan: &FramePlan) -> Vec<Instance> {
 
 /// The cones of all polygons that their material lets the sensor see; `grown` says by which angle a polygon's
 /// cone is to be widened, `None` drops it. The number dropped comes second.
-pub(crate) fn cones(
+pub fn cones(
     plan: &FramePlan,
     instances: &[Instance],
     grown: impl Fn(&Face, u32) -> Option<f64> + Sync,
@@ -92,7 +92,7 @@ fn around(units: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
 
 /// Halves a bundle of rays again and again, keeping the polygons whose cones touch it, and hands what remains to
 /// `leaf`. Neither threads nor the order of rays change what a ray gets to see.
-pub(crate) fn descend<T: Send>(
+pub fn descend<T: Send>(
     beams: &mut [Beam<T>],
     cones: &[Cone],
     leaf: &(impl Fn(&mut [Beam<T>], &[Cone]) + Sync),

@@ -5,7 +5,7 @@ use crate::plan::Instance;
 use glam::DVec3;
 
 /// Half the distance between 1 and the next f64.
-pub(crate) const UNIT_ROUNDOFF: f64 = f64::EPSILON / 2.0;
+pub const UNIT_ROUNDOFF: f64 = f64::EPSILON / 2.0;
 
 /// A polygon in the image frame.
 #[derive(Clone, Debug, Default)]

@@ -14,10 +14,10 @@ mod face;
 use bundle::Cone;
 #[doc(hidden)]
 pub use bundle::instances;
-pub(crate) use bundle::{Beam, beams, cones, descend};
+pub use bundle::{Beam, beams, cones, descend};
 #[doc(hidden)]
 pub use face::Face;
-pub(crate) use face::{Edge, UNIT_ROUNDOFF};
+pub use face::{Edge, UNIT_ROUNDOFF};
 
 use crate::error::Result;
 use crate::plan::{FramePlan, Images, Output};

@@ -18,7 +18,7 @@ const MOST_DEPTH: usize = 40;
 
 /// A version of the world at one height, for one sensor class.
 #[derive(Debug, Default)]
-pub(crate) struct RowCut {
+pub struct RowCut {
     pub segments: Vec<Segment>,
     /// The first is the root; the left child of a node follows it.
     pub nodes: Vec<Node>,
@@ -28,7 +28,7 @@ pub(crate) struct RowCut {
 
 /// Where a polygon meets the height.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Segment {
+pub struct Segment {
     pub a: DVec2,
     pub b: DVec2,
     /// Of the polygon's unit normal, which need not be level.
@@ -44,7 +44,7 @@ pub(crate) struct Segment {
 
 /// A box around segments.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Node {
+pub struct Node {
     pub min: DVec2,
     pub max: DVec2,
     /// First segment of a leaf, or the right child.

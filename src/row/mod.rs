@@ -4,8 +4,8 @@
 mod cut;
 mod view;
 
-pub(crate) use cut::RowCut;
-pub(crate) use view::RowView;
+pub use cut::RowCut;
+pub use view::RowView;
 
 use crate::geometry::Pose;
 use crate::sensor::Sensor;
@@ -14,14 +14,14 @@ use glam::DVec3;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// True if the sensor's z axis is the world's, but for what poses in text files round.
-pub(crate) fn is_level(pose: &Pose) -> bool {
+pub fn is_level(pose: &Pose) -> bool {
     let up = pose.rotation * DVec3::Z;
     up.z > 0.0 && up.x.abs().max(up.y.abs()) <= 1e-8
 }
 
 /// Cuts of one version of the world.
 #[derive(Debug, Default)]
-pub(crate) struct RowCuts(Mutex<CutCache>);
+pub struct RowCuts(Mutex<CutCache>);
 
 #[derive(Debug, Default)]
 struct CutCache {

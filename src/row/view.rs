@@ -14,7 +14,7 @@ const SLACK: f64 = 1e-9;
 
 /// The beams of a one-row scanner, by rising azimuth, and scratch memory.
 #[derive(Clone, Debug)]
-pub(crate) struct RowView {
+pub struct RowView {
     /// Unit, in the sensor's frame.
     rays: Vec<DVec2>,
     /// [`turn_of`] the first ray.

@@ -98,7 +98,7 @@ struct Level {
 
 /// The tree.
 #[derive(Clone, Debug)]
-pub(crate) struct ConeTree {
+pub struct ConeTree {
     levels: Vec<Level>,
     across: usize,
     down: usize,

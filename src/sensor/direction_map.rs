@@ -8,7 +8,7 @@ use glam::DVec3;
 
 /// Rows and columns of pixels.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
-pub(crate) struct PixelBox {
+pub struct PixelBox {
     pub first_row: u16,
     pub end_row: u16,
     pub first_column: u16,
@@ -74,14 +74,14 @@ const FACING: f64 = 0.577;
 
 /// Directions in cells on the sides of a cube, several times: finer for narrow cones than for wide ones.
 #[derive(Clone, Debug)]
-pub(crate) struct DirectionMap {
+pub struct DirectionMap {
     /// From narrow cones to wide ones.
     levels: Vec<Level>,
 }
 
 /// For cones of up to a half angle.
 #[derive(Clone, Debug)]
-pub(crate) struct Level {
+pub struct Level {
     /// Radians.
     #[cfg(any(feature = "gpu", test))]
     pub half_angle: f64,
@@ -104,7 +104,7 @@ impl Level {
 
 /// Pixels by cells.
 #[derive(Clone, Debug)]
-pub(crate) struct Cells {
+pub struct Cells {
     /// Along an edge of the cube.
     pub across: u32,
     /// Twice the axis that is nearest to a direction, and one more where that is negative.
@@ -114,7 +114,7 @@ pub(crate) struct Cells {
 
 /// The rectangle of a side's cells that there is room for.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Side {
+pub struct Side {
     pub first: [u32; 2],
     pub count: [u32; 2],
     /// Its first box; those along the first axis follow one another.

@@ -61,7 +61,7 @@ pub struct LineGrid {
 /// Eight samples of a line, for vector loops; past the last sample t is NaN and w0, w1 are 0.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-pub(crate) struct Octet {
+pub struct Octet {
     pub w0: [f64; Octet::LEN],
     pub w1: [f64; Octet::LEN],
     pub t: [f64; Octet::LEN],
@@ -107,7 +107,7 @@ impl LineGrid {
     }
 
     /// Pixels of a camera from line to line and from sample to sample: 1 unless this is a part of a grid.
-    pub(crate) fn stride(&self) -> f64 {
+    pub fn stride(&self) -> f64 {
         self.stride
     }
 
@@ -150,19 +150,19 @@ impl LineGrid {
 
     /// c0 and c1 of eight lines; past the last one they are 0.
     #[inline(always)]
-    pub(crate) fn eight_lines(&self, first: usize) -> [&[f64; Octet::LEN]; 2] {
+    pub fn eight_lines(&self, first: usize) -> [&[f64; Octet::LEN]; 2] {
         self.c.each_ref().map(|c| c[first..].first_chunk().expect("padded by eight"))
     }
 
     /// The samples in groups of eight.
-    pub(crate) fn octets(&self) -> &[Octet] {
+    pub fn octets(&self) -> &[Octet] {
         &self.octets
     }
 
     /// For each of some intervals of t, the first and the end of samples that hold all of its own and at most one more
     /// at either side; an interval without samples may get an end at or before its first.
     #[inline(always)]
-    pub(crate) fn samples_around<S: Simd>(
+    pub fn samples_around<S: Simd>(
         &self,
         simd: S,
         least: &[f64; Octet::LEN],

@@ -18,18 +18,18 @@ mod scanner;
 mod undistort;
 
 pub use camera::Camera;
-pub(crate) use cone_tree::ConeTree;
-pub(crate) use direction_map::DirectionMap;
+pub use cone_tree::ConeTree;
+pub use direction_map::DirectionMap;
 #[cfg(feature = "gpu")]
-pub(crate) use direction_map::{Cells as MapCells, PixelBox};
+pub use direction_map::{Cells as MapCells, PixelBox};
 pub use distortion::Distortion;
-pub(crate) use grid::Octet;
+pub use grid::Octet;
 pub use grid::{LineAxis, LineGrid, PixelGrid};
 pub use noise::{Mixture, Noise};
-pub(crate) use part::{ImagePart, STRIDES};
-pub(crate) use pixel_fit::{FitCell, on_side};
+pub use part::{ImagePart, STRIDES};
+pub use pixel_fit::{FitCell, on_side};
 pub use presets::{PRESETS, Preset};
-pub(crate) use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
+pub use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
 pub use rays::RayTable;
 pub use scanner::{Angles, Scanner};

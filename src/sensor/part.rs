@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 
 /// Which pixels of an image belong to a part: columns `first_column + i stride` before `end_column`, rows `i stride`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct ImagePart {
+pub struct ImagePart {
     /// First column.
     pub first_column: u32,
     /// The column after the last one.
@@ -16,7 +16,7 @@ pub(crate) struct ImagePart {
 }
 
 /// Strides that a frame may take.
-pub(crate) const STRIDES: [u32; 3] = [2, 4, 8];
+pub const STRIDES: [u32; 3] = [2, 4, 8];
 
 const LARGEST_STRIDE: u32 = STRIDES[STRIDES.len() - 1];
 
@@ -42,7 +42,7 @@ impl ImagePart {
 
 impl Sensor {
     /// All columns and rows.
-    pub(crate) fn whole(&self) -> ImagePart {
+    pub fn whole(&self) -> ImagePart {
         ImagePart { first_column: 0, end_column: self.width(), stride: 1 }
     }
 
@@ -51,7 +51,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
-    pub(crate) fn part(&self, part: ImagePart) -> Result<Self> {
+    pub fn part(&self, part: ImagePart) -> Result<Self> {
         let is_whole = part.first_column == 0 && part.end_column == self.width();
         let slot = STRIDES.iter().position(|stride| *stride == part.stride).filter(|_| is_whole);
         if let Some(made) = slot.and_then(|slot| self.0.thinned[slot].get()) {
@@ -62,7 +62,7 @@ impl Sensor {
     }
 
     /// From column to column and from row to row of the sensor that it is a part of; 1 if it is no part.
-    pub(crate) fn part_stride(&self) -> u32 {
+    pub fn part_stride(&self) -> u32 {
         self.0.part.map_or(1, |part| part.stride)
     }
 
@@ -93,7 +93,7 @@ impl Sensor {
 
     /// So many columns around a heading (radians from the forward axis, counter-clockwise), from a multiple of the largest stride on;
     /// `None` of sensors whose columns have no order, and if it is all of them.
-    pub(crate) fn columns_around(&self, heading: f64, columns: u32) -> Option<ImagePart> {
+    pub fn columns_around(&self, heading: f64, columns: u32) -> Option<ImagePart> {
         if columns >= self.width() || matches!(self.spec().geometry, Geometry::Rays(_)) {
             return None;
         }
@@ -115,7 +115,7 @@ impl Sensor {
     }
 
     /// The heading of a part's columns, counter-clockwise from the forward axis, and their opening, degrees seen from above.
-    pub(crate) fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
+    pub fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
         let azimuths: Vec<f64> =
             (part.first_column..part.end_column).filter_map(|column| self.azimuth_of(column)).collect();
         let turned = |from: f64, to: f64| {
@@ -129,7 +129,7 @@ impl Sensor {
 
     /// Degrees of a scanner's columns, those of the part that this is: the first one, and from column to column. `None` for listed
     /// azimuths and of other sensors.
-    pub(crate) fn uniform_columns(&self) -> Option<[f64; 2]> {
+    pub fn uniform_columns(&self) -> Option<[f64; 2]> {
         match &self.spec().geometry {
             Geometry::Scanner(scanner) => match scanner.azimuth {
                 Angles::Uniform { start_deg, step_deg, count } if count > 1 => Some(match self.0.part {
@@ -145,7 +145,7 @@ impl Sensor {
     }
 
     /// The column of the whole image that a column of the part that this is comes from.
-    pub(crate) fn whole_column(&self, column: u32) -> u32 {
+    pub fn whole_column(&self, column: u32) -> u32 {
         self.0.part.map_or(column, |part| part.column(column))
     }
 }

@@ -29,7 +29,7 @@ pub(crate) struct Fitted {
 
 /// A cell of directions, with as much again around it as half of it on each side.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct FitCell {
+pub struct FitCell {
     /// On its side of the cube.
     pub middle: [f64; 2],
     /// No ray looks there.
@@ -55,7 +55,7 @@ struct Sums {
 /// The components of a direction along a side's axis and along the two of the side. Sides are numbered by twice the axis, and one more where
 /// it is negative.
 #[inline(always)]
-pub(crate) fn on_side(side: usize, d: [f64; 3]) -> [f64; 3] {
+pub fn on_side(side: usize, d: [f64; 3]) -> [f64; 3] {
     let [along, u, v] = match side / 2 {
         0 => d,
         1 => [d[1], d[2], d[0]],

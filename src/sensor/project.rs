@@ -203,7 +203,7 @@ impl Sensor {
     /// [`Sensor::project`] in f32, to 1e-5 radians, for what looks around in an image; in a ray table to a pixel. At the sensor itself the result
     /// is `None` or no number.
     #[inline(always)]
-    pub(crate) fn project_nearly(&self, p: Vec3) -> Option<(f32, f32)> {
+    pub fn project_nearly(&self, p: Vec3) -> Option<(f32, f32)> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {
                 let s = 1.0 / p.z;
@@ -237,7 +237,7 @@ impl Sensor {
 
     /// Rays at columns and rows, not of unit length, as sums of a part of the column and a multiple of one axis: the columns'
     /// parts, that axis, and the rows' multiples. `None` where rays are no such sums.
-    pub(crate) fn rays_by_column(&self, columns: &[f64], rows: &[f64]) -> Option<(Vec<DVec3>, DVec3, Vec<f64>)> {
+    pub fn rays_by_column(&self, columns: &[f64], rows: &[f64]) -> Option<(Vec<DVec3>, DVec3, Vec<f64>)> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {
                 let column = |u: &f64| DVec3::new(c.normalized(*u, 0.0).0, 0.0, 1.0);

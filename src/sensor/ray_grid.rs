@@ -39,14 +39,14 @@ impl Tile {
 }
 
 /// Side of the tiles of a [`RayGrid`], pixels.
-pub(crate) const TILE_SIDE: u32 = Octet::LEN as u32;
+pub const TILE_SIDE: u32 = Octet::LEN as u32;
 
 const SIDE: usize = TILE_SIDE as usize;
 
 /// The rays of a tile by row and column, for vector loops; NaN where there is none.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub(crate) struct TileRays {
+pub struct TileRays {
     pub x: [[f64; SIDE]; SIDE],
     pub y: [[f64; SIDE]; SIDE],
     pub z: [[f64; SIDE]; SIDE],
@@ -59,7 +59,7 @@ impl TileRays {
 /// The cones of eight tiles side by side, for vector loops. A ray of a tile is no farther from the axis than `chord`, both of length one.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub(crate) struct Cones {
+pub struct Cones {
     pub x: [f64; Octet::LEN],
     pub y: [f64; Octet::LEN],
     pub z: [f64; Octet::LEN],
@@ -91,7 +91,7 @@ const WIDE: f64 = 0.75;
 
 /// How the tiles that a polygon may cover are found but where the [`DirectionMap`] tells.
 #[derive(Clone, Debug)]
-pub(crate) enum TileLookup {
+pub enum TileLookup {
     /// All rays lie ahead of one plane.
     Ahead(Box<ForwardView>),
     /// Fisheyes past 90 degrees, rays all round.
@@ -100,7 +100,7 @@ pub(crate) enum TileLookup {
 
 /// Rays ahead of a plane, as they meet another one parallel to it at distance 1.
 #[derive(Clone, Debug)]
-pub(crate) struct ForwardView {
+pub struct ForwardView {
     /// right, down and forward in the image frame, unless they are its axes.
     pub turn: Option<[DVec3; 3]>,
     /// Of rows of tiles, downwards.
@@ -218,7 +218,7 @@ const SLACK: f64 = 1e-9;
 
 /// Where the rays of a table lie, as planes through the centre with unit normals in the image frame.
 #[derive(Clone, Debug)]
-pub(crate) enum Sides {
+pub enum Sides {
     /// In the pyramid between some planes, normals inwards; without any, anywhere.
     Within(Vec<DVec3>),
     /// Anywhere but in it.
@@ -362,47 +362,47 @@ impl RayGrid {
     }
 
     /// Tiles in a row of them.
-    pub(crate) fn tiles_across(&self) -> usize {
+    pub fn tiles_across(&self) -> usize {
         self.width.div_ceil(TILE_SIDE) as usize
     }
 
     /// The rays of a tile.
     #[inline(always)]
-    pub(crate) fn rays_of(&self, tile: usize) -> &TileRays {
+    pub fn rays_of(&self, tile: usize) -> &TileRays {
         &self.rays[tile]
     }
 
     /// True if a tile lacks a ray.
-    pub(crate) fn has_gaps(&self, tile: usize) -> bool {
+    pub fn has_gaps(&self, tile: usize) -> bool {
         self.gaps[tile]
     }
 
     /// The cones of a row of tiles, in eights.
     #[inline(always)]
-    pub(crate) fn cones_of_row(&self, row: usize) -> &[Cones] {
+    pub fn cones_of_row(&self, row: usize) -> &[Cones] {
         let eights = self.tiles_across().div_ceil(Octet::LEN);
         &self.cones[row * eights..(row + 1) * eights]
     }
 
     /// Tells the pixels that a small polygon may cover, if the view is wide.
     #[inline(always)]
-    pub(crate) fn direction_map(&self) -> Option<&DirectionMap> {
+    pub fn direction_map(&self) -> Option<&DirectionMap> {
         self.map.as_ref()
     }
 
     /// Tells between which rays directions lie.
     #[inline(always)]
-    pub(crate) fn pixel_fit(&self) -> &PixelFit {
+    pub fn pixel_fit(&self) -> &PixelFit {
         &self.fit
     }
 
     /// How the tiles are found that another polygon may cover.
-    pub(crate) fn view(&self) -> &TileLookup {
+    pub fn view(&self) -> &TileLookup {
         &self.view
     }
 
     /// Where all rays lie.
-    pub(crate) fn sides(&self) -> &Sides {
+    pub fn sides(&self) -> &Sides {
         &self.sides
     }
 

@@ -44,20 +44,20 @@ pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
 /// A prediction, arranged for comparing it with what is sensed.
 #[derive(Clone, Debug)]
 pub struct ExpectedImage {
-    pub(crate) sensor: Sensor,
-    pub(crate) world_from_image: Pose,
-    pub(crate) width: usize,
-    pub(crate) height: usize,
-    pub(crate) pixels: Vec<ExpectedPixel>,
-    pub(crate) strided: StridedPoints,
+    pub sensor: Sensor,
+    pub world_from_image: Pose,
+    pub width: usize,
+    pub height: usize,
+    pub pixels: Vec<ExpectedPixel>,
+    pub strided: StridedPoints,
     /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
-    pub(crate) spacing: (f64, f64),
+    pub spacing: (f64, f64),
     /// Of the objects whose poses' covariances are stored.
-    pub(crate) errors: ObjectErrors,
+    pub errors: ObjectErrors,
 }
 
 /// The frame in which rays and points of an image are told, in body axes.
-pub(crate) fn body_from_image(sensor: &Sensor) -> Pose {
+pub fn body_from_image(sensor: &Sensor) -> Pose {
     let rotation = if sensor.is_camera() { body_from_optical_rotation() } else { glam::DQuat::IDENTITY };
     Pose { rotation, translation: DVec3::ZERO }
 }

@@ -39,8 +39,8 @@ mod judge;
 mod strided;
 mod surfaces;
 
-pub(crate) use expected::body_from_image;
+pub use expected::body_from_image;
 pub use expected::{ExpectedImage, ExpectedPixel};
 pub use judge::{Uncertainty, Verdict, Verdicts, judge};
-pub(crate) use strided::LANES;
+pub use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};

@@ -4,7 +4,7 @@ use super::ExpectedPixel;
 use std::sync::OnceLock;
 
 /// Points that are looked at in one go.
-pub(crate) const LANES: usize = 16;
+pub const LANES: usize = 16;
 /// Wider steps find too little in an image to be worth an order of their own.
 const WIDEST: usize = 16;
 /// Places before and after a row, so that no window ends outside: windows reach seven steps beyond an image, and their middles as far.

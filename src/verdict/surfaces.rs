@@ -31,7 +31,7 @@ pub struct ObjectError {
 impl ObjectError {
     /// How a plane's offset changes with the object's pose, at a point x of it with normal n: `[n, (x - origin) cross n]`; all of it
     /// along the same axes.
-    pub(crate) fn gradient(origin: DVec3, point: DVec3, normal: DVec3) -> [f64; 6] {
+    pub fn gradient(origin: DVec3, point: DVec3, normal: DVec3) -> [f64; 6] {
         let turned = (point - origin).cross(normal);
         [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z]
     }
@@ -84,7 +84,7 @@ impl Surfaces {
     }
 
     /// Works out the surface of an id, the number of its slot plus 1, unless it is known; 0 is no polygon's.
-    pub(crate) fn see(&mut self, world: &World, id: u32) {
+    pub fn see(&mut self, world: &World, id: u32) {
         if let Some(slot) = id.checked_sub(1)
             && self.seen(slot).is_none()
         {
@@ -93,7 +93,7 @@ impl Surfaces {
     }
 
     /// The surface of a slot, if it was worked out.
-    pub(crate) fn seen(&self, slot: u32) -> Option<&Surface> {
+    pub fn seen(&self, slot: u32) -> Option<&Surface> {
         self.of_slot.get(slot as usize)?.as_ref()
     }
 

@@ -89,10 +89,10 @@ impl Precision {
 
 /// Plane distance over that of the nearest corner, in the mesh's frame, below which compute engines in f32 set up polygons
 /// in f64 if the sensor is no farther from their box than the box is large.
-pub(crate) const SET_UP_FINELY: f64 = 2e-3;
+pub const SET_UP_FINELY: f64 = 2e-3;
 
 /// True of polygons that they surely do.
-pub(crate) fn is_set_up_finely(face: &Face) -> bool {
+pub fn is_set_up_finely(face: &Face) -> bool {
     // From the sensor.
     let around = || face.relative.iter().fold(Aabb::EMPTY, |b, p| b.with(*p));
     let is_near = |b: Aabb| b.distance_squared(DVec3::ZERO) <= (0.999 * b.size()).powi(2);
@@ -101,7 +101,7 @@ pub(crate) fn is_set_up_finely(face: &Face) -> bool {
 
 /// The error bounds of a polygon's plane, and what they are made of.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PlaneBound {
+pub struct PlaneBound {
     /// Error of n . u.
     pub cosine: f64,
     /// Error of d, metres: arithmetic and plane.

@@ -12,12 +12,12 @@ pub mod bound;
 mod candidates;
 mod pixel;
 
-pub(crate) use bound::PlaneBound;
+pub use bound::PlaneBound;
 pub use bound::Precision;
 #[cfg(feature = "gpu")]
-pub(crate) use bound::SET_UP_FINELY;
+pub use bound::SET_UP_FINELY;
 #[cfg(all(feature = "gpu", test))]
-pub(crate) use bound::is_set_up_finely;
+pub use bound::is_set_up_finely;
 use candidates::PlaneCandidate;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{BoundShares, PixelValues, Tolerances};

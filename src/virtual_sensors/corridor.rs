@@ -28,7 +28,7 @@ pub struct Corridor {
 /// Its fields as files have them.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct CorridorFields {
+pub struct CorridorFields {
     /// Checked before.
     #[serde(default, rename = "format")]
     pub _format: Option<i64>,

@@ -31,7 +31,7 @@ mod vertical_planes;
 mod view;
 
 pub use corridor::Corridor;
-pub(crate) use corridor::CorridorFields;
+pub use corridor::CorridorFields;
 pub use depth_image::DepthImage;
 pub use docking::{Docking, Unobservable};
 pub use edges::{Edge, EdgePiece, Edges};

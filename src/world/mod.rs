@@ -49,7 +49,7 @@ impl World {
     }
 
     /// The first version of a world whose index is there.
-    pub(crate) fn of(index: WorldIndex, environment: Environment) -> Self {
+    pub fn of(index: WorldIndex, environment: Environment) -> Self {
         Self {
             environment: Arc::new(environment),
             index: Arc::new(index),
@@ -88,7 +88,7 @@ impl World {
     }
 
     /// Tells this version from every other one of this process, those of other worlds included.
-    pub(crate) fn stamp(&self) -> u64 {
+    pub fn stamp(&self) -> u64 {
         self.stamp
     }
 
@@ -131,7 +131,7 @@ impl World {
 
     /// Makes the next version if `check` then finds it sound; else content, numbers and version stay as they are. Nothing
     /// is copied for that: what was done is taken back step by step.
-    pub(crate) fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
+    pub fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
         self.with_open_layers(change, |world, change| {
             world.journal = Some(Vec::new());
             let done = world.step(change).and_then(|inverse| check(world).map(|()| inverse));
@@ -174,7 +174,7 @@ impl World {
 
     /// From now on layers that were opened stay open: many changes are made one by one, and nobody reads the features' lists.
     #[cfg(feature = "store")]
-    pub(crate) fn begin_row(&mut self) {
+    pub fn begin_row(&mut self) {
         self.row = Some(FEW_FEATURES);
     }
 
@@ -323,7 +323,7 @@ impl World {
 
     /// This world with another environment: after a failed write, what the disk has.
     #[cfg(feature = "store")]
-    pub(crate) fn reset(&mut self, environment: Environment) {
+    pub fn reset(&mut self, environment: Environment) {
         self.index = Arc::new(WorldIndex::new(&environment, self.index.scheme(), self.index.params()));
         self.environment = Arc::new(environment);
         self.stamp = new_stamp();

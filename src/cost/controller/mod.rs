@@ -30,7 +30,7 @@ const UNKNOWN_MACHINE: f64 = 0.125;
 
 /// Keeps the deadlines of one engine.
 #[derive(Debug)]
-pub(crate) struct Controller {
+pub struct Controller {
     clock: Arc<dyn Clock>,
     pub costs: CostModel,
     /// By what factor estimates are doubted that refused the last frames: only frames that are tried can correct them.
@@ -41,7 +41,7 @@ pub(crate) struct Controller {
 
 /// A prediction with a deadline.
 #[derive(Debug)]
-pub(crate) struct DeadlineFrame {
+pub struct DeadlineFrame {
     limit: Duration,
     watch: Watch,
     key: Key,

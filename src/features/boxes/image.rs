@@ -6,7 +6,7 @@ use crate::sensor::{Angles, Distortion, Geometry, Sensor};
 use glam::{DMat3, DVec3};
 
 /// A sensor's image.
-pub(crate) struct Image<'a> {
+pub struct Image<'a> {
     pub sensor: &'a Sensor,
     pub image_from_body: DMat3,
     pub kind: Kind,
@@ -14,7 +14,7 @@ pub(crate) struct Image<'a> {
 
 /// What is known of a projection beside its values.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Kind {
+pub enum Kind {
     /// Straight lines stay straight: focal lengths, pixels.
     Pinhole([f64; 2]),
     /// Columns and rows are linear in azimuth and elevation: their numbers by radian.

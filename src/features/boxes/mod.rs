@@ -6,7 +6,7 @@ mod points;
 
 pub(super) use image::Image;
 #[cfg(feature = "gpu")]
-pub(crate) use image::Kind;
+pub use image::Kind;
 
 use super::prediction::given_at;
 use super::roi::{
@@ -98,7 +98,7 @@ impl BoxOptions {
 
     /// # Errors
     /// Those of [`add_boxes`].
-    pub(crate) fn check(&self) -> Result<()> {
+    pub fn check(&self) -> Result<()> {
         if !(0.5..1.0).contains(&self.confidence) {
             let what = format!("confidence {} is not in 0.5..1", self.confidence);
             return Err(Error::usage(what, "give a probability such as 0.99"));
@@ -155,14 +155,14 @@ pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Re
 
 /// What one worker keeps.
 #[derive(Default)]
-pub(crate) struct BoxScratch {
+pub struct BoxScratch {
     /// Those that a box is to hold.
     pub points: Vec<BodyPoint>,
     finder: BoxFinder,
 }
 
 /// What the boxes of one prediction share.
-pub(crate) struct BoxFrame<'a> {
+pub struct BoxFrame<'a> {
     pub image: Image<'a>,
     pub viewpoint: Viewpoint,
     pub level: Level,

@@ -16,7 +16,7 @@ const TOUCH: f64 = 5e-4;
 
 /// Surfaces by number of the feature.
 #[derive(Debug, Default)]
-pub(crate) struct ContourSet {
+pub struct ContourSet {
     surfaces: HashMap<u32, Surface>,
     /// Numbers of the contours, rising.
     numbers: Vec<u32>,

@@ -16,7 +16,7 @@ mod surface;
 
 use crate::environment::{Appearance, Environment};
 pub(super) use curves::Curve;
-pub(crate) use known::ContourSet;
+pub use known::ContourSet;
 pub(super) use place::{ContourFinder, SmoothSurface, surfaces};
 pub(super) use surface::Surface;
 

@@ -83,7 +83,7 @@ pub(super) struct SurfaceEdge {
 
 /// A smooth surface in its object's frame.
 #[derive(Debug)]
-pub(crate) struct Surface {
+pub struct Surface {
     /// Index of the object whose polygons it has.
     pub object: u32,
     pub(super) points: Vec<DVec3>,

@@ -96,7 +96,7 @@ pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> 
 }
 
 /// As [`place`], but leaves out features that cannot be placed, and returns their numbers as the second value.
-pub(crate) fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
+pub fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
     let mut finder = SupportFinder::new(world, layer)?;
     let (mut placed, mut off) = (Vec::with_capacity(layer.features.len()), Vec::new());
     for (feature, lying) in layer.features.iter().zip(finder.lie_all(layer)?) {
@@ -423,7 +423,7 @@ fn on_point(near: &[Local]) -> Support {
 ///
 /// # Errors
 /// Those of `compare`.
-pub(crate) fn lies_on<C: AsRef<[DVec3]>>(
+pub fn lies_on<C: AsRef<[DVec3]>>(
     points: &[DVec3],
     polygons: impl Iterator<Item = C>,
     tolerance: f64,

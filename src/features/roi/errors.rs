@@ -12,10 +12,10 @@ use crate::geometry::Pose;
 use glam::{DMat3, DVec3};
 
 /// Most errors: six of each pose, three of each end.
-pub(crate) const ERRORS: usize = 3 * KIND;
+pub const ERRORS: usize = 3 * KIND;
 
 /// Errors of one kind.
-pub(crate) const KIND: usize = 6;
+pub const KIND: usize = 6;
 
 /// One number for each error: the sensor's, the object's, those of the ends.
 pub(super) type ErrorVector = [[f64; KIND]; 3];
@@ -74,14 +74,14 @@ impl Viewpoint {
 
     /// Both vectors of an error of the sensor, negated, body axes.
     #[cfg(feature = "gpu")]
-    pub(crate) fn pair(&self, i: usize) -> [DVec3; 2] {
+    pub fn pair(&self, i: usize) -> [DVec3; 2] {
         self.columns.pair(i)
     }
 }
 
 /// What the errors of a kind do, body axes: two vectors an error, by coordinate.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Columns {
+pub struct Columns {
     first: [[f64; KIND]; 3],
     second: [[f64; KIND]; 3],
 }
@@ -225,7 +225,7 @@ impl FeatureErrorModel {
     }
 
     /// Both vectors of an error, body axes.
-    pub(crate) fn pair(&self, i: usize) -> [DVec3; 2] {
+    pub fn pair(&self, i: usize) -> [DVec3; 2] {
         self.columns[i / KIND].pair(i % KIND)
     }
 
@@ -240,7 +240,7 @@ impl FeatureErrorModel {
     }
 
     /// A point with nothing wrong.
-    pub(crate) fn nominal(&self, point: &BodyPoint) -> NominalPoint {
+    pub fn nominal(&self, point: &BodyPoint) -> NominalPoint {
         let q = self.body_from_frame * point.at;
         NominalPoint { p: self.origin + q, q, shares: point.shares }
     }
@@ -278,7 +278,7 @@ impl FeatureErrorModel {
     }
 
     /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
-    pub(crate) fn spread(&self, point: &NominalPoint) -> f64 {
+    pub fn spread(&self, point: &NominalPoint) -> f64 {
         let [sensor, object, ends] = &self.sizes;
         let a = sensor[0] + sensor[1] * point.p.length();
         let b = object[0] + object[1] * point.q.length();

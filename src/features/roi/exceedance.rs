@@ -10,14 +10,14 @@ use super::image_point::{MARGIN, PointDerivatives, dot};
 use crate::features::normal::{Tails, apart, tail_quantile};
 
 /// Most points of a side that are looked at.
-pub(crate) const MOST: usize = 3;
+pub const MOST: usize = 3;
 
 /// Most events.
-pub(crate) const EVENTS: usize = 4 * MOST;
+pub const EVENTS: usize = 4 * MOST;
 
 /// What a confidence says about thresholds, made once for all features.
 #[derive(Clone, Copy)]
-pub(crate) struct Level {
+pub struct Level {
     /// The probability that is left.
     pub fail: f64,
     /// Standard deviations at which a single event has it.

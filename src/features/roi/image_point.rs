@@ -109,7 +109,7 @@ pub(super) fn see(uncertain: &FeatureErrorModel, all: &[ImagePoint], k: f64, int
 }
 
 /// Standard deviations beyond the common number at which passing a side no longer counts: at 3 less than 0.6 % of it is left.
-pub(crate) const MARGIN: f64 = 1.5;
+pub const MARGIN: f64 = 1.5;
 
 /// The column nearest to another, where columns go round.
 pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) -> f64 {
@@ -120,7 +120,7 @@ pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) ->
 }
 
 /// Derivatives of column and row by the position, by central differences: their error is of the second order of 1e-5.
-pub(crate) fn differences(projection: &(impl Projection + ?Sized), p: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
+pub fn differences(projection: &(impl Projection + ?Sized), p: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
     let step = 1e-5 * projection.lever(p).abs().max(1e-9 * p.length());
     let near = |column: f64| match projection.turn() {
         Some(turn) => column - turn * ((column - at[0]) / turn).round(),

@@ -6,10 +6,10 @@ use super::{Projection, SIDES};
 
 /// Where the derivative and the projection differ by more than this share of a side's distance, the derivative is given
 /// up; below, the difference widens the box.
-pub(crate) const SLIGHTLY: f64 = 0.1;
+pub const SLIGHTLY: f64 = 0.1;
 
 /// And by more than this, pixels.
-pub(crate) const SLIGHT: f64 = 0.1;
+pub const SLIGHT: f64 = 0.1;
 
 /// The point that makes a side.
 fn maker(seen: &[PointDerivatives], side: (usize, f64), k: f64) -> Option<&PointDerivatives> {

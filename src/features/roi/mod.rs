@@ -77,14 +77,14 @@ mod linear;
 mod set;
 
 pub use errors::{BodyPoint, FeatureErrorModel, PoseErrors, Viewpoint};
-pub(crate) use exceedance::Level;
-pub(crate) use image_point::differences;
+pub use exceedance::Level;
+pub use image_point::differences;
 
 // What the shader shares.
 #[cfg(all(feature = "gpu", test))]
-pub(crate) use exceedance::{EVENTS, MOST};
+pub use exceedance::{EVENTS, MOST};
 #[cfg(feature = "gpu")]
-pub(crate) use {
+pub use {
     errors::{ERRORS, KIND},
     image_point::MARGIN,
     linear::{SLIGHT, SLIGHTLY},
@@ -183,10 +183,10 @@ const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
 pub(crate) const GRAZING: f64 = 0.05;
 
 /// Errors that move a point by no more than this share of its lever do not bend its projection.
-pub(crate) const BENT: f64 = 0.02;
+pub const BENT: f64 = 0.02;
 
 /// Those that may move it by more than this share bend it in more ways than the errors that make the sides show.
-pub(crate) const MUCH: f64 = 0.35;
+pub const MUCH: f64 = 0.35;
 
 /// Finds boxes of one feature after the other, in room that is kept.
 #[derive(Default)]

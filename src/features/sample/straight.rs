@@ -44,7 +44,7 @@ impl Sampler<'_> {
 
     /// Why nothing of the convex hull of some points is in a pinhole camera's image, where one look tells: all of it is behind the
     /// camera, or before it and beside one side of the image.
-    pub(crate) fn beside(&self, points: &[DVec3]) -> Option<Reason> {
+    pub fn beside(&self, points: &[DVec3]) -> Option<Reason> {
         /// What is beside a side by less may be in the image by rounding, relative to the distance.
         const SLACK: f64 = 1e-9;
         let camera = self.pinhole?;

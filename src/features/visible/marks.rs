@@ -5,7 +5,7 @@ use crate::environment::{Feature, FeatureShape};
 use crate::features::{FeatureStats, SeenFeature};
 
 /// Which feature each pixel shows: points and landmarks over segments over contours over patches, then lower numbers.
-pub(crate) struct Marks(pub(super) Vec<u64>);
+pub struct Marks(pub(super) Vec<u64>);
 
 impl Marks {
     pub fn add(&mut self, feature: &Feature, pixels: &[u32]) {

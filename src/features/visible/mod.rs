@@ -55,7 +55,7 @@ use crate::threads::parallel;
 use crate::world::World;
 use context::VisibilityContext;
 use glam::DVec3;
-pub(crate) use marks::Marks;
+pub use marks::Marks;
 use marks::Part;
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -156,7 +156,7 @@ pub fn predict_features(
 }
 
 /// Features that were checked against a world and a sensor, to be predicted.
-pub(crate) struct PreparedFeatures<'a> {
+pub struct PreparedFeatures<'a> {
     /// `None` without features: nothing is worked out for them.
     frame: Option<VisibilityContext<'a>>,
     images: &'a Images,

@@ -27,7 +27,7 @@ pub(super) struct LayerFields<'a> {
 /// A feature of any kind, or the removal of one.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct FeatureFields {
+pub struct FeatureFields {
     #[serde(deserialize_with = "whole")]
     pub id: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -67,14 +67,14 @@ pub(crate) struct FeatureFields {
 /// What is known of the polygons that a feature was put on.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Surface {
+pub enum Surface {
     /// They were moved or deleted since.
     Lost,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Kind {
+pub enum Kind {
     Point,
     Segment,
     Patch,

@@ -180,7 +180,7 @@ fn check_format(format: Option<u32>) -> Result<()> {
 
 /// The feature that an entry tells, for a layer of that tolerance.
 #[cfg(feature = "store")]
-pub(crate) fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
+pub fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
     let id = fields.id;
     if fields.surface.is_some() {
         let what = "\"surface\" is for layer files: a change is of features that lie on polygons";

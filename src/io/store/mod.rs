@@ -258,7 +258,7 @@ impl Store {
     }
 
     /// From now on many changes are made one by one, and nobody reads the feature layers in between.
-    pub(crate) fn begin_row(&mut self) {
+    pub fn begin_row(&mut self) {
         self.world.begin_row();
     }
 
